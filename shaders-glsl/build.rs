@@ -1,4 +1,4 @@
-//! Compiles every kernel of this folder and generates its host side.
+//! Compiles every kernel of this folder and generates the Rust side.
 
 use std::path::PathBuf;
 

@@ -1,4 +1,6 @@
-//! Compiles the small kernels of the tests and writes a table of them, with what each does to its bindings.
+//! Compiles the tests' kernels and writes a table of them with their bindings.
+//!
+//! The table lists the access of each binding: read, write or both.
 
 use sgs_shader_compiler::BindingKind;
 use std::fmt::Write;
@@ -17,7 +19,7 @@ fn main() {
             let kind = match b.kind {
                 BindingKind::Storage => "Storage".to_owned(),
                 BindingKind::Uniform => "Uniform".to_owned(),
-                BindingKind::Image(format) => format!("Image(sgs_engine::ImageFormat::{format})"),
+                BindingKind::Image(format) => format!("Image(sgs_engine::ImageFormat::{format:?})"),
             };
             let _ = write!(listed, "({:?}, {}, BindingKind::{kind}, Access::{:?}), ", b.name, b.number, b.access);
         }

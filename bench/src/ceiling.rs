@@ -1,4 +1,4 @@
-//! Measured peak bandwidth and arithmetic rate of a device (`engine-bench ceiling`).
+//! Measured peak bandwidth and arithmetic rate of a device: `engine-bench ceiling`.
 
 use serde::{Deserialize, Serialize};
 use sgs_passes::cost::Cost;
@@ -6,18 +6,20 @@ use sgs_passes::cost::Cost;
 /// Peak rates of a device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ceiling {
-    /// Bytes read plus bytes written, in a second: the best of a large `vkCmdCopyBuffer` and a kernel that fills.
+    /// Bytes read plus bytes written per second.
+    ///
+    /// Maximum of a large `vkCmdCopyBuffer` and a fill kernel.
     pub bytes_per_second: f64,
-    /// Single-precision operations in a second, a multiply-add counting two.
+    /// Single-precision operations per second; a multiply-add counts as two.
     pub operations_per_second: f64,
-    /// Of the copy alone.
+    /// Rate of the copy.
     pub copy_bytes_per_second: f64,
-    /// Of the fill kernel alone.
+    /// Rate of the fill kernel.
     pub fill_bytes_per_second: f64,
 }
 
 impl Ceiling {
-    /// Minimum seconds for a cost, and whether memory bandwidth bounds them.
+    /// Returns the minimum seconds for a cost, and whether memory is the bound.
     pub fn bound(&self, cost: &Cost) -> (f64, bool) {
         let memory = cost.bytes / self.bytes_per_second;
         let arithmetic = cost.operations / self.operations_per_second;
@@ -30,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_higher_bound_counts() {
+    fn larger_bound_determines_the_time() {
         let ceiling = Ceiling { bytes_per_second: 1e9, operations_per_second: 1e10, ..Default::default() };
         assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 1e9 }), (1.0, true));
         assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 3e10 }), (3.0, false));

@@ -1,4 +1,4 @@
-//! Options of every command, and opening the device by them.
+//! Options of every command. Opens the device that they select.
 
 use crate::report::compare::compare;
 use crate::report::set::ReportSet;
@@ -11,28 +11,28 @@ use std::path::PathBuf;
 /// Options of every command.
 #[derive(Args, Clone, Debug)]
 pub struct Common {
-    /// Device by index or part of its name (see `sgs devices`); the best by default.
+    /// Device by index or part of its name (see `sgs devices`); by default the best.
     #[arg(long, global = true, value_name = "INDEX|NAME")]
     pub device: Option<String>,
-    /// Write the report as JSON; to standard output, in place of the tables, without FILE.
+    /// Write the report as JSON to FILE. Without FILE, to standard output in place of the tables.
     #[arg(long, global = true, num_args = 0..=1, default_missing_value = "-", value_name = "FILE")]
     pub json: Option<PathBuf>,
-    /// Measured repetitions.
+    /// Number of measured repetitions.
     #[arg(long, global = true, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u32).range(1..))]
     pub repeats: u32,
-    /// Repetitions before them that are not measured.
+    /// Number of unmeasured repetitions before the measured ones.
     #[arg(long, global = true, value_name = "N", default_value_t = 3)]
     pub warmup: u32,
-    /// Fail if anything is slower, or otherwise worse, than in this report (of the same command) by more than the noise.
+    /// Fail if a time or other figure is worse than in this report beyond the noise. The report is of the same command.
     #[arg(long, global = true, value_name = "BASELINE.json")]
     pub compare: Option<PathBuf>,
-    /// Slower by less than this share of the baseline is always noise.
+    /// Fraction of the baseline by which a slowdown always counts as noise.
     #[arg(long, global = true, value_name = "SHARE", default_value_t = 0.05)]
     pub tolerance: f64,
-    /// After how many seconds a wait for the device gives up.
+    /// Time limit of a wait for the device, in seconds.
     #[arg(long, global = true, value_name = "SECONDS", default_value_t = 300, value_parser = clap::value_parser!(u64).range(1..))]
     pub timeout: u64,
-    /// Run with Vulkan validation; any message is an error. Times mean little then.
+    /// Run with Vulkan validation; any message is an error. Times are then not representative.
     #[arg(long, global = true, hide = true)]
     pub validate: bool,
 }
@@ -49,7 +49,7 @@ impl Common {
         Ok(Device::open(&options)?)
     }
 
-    /// An empty report of a command on a device.
+    /// Creates an empty report of a command on a device.
     pub fn report(&self, command: &str, device: &Device) -> Report {
         let info = device.info();
         let device = DeviceLine {
@@ -62,10 +62,11 @@ impl Common {
         Report::new(command, device, self.repeats, self.warmup)
     }
 
-    /// Prints the report, writes it, and sets it against the baseline.
+    /// Prints and writes the report, and compares it with the baseline.
     ///
     /// # Errors
-    /// If a figure is not finite, a file cannot be read or written, validation reported a message, or a figure is worse.
+    /// If a figure is not finite, a file cannot be read or written, validation reported a message, or a figure is
+    /// worse.
     pub fn finish(&self, report: &Report, device: &Device) -> anyhow::Result<()> {
         report.ensure_finite()?;
         let text = serde_json::to_string_pretty(report).context("The report cannot be written as JSON.")?;
@@ -96,7 +97,7 @@ impl Common {
     }
 }
 
-/// A size as `WIDTHxHEIGHT`.
+/// Parses a size of the form `WIDTHxHEIGHT`.
 pub fn parse_size(text: &str) -> Result<[u32; 2], String> {
     let side = |t: &str| t.trim().parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
     match text.split_once(['x', 'X', '×']).map(|(w, h)| (side(w), side(h))) {
@@ -110,7 +111,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes() {
+    fn valid_sizes_are_parsed_and_others_refused() {
         assert_eq!(parse_size("640x480"), Ok([640, 480]));
         assert!(["640", "0x3", "3x", "-1x4", "99999x2"].iter().all(|t| parse_size(t).is_err()));
     }

@@ -1,4 +1,4 @@
-//! One graph with its memory, replayed and timed: the harness of every stage measured in isolation.
+//! Harness that replays and times one graph, for stages measured in isolation.
 
 use crate::ceiling::Ceiling;
 use crate::report::{PassRow, Report};
@@ -10,7 +10,7 @@ use sgs_passes::cost::{Counts, cost};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A graph, ready.
+/// Compiled graph with its memory.
 pub struct Rig {
     device: Device,
     exec: Executor,
@@ -19,10 +19,12 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// Compiles a graph and gives its external buffers memory: with the content in `inputs`, else zeros.
+    /// Compiles a graph and allocates its external buffers.
+    ///
+    /// Buffers have the content in `inputs`, or zeros.
     ///
     /// # Errors
-    /// If the graph is wrong or memory runs out.
+    /// If the graph is invalid or memory runs out.
     pub fn new(device: &Device, graph: Graph, inputs: Vec<(Buffer, Vec<u8>)>, timestamps: bool) -> anyhow::Result<Rig> {
         let plan = Arc::new(graph.compile(&CompileOptions::default())?);
         let options = ExecOptions { timestamps, ..Default::default() };
@@ -46,7 +48,7 @@ impl Rig {
         Ok(Rig { device: device.clone(), exec, memory, uniforms })
     }
 
-    /// Replays once.
+    /// Submits one replay.
     ///
     /// # Errors
     /// If the device fails.
@@ -56,7 +58,7 @@ impl Rig {
         Ok(())
     }
 
-    /// Replays after warming up; the times of the passes, and nanoseconds of each whole replay by the host's clock.
+    /// Replays after a warm-up. Returns pass times and host nanoseconds of each replay.
     ///
     /// # Errors
     /// If the device fails.
@@ -76,12 +78,12 @@ impl Rig {
         Ok((self.exec.take_times(), wall))
     }
 
-    /// Host times of the replays.
+    /// Returns the host times of the replays.
     pub fn host_times(&self) -> HostTimes {
         self.exec.host_times()
     }
 
-    /// The plan.
+    /// Returns the plan.
     pub fn plan(&self) -> &Plan {
         self.exec.plan()
     }
@@ -97,8 +99,9 @@ impl Rig {
     }
 }
 
-/// Adds the passes of a plan to a report, each against the device's ceiling. Passes whose names begin with `out.` only
-/// carry results to the host and are left out.
+/// Adds the passes of a plan to a report, each relative to the device's ceiling.
+///
+/// Passes whose names begin with `out.` only transfer results to the host and are left out.
 pub fn add_passes(report: &mut Report, plan: &Plan, times: &[PassTime], counts: &Counts, ceiling: &Ceiling) {
     for time in times.iter().filter(|t| !t.name.starts_with("out.") && !t.nanoseconds.is_empty()) {
         let nanoseconds = Summary::of(&time.nanoseconds);
@@ -116,14 +119,16 @@ pub fn add_passes(report: &mut Report, plan: &Plan, times: &[PassTime], counts: 
     }
 }
 
-/// Nanoseconds of each whole replay by the device's clock: from the first pass's begin to the last one's end.
+/// Returns the device time of each replay in nanoseconds.
+///
+/// The time is from the begin of the first pass to the end of the last.
 pub fn spans(times: &[PassTime]) -> Vec<f64> {
     let replays = times.iter().map(|t| t.start.len()).min().unwrap_or(0);
     let end = |r: usize| times.iter().map(move |t| t.start[r] + t.nanoseconds[r]).fold(0.0, f64::max);
     (0..replays).map(end).collect()
 }
 
-/// Values as bytes.
+/// Returns values as bytes.
 pub fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }

@@ -1,9 +1,9 @@
-//! `engine-bench`: time of every pass on a device, against the measured ceiling of that device.
+//! Benchmarks of every pass on a device, relative to the measured ceiling: `engine-bench`.
 //!
-//! Every command states device, driver, sizes, repeats, median and spread, and checks its results: no time is reported for a
-//! kernel with a wrong result. `--json` writes a report, `--compare` compares this run with one.
+//! Every command reports device, driver, sizes, repeats, median and spread, and checks its results. No time is
+//! reported for a kernel with a wrong result. `--json` writes a report; `--compare` compares this run with a report.
 //!
-//! Exit status 0 done, 1 failed or worse than the baseline, 2 wrong usage.
+//! Exit status: 0 for success, 1 for a failure or a result worse than the baseline, 2 for wrong usage.
 
 mod ceiling;
 mod commands;
@@ -30,27 +30,29 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Single stages at stated sizes, each checked against its CPU reference.
+    /// Measure single stages at given sizes, each checked against its CPU reference.
     Passes(commands::passes::Args),
-    /// A whole training step and a whole render, pass by pass.
+    /// Measure a whole training step and a whole render, pass by pass.
     Step(commands::step::Args),
-    /// How time and memory grow with Gaussians and pixels.
+    /// Measure how time and memory scale with Gaussians and pixels.
     Scaling(commands::scaling::Args),
-    /// Cost and benefit of every choice that trades accuracy for speed, and the Pareto front.
+    /// Measure every choice that trades accuracy for speed. Reports cost, benefit and the Pareto front.
     Tradeoff(commands::tradeoff::Args),
-    /// Table and drawing of an existing report of `tradeoff`.
+    /// Write the table and plot of an existing report of `tradeoff`.
     Front(commands::tradeoff::again::Args),
-    /// Time of each optimization of the intrinsic stage, with and without it.
+    /// Measure the intrinsic stage with and without each of its optimizations.
     Savings(commands::savings::Args),
-    /// Peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
+    /// Measure peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
     Ceiling,
-    /// Put reports of one device into one file.
+    /// Join reports of one device into one file.
     Join(commands::results::Join),
-    /// Print files of reports as a table in Markdown.
+    /// Print report files as a Markdown table.
     Table(commands::results::Table),
 }
 
-/// Exits quietly with the status of SIGPIPE if standard output is closed.
+/// Installs a panic hook that ends the program silently if its output is closed.
+///
+/// The exit status is that of a program ended by SIGPIPE.
 fn heed_closed_pipes() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {

@@ -1,15 +1,17 @@
 //! CPU time of the process.
 
-/// Seconds of all threads, user and system, since the start; none where the system does not tell (`/proc` of Linux).
+/// Returns user and system seconds of all threads since the start.
+///
+/// `None` where the system does not report them in `/proc` (Linux).
 pub fn cpu_seconds() -> Option<f64> {
     parse(&std::fs::read_to_string("/proc/self/stat").ok()?)
 }
 
-/// Ticks of a second in `/proc`; the kernel's interface has this one on every architecture in use.
+/// Ticks per second in `/proc`: 100 on every architecture in use.
 const TICKS: f64 = 100.0;
 
 fn parse(stat: &str) -> Option<f64> {
-    // The command's name may hold anything, spaces and brackets included; what follows it does not.
+    // The command name may contain spaces and parentheses; the remaining fields do not.
     let (_, rest) = stat.rsplit_once(')')?;
     let mut fields = rest.split_whitespace().skip(11);
     let user: f64 = fields.next()?.parse().ok()?;
@@ -22,14 +24,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn fields_are_found_behind_an_odd_name() {
+    fn fields_are_found_behind_a_name_with_parentheses() {
         let stat = "12 (a) b (c) R 1 12 12 0 -1 4194304 100 0 0 0 250 50 0 0 20 0 1 0 500 1000";
         assert_eq!(parse(stat), Some(3.0));
         assert_eq!(parse("nothing"), None);
     }
 
     #[test]
-    fn work_takes_time() {
+    fn cpu_time_increases_with_work() {
         if let Some(begin) = cpu_seconds() {
             let until = std::time::Instant::now();
             while until.elapsed().as_millis() < 60 {

@@ -2,24 +2,24 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Statistics of some samples.
+/// Statistics of samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// Median.
     pub median: f64,
     /// Median absolute deviation from the median.
     pub mad: f64,
-    /// The least.
+    /// Minimum.
     pub least: f64,
-    /// How many.
+    /// Number of samples.
     pub samples: usize,
 }
 
-/// From a median absolute deviation to the standard deviation of a normal distribution.
+/// Factor from MAD to the standard deviation of a normal distribution.
 const SIGMA: f64 = 1.4826;
 
 impl Summary {
-    /// Of samples; zeros if there are none.
+    /// Computes the statistics of samples; zeros if there are none.
     pub fn of(samples: &[f64]) -> Summary {
         let center = median(samples);
         let deviations: Vec<f64> = samples.iter().map(|s| (s - center).abs()).collect();
@@ -27,23 +27,23 @@ impl Summary {
         Summary { median: center, mad: median(&deviations), least, samples: samples.len() }
     }
 
-    /// Of samples of which median and standard deviation are known, and nothing else.
+    /// Creates statistics from a known median and standard deviation.
     pub fn known(value: f64, sigma: f64, samples: usize) -> Summary {
         Summary { median: value, mad: sigma / SIGMA, least: value, samples }
     }
 
-    /// The standard deviation that the spread speaks of.
+    /// Returns the standard deviation estimated from the MAD.
     pub fn sigma(&self) -> f64 {
         SIGMA * self.mad
     }
 
-    /// The same in another unit.
+    /// Returns the statistics in another unit.
     pub fn scaled(&self, factor: f64) -> Summary {
         Summary { median: self.median * factor, mad: self.mad * factor, least: self.least * factor, ..*self }
     }
 }
 
-/// The middle one, or the mean of the two in the middle; 0 of none.
+/// Returns the median, 0 for no samples. For an even number, averages the middle two.
 pub fn median(samples: &[f64]) -> f64 {
     let mut sorted = samples.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_outlier_moves_nothing() {
+    fn outlier_does_not_change_the_statistics() {
         let s = Summary::of(&[10.0, 12.0, 11.0, 1e9, 9.0]);
         assert_eq!((s.median, s.mad, s.least, s.samples), (11.0, 1.0, 9.0, 5));
         assert_eq!(Summary::of(&[1.0, 2.0]).median, 1.5);
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn sigma_is_that_of_a_normal_distribution() {
+    fn sigma_matches_a_normal_distribution() {
         let mut rng = sgs_passes::reference::rng::Pcg::new(1);
         let samples: Vec<f64> = (0..20_001).map(|_| 3.0 + 2.0 * rng.normal()).collect();
         let s = Summary::of(&samples);

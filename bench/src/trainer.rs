@@ -1,5 +1,6 @@
-//! Training steps as the trainer submits them: schedule, replay, the report of two steps before. Nothing else runs, so that
-//! the measurement is of the step alone.
+//! Training steps as the trainer submits them: schedule, replay, delayed report.
+//!
+//! The report is that of two steps before. Nothing else runs, so that the step alone is measured.
 
 use crate::process::cpu_seconds;
 use crate::workload::Workload;
@@ -11,7 +12,7 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Status, StepReport};
 use sgs_passes::scene::{GaussianData, Gaussians};
 use sgs_passes::splat::{BackwardKernel, Channels};
-use sgs_train::{Correspondence, Look, Schedule};
+use sgs_train::{Correspondence, FrameRendering, Schedule};
 use std::sync::{Mutex, MutexGuard};
 use std::time::Instant;
 
@@ -23,39 +24,41 @@ pub struct Trainer<'w> {
     device: Device,
     tuning: Tuning,
     workload: &'w Workload,
-    /// The Gaussians.
+    /// Trained Gaussians.
     pub gaussians: Gaussians,
     status: Status,
     schedule: Schedule,
     exec: GeometryStep,
     options: GeometryOptions,
-    /// Last step that is done.
+    /// Last finished step.
     step: u32,
 }
 
 /// Times of some steps.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
-    /// One a step.
+    /// Reports, one per step.
     pub reports: Vec<StepReport>,
-    /// Passes, one entry a step; empty without timestamps.
+    /// Pass times, one entry per step; empty without timestamps.
     pub times: Vec<PassTime>,
-    /// Milliseconds from one submission to the next, one a step.
+    /// Milliseconds from one submission to the next, per step.
     pub wall: Vec<f64>,
-    /// Milliseconds of the host's own work, one a step: schedule, uniforms, submission, report; waiting left out.
+    /// Milliseconds of host work per step: schedule, uniforms, submission, report.
+    ///
+    /// Excludes waiting for the device.
     pub host: Vec<f64>,
-    /// Seconds of a replay besides its submission, and of its submission, both of the host.
+    /// Host seconds of a replay without its submission, and of the submission.
     pub replay: (f64, f64),
-    /// Processor seconds of the whole process, of all steps.
+    /// CPU seconds of the whole process over all steps.
     pub cpu_seconds: Option<f64>,
-    /// Whether memory in use, buffers and transfers were the same before and after.
+    /// Whether memory in use, buffers and transfers did not change.
     pub unchanged: bool,
-    /// Memory in use and what had been done with it, before and after.
+    /// Memory in use and device activity, before and after.
     pub memory: [(u64, Activity); 2],
 }
 
 impl<'w> Trainer<'w> {
-    /// Prepares training.
+    /// Prepares training with the device's default tuning.
     ///
     /// # Errors
     /// If memory runs out.
@@ -69,7 +72,9 @@ impl<'w> Trainer<'w> {
         Trainer::with(device, workload, tuning, backward, false, entry_capacity)
     }
 
-    /// The same with other sizes of kernels, another accuracy, or an Adam that moves Gaussians which a step did not see.
+    /// Prepares training with other kernel sizes, accuracy or optimizer.
+    ///
+    /// `dense_adam`: Adam also updates Gaussians that a step did not see.
     ///
     /// # Errors
     /// If memory runs out.
@@ -83,7 +88,7 @@ impl<'w> Trainer<'w> {
     ) -> anyhow::Result<Self> {
         let densify = workload.settings.geometry.densify.enabled;
         let count = workload.start.len() as u32;
-        // Room for what densification adds once.
+        // Capacity for the new Gaussians of one densification.
         let capacity = if densify { count + count / 2 } else { count };
         let gaussians = Gaussians::with(device, workload.model, capacity, true, densify)?;
         gaussians.upload(device, &workload.start)?;
@@ -113,7 +118,7 @@ impl<'w> Trainer<'w> {
         Ok(Trainer { device: device.clone(), tuning, workload, gaussians, status, schedule, exec, options, step: 0 })
     }
 
-    /// Trains so many steps; an overflow of the tile entries makes room and begins again.
+    /// Trains `steps` steps. Grows the tile entries after an overflow and starts again.
     ///
     /// # Errors
     /// If the device fails, or a step's numbers are not finite.
@@ -130,10 +135,10 @@ impl<'w> Trainer<'w> {
         anyhow::bail!("The tile entries overflow again and again.")
     }
 
-    /// Trains; false, with the reports from the overflow on, if the tile entries overflowed.
+    /// Trains; returns false with the reports from the overflow on if tile entries overflowed.
     fn attempt(&mut self, steps: u32, run: &mut Run) -> anyhow::Result<bool> {
         self.exec.executor().take_times();
-        // First as many steps as may be in flight: from then on each one waits for another.
+        // Fills the pipeline first: from then on each step waits for an earlier one.
         for step in self.step + 1..=self.step + IN_FLIGHT {
             self.submit(step)?;
         }
@@ -195,17 +200,18 @@ impl<'w> Trainer<'w> {
     /// Grows the entry capacity to the largest requirement of a run.
     fn grow(&mut self, run: &Run) -> anyhow::Result<()> {
         let required = run.reports.iter().map(|r| r.entries).max().unwrap_or(0);
-        // As training grows; the warm-up sees every view, so that no overflow spoils the measurement.
+        // Grows as in training. The warm-up sees every view, so no overflow disturbs the measurement.
         self.options.entry_capacity = required.saturating_add(required / 8);
         self.rebuild()?;
         Ok(self.status.clear_flags(&self.device)?)
     }
 
-    /// Gradients of the loss in the first view by each parameter, by group, of the given Gaussians.
-    /// One step moves the Gaussians. Adam's first moments are a tenth of them.
+    /// Returns the loss gradient of the given Gaussians in the first view, by group.
+    ///
+    /// One step updates the Gaussians. Adam's first moments are a tenth of the gradient.
     ///
     /// # Errors
-    /// If the device fails, or the tile entries overflow again and again.
+    /// If the device fails, or the tile entries overflow repeatedly.
     pub fn gradients(&mut self, data: &GaussianData) -> anyhow::Result<GaussianData> {
         for _ in 0..16 {
             self.gaussians.upload(&self.device, data)?;
@@ -236,7 +242,7 @@ impl<'w> Trainer<'w> {
             self.exec.submit(&values)?;
             return Ok(());
         };
-        let state = Look {
+        let state = FrameRendering {
             sh_degree: values.sh_degree,
             background: values.background,
             largest: self.options.largest,
@@ -254,7 +260,7 @@ impl<'w> Trainer<'w> {
         Ok(())
     }
 
-    /// Turns timestamps on or off.
+    /// Enables or disables timestamps.
     ///
     /// # Errors
     /// If memory runs out.
@@ -267,12 +273,12 @@ impl<'w> Trainer<'w> {
         (self.device.memory_use().0, self.device.activity())
     }
 
-    /// The step's plan.
+    /// Returns the plan of the step.
     pub fn plan(&mut self) -> std::sync::Arc<Plan> {
         self.exec.executor().plan().clone()
     }
 
-    /// Composition of the step.
+    /// Returns the options of the step.
     pub fn options(&self) -> &GeometryOptions {
         &self.options
     }
@@ -301,7 +307,7 @@ fn locked(c: &Mutex<Correspondence>) -> anyhow::Result<MutexGuard<'_, Correspond
     c.lock().map_err(|_| anyhow::anyhow!("A measurement has panicked."))
 }
 
-/// Room for tile entries before anything is measured, as training has it.
+/// Returns the initial capacity of tile entries, as in training.
 pub fn first_entry_capacity(gaussians: usize) -> u32 {
     u32::try_from(gaussians).unwrap_or(u32::MAX).clamp(1 << 14, 1 << 26)
 }

@@ -5,55 +5,7 @@
 
 use std::borrow::Cow;
 
-use crate::format::ImageFormat;
-
-/// Access of a kernel to a binding, reflected from its code rather than its decorations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
-pub enum Access {
-    /// Loads only.
-    Read,
-    /// Stores only. The graph assumes that earlier contents may remain, unless the pass discards them.
-    Write,
-    /// Loads and stores, or atomics other than additions.
-    ReadWrite,
-    /// Atomic additions and subtractions with unused results: passes that accumulate commute.
-    Accumulate,
-}
-
-/// Descriptor type of a binding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, serde::Serialize)]
-pub enum BindingKind {
-    /// Storage buffer.
-    Storage,
-    /// Uniform buffer.
-    Uniform,
-    /// Storage image of this format.
-    Image(ImageFormat),
-}
-
-/// Binding of descriptor set 0.
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Binding {
-    /// GLSL name of the block instance or image.
-    pub name: Cow<'static, str>,
-    /// Binding number.
-    pub number: u32,
-    /// Descriptor type.
-    pub kind: BindingKind,
-    /// Access of the code.
-    pub access: Access,
-}
-
-/// Specialization constant (32 bits).
-#[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct SpecConstant {
-    /// GLSL name.
-    pub name: Cow<'static, str>,
-    /// `constant_id`.
-    pub id: u32,
-    /// Default value, as raw bits.
-    pub default: u32,
-}
+pub use sgs_shader_abi::{Access, Binding, BindingKind, SpecConstant};
 
 /// Compiled kernel with its reflection. Shared cheaply in an `Arc`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]

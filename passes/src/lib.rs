@@ -1,6 +1,7 @@
-//! The mathematics on the GPU: typed stages in the families of the kernels, and a CPU twin of each in double precision.
+//! GPU passes of splatting, shading and training.
 //!
-//! Knows Gaussians, lights and images; never files or the command line.
+//! Typed stages are grouped as their kernels are. A CPU reference in double precision exists for each. The crate knows
+//! Gaussians, lights and images, but not files or the command line.
 
 mod accuracy;
 pub mod cost;

@@ -1,46 +1,47 @@
-//! Whether a layer of a network is multiplied on matrix units, and in pieces of which shape.
+//! Selection of cooperative matrices for the layers of networks.
 //!
-//! Matrix units (`VK_KHR_cooperative_matrix`) take operands of 16 bits and sum in 32. They are used where three things come together:
-//! [`Accuracy::visibility_operands`](crate::Accuracy::visibility_operands) allows 16 bits, the device has a shape that fits, and the compiler that
-//! this program was built with knew the extension of GLSL. Everywhere else the portable kernels run, in 32 bits; [`Matrices::for_device`] says why.
+//! Matrix units (`VK_KHR_cooperative_matrix`) multiply 16-bit operands and sum in 32 bits. They run if three conditions
+//! hold: [`Accuracy::visibility_operands`](crate::Accuracy::visibility_operands) is 16, the device has a suitable
+//! shape, and the GLSL compiler of this build supports the extension. Otherwise the portable kernels run, in 32 bits;
+//! [`Matrices::for_device`] returns the reason.
 
 use sgs_engine::{DeviceInfo, MatrixShape};
 
-/// Rows and columns of the layers that are multiplied so.
+/// Rows and columns of the layers that matrix units multiply.
 const WIDTH: u32 = crate::shade::visibility::FIELD_WIDTH as u32;
 
-/// The extension of GLSL that the kernels need.
+/// GLSL extension that the kernels require.
 const EXTENSION: &str = "GL_KHR_cooperative_matrix";
 
-/// How layers are cut.
+/// Tiling of layers for matrix multiplication.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Matrices {
-    /// Of the pieces.
+    /// Shape of a tile.
     pub shape: MatrixShape,
-    /// Whether on the device's units; if not, the same pieces are multiplied by ordinary instructions with the same rounding, which
-    /// is only of use to tests.
+    /// Whether matrix units multiply the tiles. Otherwise ordinary instructions do, with the same tiles and rounding;
+    /// only tests use this.
     pub units: bool,
 }
 
-/// Why matrix units are not used.
+/// Reason why matrix units are not used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NoMatrices {
-    /// The device has none.
+    /// The device has no matrix units.
     #[error("the device has no cooperative matrices of 16-bit operands and 32-bit sums")]
     Device,
-    /// It has shapes, but none fits.
+    /// None of the device's shapes is suitable.
     #[error("none of the device's shapes of cooperative matrices divides a layer of 32 and a subgroup")]
     Shape,
-    /// The device is good, but the kernels are not there.
+    /// The GLSL compiler of this build does not support the extension.
     #[error("this program was built with a GLSL compiler that does not know GL_KHR_cooperative_matrix")]
     Compiler,
 }
 
 impl Matrices {
-    /// What suits a device.
+    /// Selects the tiling for a device.
     ///
     /// # Errors
-    /// If the portable kernels have to do.
+    /// If the device, its shapes or this build do not support matrix units; the portable kernels run then.
     pub fn for_device(info: &DeviceInfo) -> Result<Matrices, NoMatrices> {
         if info.matrices.is_empty() {
             return Err(NoMatrices::Device);
@@ -49,20 +50,21 @@ impl Matrices {
         if Matrices::compiled() { Ok(Matrices { shape, units: true }) } else { Err(NoMatrices::Compiler) }
     }
 
-    /// Whether this program has kernels for matrix units: whether it was built with a compiler that knew the extension.
+    /// Returns whether this build contains kernels for matrix units. They require a GLSL compiler that supports the
+    /// extension.
     pub fn compiled() -> bool {
         sgs_shaders::compiled_with(EXTENSION)
     }
 
-    /// The specialization constants of kernels that multiply so.
+    /// Returns the specialization constants of kernels that multiply matrices.
     pub(crate) fn specs(&self) -> [(&'static str, u32); 3] {
         let MatrixShape { rows, columns, depth } = self.shape;
         [("ROWS", rows), ("COLUMNS", columns), ("DEPTH", depth)]
     }
 }
 
-/// The shape with the most products a piece; of equal ones the first that the device names. A subgroup's pixels are a whole number of
-/// pieces.
+/// Returns the suitable shape with the most products per tile; the first of equal ones. A shape is suitable if its rows
+/// and depth divide a layer, and its columns divide a subgroup.
 fn best(shapes: &[MatrixShape], subgroup: u32) -> Option<MatrixShape> {
     let divides = |n: u32, of: u32| n > 0 && of.is_multiple_of(n);
     let fits = |s: &&MatrixShape| divides(s.rows, WIDTH) && divides(s.depth, WIDTH) && divides(s.columns, subgroup);
@@ -82,9 +84,9 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_shape_that_fits_is_taken() {
+    fn largest_suitable_shape_is_selected() {
         let all = [shape(16, 8, 8), shape(16, 8, 16), shape(16, 16, 16), shape(8, 32, 16), shape(64, 16, 16)];
-        // Equal ones: the first; 64 rows are more than there are.
+        // Among equal shapes the first is selected. 64 rows exceed a layer.
         assert_eq!(best(&all, 32), Some(shape(16, 16, 16)));
         assert_eq!(best(&all, 64), Some(shape(16, 16, 16)));
         assert_eq!(best(&all, 8), Some(shape(16, 8, 16)));

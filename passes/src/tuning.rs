@@ -1,4 +1,4 @@
-//! What kernels are specialized with: sizes that suit a device, and how accurate they are.
+//! Specialization parameters of kernels: sizes for the device, and accuracy.
 
 use crate::{Accuracy, Matrices};
 use sgs_engine::DeviceInfo;
@@ -10,31 +10,31 @@ pub struct Tuning {
     pub subgroup_size: u32,
     /// Invocations of an ordinary workgroup.
     pub workgroup: u32,
-    /// Columns and rows of a tile; a subgroup is a whole number of its rows.
+    /// Columns and rows of a tile. A subgroup covers a whole number of its rows.
     pub tile: [u32; 2],
-    /// Workgroups of one subgroup that keep the device busy. Where work can be cut finer at the price of sums that
-    /// somebody must add up, it is cut into about so many pieces.
+    /// Workgroups of one subgroup that occupy the device. Work whose split requires an additional sum is split into
+    /// about this many parts.
     pub workers: u32,
-    /// Rounds of all loops of an invocation together: llvmpipe leaves loops silently after 65535.
+    /// Limit on the iterations of all loops of an invocation together. llvmpipe leaves loops silently after 65535.
     pub rounds: u32,
-    /// How layers of networks would be multiplied on the device's matrix units, where there are any; see [`Tuning::field_matrices`].
+    /// Tiling for matrix units, if the device supports them; see [`Tuning::field_matrices`].
     pub matrices: Option<Matrices>,
-    /// What is traded for speed.
+    /// Accuracy of the kernels.
     pub accuracy: Accuracy,
 }
 
 impl Tuning {
-    /// What suits a device.
+    /// Returns the tuning for a device.
     pub fn for_device(info: &DeviceInfo) -> Tuning {
         let matrices = Matrices::for_device(info).ok();
         let gpu = Tuning { matrices, ..Tuning::for_subgroups(info.subgroup_size) };
         if info.kind == "cpu" { Tuning { workers: 8, rounds: u16::MAX.into(), ..gpu } } else { gpu }
     }
 
-    /// What suits a GPU of which only the subgroup size is known.
+    /// Returns the tuning for a GPU of which only the subgroup size is known.
     pub fn for_subgroups(subgroup_size: u32) -> Tuning {
-        // Eight pixels a lane (sixteen on narrow subgroups) keep the state of a tile in registers and share each splat's
-        // fetch. On lavapipe tiles of 8 x 16 take the time of 8 x 8 and two thirds of the entries.
+        // Eight pixels a lane (sixteen on narrow subgroups) hold the state of a tile in registers and share the fetch
+        // of each splat. On lavapipe, tiles of 8 x 16 take as long as 8 x 8 with two thirds of the entries.
         let width = subgroup_size.min(16);
         Tuning {
             subgroup_size,
@@ -47,22 +47,23 @@ impl Tuning {
         }
     }
 
-    /// The same with another accuracy.
+    /// Returns the same tuning with another accuracy.
     pub fn with(self, accuracy: Accuracy) -> Tuning {
         Tuning { accuracy, ..self }
     }
 
-    /// How the visibility field's second layer is multiplied forward, if not by the portable kernels.
+    /// Returns the tiling of the visibility field's second layer in the forward pass. `None` selects the portable
+    /// kernels.
     pub fn field_matrices(&self) -> Option<Matrices> {
         self.matrices.filter(|m| self.accuracy.visibility_operands == 16 && (Matrices::compiled() || !m.units))
     }
 
-    /// Whether subgroups are narrow, as those of processors are, whose memory operations go lane by lane.
+    /// Returns whether subgroups are narrow, as on CPUs. Their memory operations run lane by lane.
     pub fn narrow(&self) -> bool {
         self.subgroup_size <= 8
     }
 
-    /// Items of a lane where features lie over the lanes, so that what all share is fetched less often.
+    /// Returns the items of a lane in kernels that spread features over lanes. More items share each fetch.
     pub fn tiles(&self) -> u32 {
         (16 / self.subgroup_size).max(1)
     }

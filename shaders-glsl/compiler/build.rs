@@ -1,9 +1,10 @@
-//! Links the static glslang and SPIRV-Tools that a system shaderc was built against.
+//! Links the static glslang and SPIRV-Tools that a system shaderc needs.
 //!
-//! Debian's `libshaderc_combined.a` leaves glslang undefined (docs/adr/0001-shader-compiler.md). Where the distribution's
-//! static libraries are present, they are linked behind it; elsewhere shaderc-sys has built everything from source
-//! into one archive and nothing is left to do. The same holds where `SHADERC_LIB_DIR` names another shaderc, such as a newer one: what
-//! the distribution has would otherwise take its place in part.
+//! Debian's `libshaderc_combined.a` leaves glslang undefined (docs/adr/0001-shader-compiler.md). Where the
+//! distribution's static libraries are present, this script links them after it. Elsewhere shaderc-sys builds
+//! everything from source into one archive, and this script links nothing. The script also links nothing where
+//! `SHADERC_LIB_DIR` names another shaderc, such as a newer one, because the distribution's libraries would replace
+//! parts of it.
 
 use std::path::Path;
 

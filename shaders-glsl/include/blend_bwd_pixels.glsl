@@ -95,7 +95,7 @@ void main() {
                 float dy = py + float(k * tile.step_y) - my;
                 float p = u11 * dx + u12 * dy;
                 float q = u22 * dy;
-                float raw = opacity * splat_exp2(-(p * p + q * q));
+                float raw = opacity * exp2(-(p * p + q * q));
                 float alpha = min(ALPHA_MAX, raw);
                 alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
                 float next = T[k] - alpha * T[k];

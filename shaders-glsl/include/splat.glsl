@@ -9,8 +9,7 @@
 // What may be traded for speed (passes/src/accuracy.rs); the defaults are those of 3D Gaussian splatting.
 layout(constant_id = 20) const float ALPHA_MIN = 1.0 / 255.0;
 layout(constant_id = 21) const float TRANSMITTANCE_MIN = 1e-4;
-layout(constant_id = 22) const bool FAST_EXP = false;
-layout(constant_id = 23) const bool KEEP_LAST = false; // whether the splat that would fill a pixel is blended
+layout(constant_id = 22) const bool KEEP_LAST = false; // whether the splat that would fill a pixel is blended
 
 const float ALPHA_MAX = 0.99;
 const float DILATION = 0.3;         // px² added to the projected covariance
@@ -25,15 +24,6 @@ struct Splat {
     vec3 factor;   // u11, u12, u22
     float opacity;
 };
-
-// 2^x for x <= 0. The fast one is a cubic between whole powers, exact at these; its relative error is below 1.3e-4.
-float splat_exp2(float x) {
-    if (!FAST_EXP) return exp2(x);
-    x = max(x, -126.0);
-    float whole = floor(x), f = x - whole;
-    float power = uintBitsToFloat(uint(int(whole) + 127) << 23);
-    return power * (1.0 + f * (0.6957 + f * (0.2252548 + f * 0.0790452)));
-}
 
 // Quaternion (w,x,y,z) to unit length; zero or not finite becomes the identity. Scaled first so that huge and tiny
 // ones neither overflow nor vanish.

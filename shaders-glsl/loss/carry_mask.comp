@@ -1,7 +1,8 @@
 // Marks the pixels of a pseudo-view that show the region of a training view, as a bit mask.
 //
-// Each pixel is unprojected by its depth and reprojected into the training view. It belongs to the region if it lands on a
-// pixel of the region with the same depth. The kernel gathers: results do not depend on the order of invocations.
+// Each pixel is unprojected by its depth and reprojected into the training view. The pixel belongs to the region if it
+// lands on a pixel of the region with the same depth. The kernel gathers, so results do not depend on the order of
+// invocations.
 #version 460
 #include "common.glsl"
 #include "finite.glsl"
@@ -11,12 +12,12 @@ layout(constant_id = 0) const uint WORKGROUP = 256; // a multiple of 32
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint CHANNELS = 8;         // floats of a pixel of the pseudo-view's image
 layout(constant_id = 3) const uint DEPTH_AT = 6;         // channel of depth
-layout(constant_id = 4) const uint TRAINED_CHANNELS = 8; // likewise of the training view's
+layout(constant_id = 4) const uint TRAINED_CHANNELS = 8; // the same for the training view's image
 layout(constant_id = 5) const uint TRAINED_DEPTH_AT = 6;
 
 layout(push_constant, scalar) uniform Push {
-    float least_opacity; // less opaque pixels have no depth
-    float tolerance;     // of depths, relative
+    float least_opacity; // pixels of lower opacity have no depth
+    float tolerance;     // relative tolerance of depths
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;     // of the pseudo-view
@@ -26,16 +27,16 @@ IN(float, image);
 IN(float, transmittance);
 IN(float, trained_image);
 IN(float, trained_transmittance);
-IN(uint, trained_mask); // a bit a pixel, from word `mask_offset` of the training view's step
-OUT(uint, mask);        // a bit a pixel
+IN(uint, trained_mask); // one bit per pixel, from word `mask_offset` of the training view's step
+OUT(uint, mask);        // one bit per pixel
 
 const uint WORDS = WORKGROUP / 32u;
-const float DEPTH_MIN = 1e-15; // smallest valid depth: products neither overflow nor underflow
+const float DEPTH_MIN = 1e-15; // range of valid depths, in which products neither overflow nor underflow
 const float DEPTH_MAX = 1e15;
 
 shared uint words[WORDS];
 
-// Depth from the blended one; 0 where there is none.
+// Returns the depth from the blended depth; 0 if the pixel has none.
 float depth_of(float blended, float left) {
     float opacity = 1.0 - left;
     bool there = finite_bits(blended) && finite_bits(left) && opacity >= max(push.least_opacity, 1e-6);
@@ -69,7 +70,7 @@ void main() {
     uint lane = gl_LocalInvocationID.x, first = folded_workgroup() * WORKGROUP;
     if (lane < WORDS) words[lane] = 0u;
     barrier();
-    // Words have 32 pixels whatever size subgroups have.
+    // Words have 32 pixels, whatever the subgroup size.
     if (carried(first + lane)) atomicOr(words[lane / 32u], 1u << lane % 32u);
     barrier();
     uint word = first / 32u + lane;

@@ -1,12 +1,12 @@
-// Composes light over the background as an sRGB image clipped at white, and counts the clipped pixels.
+// Composites radiance over the background into an sRGB image clipped at white, and counts the clipped pixels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const bool DIRECT = true;  // whether trained lights,
-layout(constant_id = 3) const bool AMBIENT = true; // and the environment map shine
+layout(constant_id = 2) const bool DIRECT = true;  // whether to add the radiance of trained lights
+layout(constant_id = 3) const bool AMBIENT = true; // whether to add the radiance of the environment map
 
 #define SUM_T float
 #include "group_sum.glsl"
@@ -17,7 +17,7 @@ IN(vec3, direct);    // P, linear
 IN(vec3, ambient);   // P, linear
 IN(float, coverage); // P
 OUT(vec3, image);    // P, sRGB
-OUT(float, sums);    // by workgroup: pixels of which a channel was cut off at white
+OUT(float, sums);    // by workgroup: number of pixels with a channel clipped at white
 
 #include "compose.glsl"
 

@@ -1,4 +1,4 @@
-// Backward of compose: gradients of light. A clipped value has none, unless its gradient would bring it back into range.
+// Backward of compose: gradients of radiance. Clipped values have none.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -7,7 +7,6 @@ layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const bool DIRECT = true;
 layout(constant_id = 3) const bool AMBIENT = true;
-layout(constant_id = 4) const bool RETURNING = false; // whether clipped values keep gradients that lead them back
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
@@ -15,7 +14,7 @@ IN(vec3, direct);            // P, linear
 IN(vec3, ambient);           // P, linear
 IN(float, coverage);         // P
 IN(vec3, grad_image);        // P
-OUT(vec3, radiance_gradient); // P, of direct and ambient alike
+OUT(vec3, radiance_gradient); // P, the same for direct and ambient
 
 #include "compose.glsl"
 
@@ -29,9 +28,7 @@ void main() {
         vec3 light;
         vec3 linear = composed(pixel, covered, light);
         g = mix(vec3(0.0), grad_image[pixel], finite3(light));
-        // A step goes against the gradient: a positive one makes darker.
-        vec3 above = RETURNING ? max(g, 0.0) : vec3(0.0), below = RETURNING ? min(g, 0.0) : vec3(0.0);
-        g = mix(mix(g, above, srgb_above(linear)), below, srgb_below(linear));
+        g = mix(mix(g, vec3(0.0), srgb_above(linear)), vec3(0.0), srgb_below(linear));
         g *= covered * srgb_slope(linear);
     }
     radiance_gradient[pixel] = g;

@@ -1,7 +1,7 @@
 // Correspondence loss of one pseudo-view against the training view.
 //
-// Its region's pixels should have the class of the training view's region, and the mean features should agree. Writes the
-// gradient of the region's pixels; leaves others unchanged.
+// The pixels of the pseudo-view's region should have the class of the training view's region. The mean features of both
+// regions should agree. Writes the gradient of the region's pixels and leaves other pixels unchanged.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -14,15 +14,15 @@ layout(constant_id = 3) const uint CLASSES = 1;
 layout(constant_id = 4) const uint CHANNELS = 35;
 layout(constant_id = 5) const uint FIRST = 3;
 
-layout(push_constant, scalar) uniform Push { float share; } push; // of this pseudo-view in the weight
+layout(push_constant, scalar) uniform Push { float share; } push; // share of this pseudo-view in the weight
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
 IN(uint, mask);
 IN(float, matrices);
-IN(Region, trained); // the training view's
-IN(Region, region);  // this one's
+IN(Region, trained); // region of the training view
+IN(Region, region);  // region of this pseudo-view
 OUT(float, grad_image);
 OUT(float, partials);
 OUT(float, sums);    // cross-entropy by workgroup
@@ -34,7 +34,7 @@ OUT(float, sums);    // cross-entropy by workgroup
 #define MASK(word) mask[params.step.mask_offset + word]
 #include "listed_mask.glsl"
 
-float gradients[TILES * SPREAD]; // as `staged`
+float gradients[TILES * SPREAD]; // laid out like `staged`
 
 void main() {
     uint pixels = params.step.camera.size.x * params.step.camera.size.y;

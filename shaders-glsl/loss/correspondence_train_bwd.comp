@@ -1,5 +1,6 @@
 // Gradient of the pseudo-views' correspondence losses by the training view's mean features, added to its region.
-// Lanes hold consecutive features of a pixel.
+//
+// Consecutive lanes hold consecutive features of a pixel.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -15,7 +16,7 @@ layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
 IN(uint, mask);
-IN(Region, regions); // the training view's, then the pseudo-views'
+IN(Region, regions); // of the training view, then of the pseudo-views
 INOUT(float, grad_image);
 
 #include "lane_items.glsl"
@@ -41,7 +42,7 @@ void main() {
             uint at = listed[min(from + side, count - 1u)] * CHANNELS + FIRST + column();
             bool finite = true;
             EACH_HELD(h) finite = finite && finite_bits(image[at + h * ACROSS]);
-            // A side has no more than 32 lanes, one word of the votes, and narrow subgroups have one side.
+            // A side has at most 32 lanes, which is one word of the ballot. Narrow subgroups have one side.
             bool all = subgroupBallot(!finite)[side] == 0u;
             if (from + side < count && all) {
                 EACH_HELD(h) grad_image[at + h * ACROSS] += gradient[h];

@@ -1,5 +1,6 @@
-// Sums albedo over the pixels of a region. An invocation takes a word of the mask: most words of a region are empty
-// or full.
+// Sums albedo over the pixels of a region.
+//
+// One invocation processes one word of the mask, since most words are either empty or full.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -13,8 +14,8 @@ layout(local_size_x_id = 0) in;
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(vec3, albedo_srgb); // P
-IN(uint, mask);        // a bit a pixel, from word mask_offset
-OUT(vec4, sums);       // by workgroup: albedo, pixels
+IN(uint, mask);        // one bit per pixel, from word mask_offset
+OUT(vec4, sums);       // by workgroup: albedo, number of pixels
 
 void main() {
     uint pixels = params.step.camera.size.x * params.step.camera.size.y;

@@ -1,5 +1,6 @@
-// Cross-view loss: distance of a region's mean albedo in pseudo-views from that in the training view, and the gradient
-// that each of its pixels gets. One workgroup.
+// Cross-view loss: distances of a region's mean albedo in pseudo-views from that in the training view.
+//
+// Also computes the gradient of each pixel of the region. One workgroup.
 #version 460
 #include "common.glsl"
 #include "material_weights.glsl"
@@ -13,13 +14,13 @@ layout(constant_id = 2) const uint VIEWS = 3; // the training view and pseudo-vi
 #include "group_sum.glsl"
 
 layout(push_constant, scalar) uniform Push {
-    uint count; // sums of a view
+    uint count; // number of sums of a view
     uint pitch; // stride from one view to the next
 } push;
 
 layout(scalar) uniform WeightsBlock { MaterialWeights weights; } loss_weights;
 
-IN(vec4, sums);           // by view and workgroup: albedo, pixels
+IN(vec4, sums);           // by view and workgroup: albedo, number of pixels
 OUT(CrossRegion, regions); // by view, the training view first
 
 void main() {

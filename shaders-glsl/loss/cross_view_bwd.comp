@@ -8,7 +8,7 @@ layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 
 layout(push_constant, scalar) uniform Push {
-    uint view; // its number among the regions
+    uint view; // index of the view in `regions`
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;

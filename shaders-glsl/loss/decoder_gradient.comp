@@ -1,7 +1,7 @@
-// Gradient of the semantic decoder A: runs of sum t (s f')^T, plus A K plus T^T E.
+// Gradient of the semantic decoder A: the sum over samples of t (s f')^T, plus A K, plus T^T E.
 //
-// K (33 x 33) and E (CLASSES x 33) are the sums that semantic_samples and the region kernels left. A lane has a row of the
-// gradient in each of TILES.
+// The first term arrives in SPLITS partial sums. K (33 x 33) and E (CLASSES x 33) are sums that semantic_samples and
+// the region kernels wrote. A lane computes one row of the gradient in each of TILES.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"
@@ -10,7 +10,7 @@ layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint TILES = 1;
 layout(constant_id = 3) const uint CLASSES = 1;
-layout(constant_id = 4) const uint SPLITS = 1; // runs; 0 without targets
+layout(constant_id = 4) const uint SPLITS = 1; // partial sums; 0 without targets
 
 IN(float, decoder);     // 512 x 33
 IN(float, embeddings);  // CLASSES x 512
@@ -46,7 +46,7 @@ void main() {
         }
     }
     [[unroll]] for (uint t = 0u; t < TILES; t++) {
-        float staged[SPREAD]; // can be indexed by a variable
+        float staged[SPREAD]; // copy that a variable may index
         [[unroll]] for (uint n = 0u; n < SPREAD; n++) staged[n] = sums[t * SPREAD + n];
         for (uint n = 0u; n < ACROSS; n++) {
             uint at = first + t * SUBGROUP + lane_of(n);

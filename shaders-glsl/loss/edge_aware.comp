@@ -1,7 +1,7 @@
 // Edge-aware smoothness of albedo and roughness, and its gradients.
 //
-// A workgroup does one tile: materials and the photograph with two pixels of margin; Sobel filters with one; the transposed
-// filters of the weighted signs. Borders repeat the last pixel.
+// One workgroup processes one tile. It loads materials and the photograph with a margin of two pixels. Sobel filters
+// run with a margin of one pixel, then the transposed filters of the weighted signs. Borders repeat the last pixel.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -9,7 +9,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 96;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint TILE_X = 28; // with both margins 32 columns
+layout(constant_id = 2) const uint TILE_X = 28; // 32 columns with both margins
 layout(constant_id = 3) const uint TILE_Y = 16;
 layout(constant_id = 4) const uint RUN = 6;     // rows of one invocation
 layout(constant_id = 5) const bool ROUGHNESS = true;
@@ -25,11 +25,11 @@ layout(scalar) uniform StepBlock { Step step; } params;
 layout(scalar) uniform WeightsBlock { MaterialWeights weights; } loss_weights;
 
 IN(vec3, albedo_srgb);           // P
-IN(vec3, roughness_gray);        // P, the first channel counts
+IN(vec3, roughness_gray);        // P, only the first channel is read
 IN(uint, targets);               // packed RGBA8
 INOUT(vec3, albedo_gradient);    // P, added to
 INOUT(vec3, roughness_gradient); // P, added to the first channel
-OUT(vec2, sums);                 // by workgroup: of albedo over pixels and channels, of roughness over pixels
+OUT(vec2, sums);                 // by workgroup: sum of albedo over pixels and channels, of roughness over pixels
 
 shared uint photo[DATA_X * DATA_Y];
 
@@ -43,7 +43,7 @@ PhotoRow photo_row(uint at) {
     return PhotoRow(c - a, a + 2.0 * b + c);
 }
 
-// Factors of the three channels of albedo and of roughness: that of roughness is the mean of the others.
+// Edge factors of the three channels of albedo and of roughness. That of roughness is the mean of the others.
 vec4 edge(vec3 filtered) {
     vec3 e = exp(-abs(filtered));
     return vec4(e, (e.r + e.g + e.b) / 3.0);
@@ -55,7 +55,7 @@ void main() {
     uint tiles_y = (size.y + TILE_Y - 1u) / TILE_Y;
     uint tile = folded_workgroup();
     if (tile >= tiles_x * tiles_y) {
-        // Of a smaller view than the largest, or only there because the grid is folded.
+        // The tile lies outside: the view is smaller than the largest, or the folded grid has excess workgroups.
         if (gl_LocalInvocationID.x == 0u && tile < sums.length()) sums[tile] = vec2(0.0);
         return;
     }

@@ -1,10 +1,13 @@
 // Losses of blended normals and depths, with their gradients.
 //
-// Terms: agreement with prior normals, edge-aware smoothness of unit normals and of depth, spread of depth along the ray.
-// A workgroup does one tile: unit normals, depths and the photograph with two pixels of margin; Sobel filters with one,
-// marching down columns so that each value is loaded once for three rows; the transposed filters of the weighted signs
-// in the same way; then the chain rule to the blended values. Borders repeat the last pixel, as in the published code; in
-// the transposed filters that changes the middle tap at the border.
+// Terms: agreement with prior normals, edge-aware smoothness of unit normals and of depth, spread of depth along the
+// ray.
+//
+// One workgroup processes one tile. It loads unit normals, depths and the photograph with a margin of two pixels. Sobel
+// filters run with a margin of one pixel and march down columns, so that each value is loaded once for three rows. The
+// transposed filters of the weighted signs march in the same way. The chain rule then gives gradients of the blended
+// values. Borders repeat the last pixel, as in the published code. In the transposed filters, that changes the middle
+// tap at the border.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -12,14 +15,14 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 96;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint TILE_X = 28;   // with both margins 32 columns
+layout(constant_id = 2) const uint TILE_X = 28;   // 32 columns with both margins
 layout(constant_id = 3) const uint TILE_Y = 16;
 layout(constant_id = 4) const uint RUN = 6;       // rows of one invocation
 layout(constant_id = 5) const uint CHANNELS = 8;  // floats of a pixel of the image
-layout(constant_id = 6) const uint NORMALS = 1;   // 1 if normals were blended,
-layout(constant_id = 7) const uint NORMAL_AT = 3; // to this channel and the two after it
-layout(constant_id = 8) const uint DEPTH = 1;     // 1 if depth was blended,
-layout(constant_id = 9) const uint DEPTH_AT = 6;  // to this channel, and its square to the next
+layout(constant_id = 6) const uint NORMALS = 1;   // 1 if normals were blended
+layout(constant_id = 7) const uint NORMAL_AT = 3; // first channel of normals
+layout(constant_id = 8) const uint DEPTH = 1;     // 1 if depth was blended
+layout(constant_id = 9) const uint DEPTH_AT = 6;  // channel of depth; squared depth is in the next
 layout(constant_id = 10) const bool PRIOR = true; // whether there are prior normals
 
 #define SUM_T vec4
@@ -35,8 +38,8 @@ OUT(float, grad_image);          // the channels of normals and depth are writte
 OUT(float, grad_transmittance);  // always written
 OUT(vec4, sums);                 // by workgroup: normal, normal smoothness, depth smoothness, depth variance
 
-// Blended normals shorter than this, and opacities below it, are divided by it instead: gradients stay below 1000 times
-// what they would be in the middle of a surface.
+// Smallest divisor. Normals and depths are divided by the length of the blended normal and by the opacity, but at least
+// by this. Gradients thus stay below 1000 times those in the middle of a surface.
 const float FLOOR = 1e-3;
 const float VARIANCE_MIN = 1e-6;
 
@@ -46,7 +49,7 @@ const uint SIGNS = SIGN_X * SIGN_Y;
 
 shared vec4 data[DATA_X * DATA_Y]; // unit normal, depth
 shared uint photo[DATA_X * DATA_Y];
-shared vec3 normal_x[NORMALS * SIGNS + 1u]; // derivative of the loss by the filtered value, before its mean and weight
+shared vec3 normal_x[NORMALS * SIGNS + 1u]; // derivative of the loss by the filtered value, before mean and weight
 shared vec3 normal_y[NORMALS * SIGNS + 1u];
 shared vec2 depth_xy[DEPTH * SIGNS + 1u];
 
@@ -55,7 +58,7 @@ vec3 blended_normal(uint pixel) {
     return vec3(image[i], image[i + 1u], image[i + 2u]);
 }
 
-// What one row contributes to a Sobel filter: differences and weighted sums of three neighbors, eight times too large.
+// Contribution of one row to a Sobel filter: differences and weighted sums of three neighbors, times eight.
 struct Row {
     vec4 data_d, data_s;
     vec3 photo_d, photo_s;
@@ -68,7 +71,7 @@ Row filter_row(uint at) {
     return Row(c - a, a + 2.0 * b + c, r - p, p + 2.0 * q + r);
 }
 
-// The same for the transposed filters; `low` and `high` are 1 at the first and last column.
+// Contribution of one row to the transposed filters. `low` and `high` are 1 at the first and last column.
 struct Signs {
     vec4 d, s;
 };
@@ -88,7 +91,7 @@ Signs transposed_row(uint at, float low, float high) {
     return r;
 }
 
-// Chain rule at one pixel: `smoothness` is the derivative by its unit normal and depth.
+// Applies the chain rule at one pixel. `smoothness` is the derivative by the unit normal and the depth.
 void finish(uint pixel, vec4 smoothness, float mean, inout vec4 sum) {
     Step s = params.step;
     if (NORMALS != 0u) {
@@ -123,7 +126,7 @@ void finish(uint pixel, vec4 smoothness, float mean, inout vec4 sum) {
         float by_depth = smoothness.w - 2.0 * depth * by_variance;
         grad_image[i] = by_depth * inverse;
         grad_image[i + 1u] = by_variance * inverse;
-        // By opacity it is -(by_depth depth + by_variance square) / opacity, and opacity is 1 - transmittance.
+        // The derivative by opacity is -(by_depth depth + by_variance square) / opacity; opacity is 1 - transmittance.
         if (alpha > FLOOR) by_transmittance = (by_depth * depth + by_variance * square) * inverse;
     }
     grad_transmittance[pixel] = by_transmittance;
@@ -135,7 +138,7 @@ void main() {
     uint tiles_y = (size.y + TILE_Y - 1u) / TILE_Y;
     uint tile = folded_workgroup();
     if (tile >= tiles_x * tiles_y) {
-        // Of a smaller view than the largest, or only there because the grid is folded.
+        // The tile lies outside: the view is smaller than the largest, or the folded grid has excess workgroups.
         if (gl_LocalInvocationID.x == 0u && tile < sums.length()) sums[tile] = vec4(0.0);
         return;
     }

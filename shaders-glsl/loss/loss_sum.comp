@@ -1,4 +1,4 @@
-// Sums the workgroups' partial losses in a fixed order into the step's record. One workgroup.
+// Sums the partial losses of workgroups in a fixed order into the step's record. One workgroup.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -12,7 +12,7 @@ layout(constant_id = 2) const bool GEOMETRY = false; // whether there are sums o
 #include "group_sum.glsl"
 
 layout(push_constant, scalar) uniform Push {
-    uint photometric_count; // workgroups that left sums
+    uint photometric_count; // workgroups that wrote sums
     uint geometry_count;
 } push;
 
@@ -45,7 +45,7 @@ void main() {
     r.normal_smooth = geometry.y;
     r.depth_smooth = geometry.z;
     r.depth_variance = geometry.w;
-    // Those of meaning are added by semantic_sum, if there are any.
+    // semantic_sum adds the semantic losses, if any.
     r.semantic = 0.0;
     r.semantic_class = 0.0;
     r.correspondence = 0.0;

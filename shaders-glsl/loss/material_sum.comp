@@ -1,4 +1,4 @@
-// Sums the losses of materials into one record. One workgroup.
+// Sums the material losses into one record. One workgroup.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -9,19 +9,19 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const bool MSG = true;    // which of them there are
-layout(constant_id = 3) const uint VIEWS = 3;  // of the loss across views: 0 if there is none
-layout(constant_id = 4) const uint ESTIMATES = 2; // under other light
-layout(constant_id = 5) const uint GRAY_ESTIMATES = 0; // likewise, of roughness
-layout(constant_id = 6) const bool OWN_PRIOR = false;  // whether the region is compared with its own prior
+layout(constant_id = 2) const bool MSG = true;    // whether the multi-scale gradient loss is on
+layout(constant_id = 3) const uint VIEWS = 3;  // views of the cross-view loss; 0 if it is off
+layout(constant_id = 4) const uint ESTIMATES = 2; // albedo estimates under other light
+layout(constant_id = 5) const uint GRAY_ESTIMATES = 0; // roughness estimates under other light
+layout(constant_id = 6) const bool OWN_PRIOR = false;  // whether the region is compared with the view's own prior
 
 #define SUM_T vec3
 #include "group_sum.glsl"
 
 layout(push_constant, scalar) uniform Push {
-    uint compose_count; // workgroups that left sums
+    uint compose_count; // workgroups that wrote sums
     uint edge_count;
-    float roughness_share; // of estimates of roughness, beside those of albedo
+    float roughness_share; // weight of roughness estimates relative to albedo estimates
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;

@@ -1,5 +1,6 @@
-// Backward of the multi-scale gradient loss: gathers the levels' slopes at every pixel of the image. The transposed
-// tent is bilinear interpolation between pixels of a level.
+// Backward of the multi-scale gradient loss: gathers the slopes of all levels at every pixel of the image.
+//
+// The transposed tent filter is bilinear interpolation between pixels of a level.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -8,7 +9,7 @@
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const bool ROUGHNESS = true;
-layout(constant_id = 3) const bool SQUARE = false; // whether squared differences count too
+layout(constant_id = 3) const bool SQUARE = false; // whether the loss includes squared differences
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
@@ -19,7 +20,7 @@ IN(MsgLevels, result);
 INOUT(vec3, albedo_gradient);    // P, added to
 INOUT(vec3, roughness_gradient); // P, added to the first channel
 
-// Weights of the two pixels of a level next to a position in the image; `first` may be one before the level begins.
+// Returns the weights of the two pixels of a level next to an image pixel. `first`, the index of the first, may be -1.
 vec2 halves(uint at, float scale, out int first) {
     float place = (float(at) + 0.5) / scale - 0.5;
     float before = floor(place);
@@ -45,7 +46,7 @@ void main() {
         vec4 sum = vec4(0.0);
         [[unroll]] for (int j = 0; j < 2; j++) {
             [[unroll]] for (int i = 0; i < 2; i++) {
-                uvec2 q = uvec2(first + ivec2(i, j)); // wraps before the level and so fails the comparison
+                uvec2 q = uvec2(first + ivec2(i, j)); // -1 wraps around and fails the comparison
                 if (q.x < there.x && q.y < there.y) sum += wx[i] * wy[j] * slopes[base + q.y * there.x + q.x];
             }
         }

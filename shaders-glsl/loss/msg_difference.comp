@@ -6,22 +6,22 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const bool ROUGHNESS = true; // whether there is roughness and a prior of it
-layout(constant_id = 3) const bool MASKED = false;   // whether only pixels of a mask count
-layout(constant_id = 4) const bool ALL_VIEWS = true; // whether the priors are those of all views, or of this one alone
+layout(constant_id = 2) const bool ROUGHNESS = true; // whether roughness and its prior exist
+layout(constant_id = 3) const bool MASKED = false;   // whether to compare only pixels of a mask
+layout(constant_id = 4) const bool ALL_VIEWS = true; // whether the prior buffers hold all views or only this view
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(vec3, albedo_srgb);      // P
-IN(vec3, roughness_gray);   // P, the first channel counts
-IN(uint, albedo_prior);     // packed RGBA8; where alpha is 0, there is none
-IN(uint, roughness_prior);  // likewise, red counts
+IN(vec3, roughness_gray);   // P, only the first channel is read
+IN(uint, albedo_prior);     // packed RGBA8; alpha 0 marks a missing prior
+IN(uint, roughness_prior);  // likewise, in red
 IN(float, coverage);        // P
-IN(uint, mask);             // a bit a pixel, from word mask_offset
-OUT(vec4, levels);          // albedo and roughness minus the priors; 0 where there is nothing to compare
+IN(uint, mask);             // one bit per pixel, from word mask_offset
+OUT(vec4, levels);          // albedo and roughness minus the priors; 0 without a comparison
 OUT(uint, present);         // HAS_ALBEDO, HAS_ROUGHNESS
 
-// Below this coverage too much of the pixel is background.
+// Smallest coverage of a compared pixel. Below it, too much of the pixel is background.
 const float OPAQUE = 0.5;
 
 void main() {

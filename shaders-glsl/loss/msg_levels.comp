@@ -1,5 +1,7 @@
-// Coarser levels of the multi-scale gradient loss: differences and masks filtered by a tent that is as wide as two
-// pixels of the level. A pixel of a level counts if (almost) all pixels of the image below it do.
+// Coarser levels of the multi-scale gradient loss.
+//
+// A tent filter, as wide as two pixels of the level, filters differences and masks. A pixel of a level is valid if
+// almost all image pixels below it are.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -13,7 +15,8 @@ layout(scalar) uniform StepBlock { Step step; } params;
 INOUT(vec4, levels);  // the first level is read, the others are written
 INOUT(uint, present); // likewise
 
-// No share that few pixels come to, as 0.999 is (a hole of a 40th by a 25th): rounding would decide.
+// Smallest share of valid pixels. A few pixels can have a share of exactly 0.999 (a hole of 1/40 by 1/25), and rounding
+// would decide about it. No few pixels have this share.
 const float ALMOST = 0.99903;
 
 void main() {
@@ -26,7 +29,7 @@ void main() {
     vec2 scale = level_scale(size, level);
     Tent tx = tent_of(there % across, scale.x, size.x), ty = tent_of(there / across, scale.y, size.y);
     vec4 sum = vec4(0.0);
-    vec3 shares = vec3(0.0); // of albedo, of roughness, of all
+    vec3 shares = vec3(0.0); // weights of pixels with albedo, with roughness, and of all
     for (int y = ty.first; y < ty.end; y++) {
         float wy = tent_weight(ty, y);
         for (int x = tx.first; x < tx.end; x++) {

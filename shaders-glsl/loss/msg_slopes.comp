@@ -1,8 +1,9 @@
-// Gradient magnitudes of the differences on all levels, their sums, and their derivatives by a level's values.
+// Gradient magnitudes of the differences on all levels, their sums, and their derivatives by the values of a level.
 //
-// A workgroup does one tile of one level: differences and masks with two pixels of margin, derivative filters with one, then
-// the transposed filters of the magnitude's derivative. Derivatives are divided by the sum of the tent's weights, so that
-// msg_bwd need not know them. They are not divided by the number of valid pixels, which msg_sum computes later.
+// One workgroup processes one tile of one level. It loads differences and masks with a margin of two pixels. Derivative
+// filters run with a margin of one pixel, then the transposed filters of the magnitude's derivative. Derivatives are
+// divided by the sum of the tent's weights, so that msg_bwd needs no such sums. They are not divided by the number of
+// valid pixels, which msg_sum computes later.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -10,12 +11,12 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 96;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint TILE_X = 28; // with both margins 32 columns
+layout(constant_id = 2) const uint TILE_X = 28; // 32 columns with both margins
 layout(constant_id = 3) const uint TILE_Y = 16;
 layout(constant_id = 4) const uint RUN = 6;        // rows of one invocation
-layout(constant_id = 5) const bool SQUARE = false; // whether squared differences are summed in the place of roughness
+layout(constant_id = 5) const bool SQUARE = false; // whether to sum squared differences in place of roughness
 
-// Farid and Simoncelli's three taps.
+// Three-tap derivative filter of Farid and Simoncelli.
 const float SIDE = 0.229879, MIDDLE = 0.540242, SCALE = 0.425287;
 const bool REFLECT = true;
 const float FLOOR = 1e-8;
@@ -29,7 +30,7 @@ layout(scalar) uniform StepBlock { Step step; } params;
 IN(vec4, levels);
 IN(uint, present);
 OUT(vec4, slopes); // of all levels
-OUT(vec4, sums);   // by workgroup: magnitudes of albedo and pixels that count, the same of roughness
+OUT(vec4, sums);   // by workgroup: sum of magnitudes of albedo, number of valid pixels, the same for roughness
 
 shared uint bits[DATA_X * DATA_Y];
 
@@ -47,7 +48,7 @@ void main() {
         level += beyond ? 1u : 0u;
     }
     if (level >= LEVELS) {
-        // Of a smaller view than the largest, or only there because the grid is folded.
+        // The tile lies outside: the view is smaller than the largest, or the folded grid has excess workgroups.
         if (gl_LocalInvocationID.x == 0u && group < sums.length()) sums[group] = vec4(0.0);
         return;
     }
@@ -85,7 +86,7 @@ void main() {
             int y = origin.y + int(row) - 1;
             vec4 dx = tile_along_x(above, here, below), dy = tile_along_y(above, below);
             vec4 magnitude = sqrt(dx * dx + dy * dy + FLOOR);
-            // A pixel counts if all around it do; mirrored ones are around it anyway.
+            // A pixel is valid if its whole neighborhood is. Mirrored pixels belong to the neighborhood anyway.
             uint all_around = bits_above & bits_here & bits_below;
             bool inside = x >= 0 && y >= 0 && x <= last.x && y <= last.y;
             vec2 counts = inside ? vec2(all_around & HAS_ALBEDO, (all_around & HAS_ROUGHNESS) >> 1) : vec2(0.0);

@@ -1,4 +1,6 @@
-// Sums the levels in a fixed order: the losses, and the factors of each level's slopes. One workgroup.
+// Sums the levels of the multi-scale gradient loss in a fixed order. One workgroup.
+//
+// Writes the losses, and the factors of the slopes of each level.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -7,16 +9,16 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint TILE_X = 28; // as the sums were made
+layout(constant_id = 2) const uint TILE_X = 28; // tile size of msg_slopes
 layout(constant_id = 3) const uint TILE_Y = 16;
-layout(constant_id = 4) const bool SQUARE = false; // whether squared differences count
-layout(constant_id = 5) const bool OWN = false;    // then: the view's own prior, not an estimate under other light
+layout(constant_id = 4) const bool SQUARE = false; // whether the loss includes squared differences
+layout(constant_id = 5) const bool OWN = false;    // own prior instead of an estimate under other light
 
 #define SUM_T vec4
 #include "group_sum.glsl"
 
 layout(push_constant, scalar) uniform Push {
-    float share; // of the weight; one by the number of estimates
+    float share; // share of the weight: 1 / number of estimates
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -44,7 +46,7 @@ void main() {
             square += sum.zw;
             sum.zw = vec2(0.0);
         }
-        // Levels where nothing counts contribute nothing.
+        // Levels without valid pixels contribute nothing.
         vec2 inverse = vec2(sum.y > 0.0 ? 1.0 / sum.y : 0.0, sum.w > 0.0 ? 1.0 / sum.w : 0.0) / float(LEVELS);
         losses += inverse * sum.xz;
         r.factors[level] = weights * inverse * vec2(1.0 / 3.0, 1.0);

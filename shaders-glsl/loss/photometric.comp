@@ -1,9 +1,10 @@
 // Photometric loss, first half: SSIM of every pixel and channel, its three partial derivatives, and the sums.
 //
-// A workgroup does one tile. Columns first, straight from the image (neighbors read neighbors), each sample once:
-// the windowed means of (x, y, x^2 + y^2, xy) go to shared memory. Rows second, from there, again each sample once for
-// all outputs of a run. One barrier. Values are shifted by one half so that variances cancel less; pixels outside
-// the image are zero before the shift, as in the published definition.
+// One workgroup processes one tile. The first pass filters columns and reads each sample once, directly from the image.
+// Neighboring invocations read neighboring pixels. The windowed means of (x, y, x^2 + y^2, xy) go to shared memory. The
+// second pass filters rows of these means and again reads each sample once for all outputs of a run. One barrier
+// separates the passes. Values are shifted by one half so that variances cancel less. Pixels outside the image are zero
+// before the shift, as in the published definition.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -12,7 +13,7 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 96;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint TILE_X = 22;   // columns of a tile; with both margins a multiple of the subgroup
+layout(constant_id = 2) const uint TILE_X = 22;   // columns of a tile; 32 with both margins
 layout(constant_id = 3) const uint TILE_Y = 16;
 layout(constant_id = 4) const uint RUN = 11;      // outputs of one invocation along a row; divides TILE_X
 layout(constant_id = 5) const uint CHANNELS = 3;  // floats of a pixel of the image
@@ -23,31 +24,32 @@ layout(constant_id = 5) const uint CHANNELS = 3;  // floats of a pixel of the im
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);    // P x CHANNELS, the first three are red, green, blue
-IN(uint, targets);   // packed RGBA8; where alpha is 0, the pixel does not count
+IN(uint, targets);   // packed RGBA8; alpha 0 masks the pixel
 OUT(vec3, partials); // 3 x P: derivatives of SSIM by mean, by variance, by covariance, for each channel
 OUT(vec2, sums);     // by workgroup: of |x - y|, of SSIM
 
 const float C1 = 1e-4;
 const float C2 = 9e-4;
 const uint COLUMNS = TILE_X + 2u * WINDOW_RADIUS;
-const uint PITCH = COLUMNS | 1u; // odd: runs of neighboring rows start in different banks
+const uint PITCH = COLUMNS | 1u; // odd, so that runs of neighboring rows start in different banks
 
 shared vec4 means[3u * TILE_Y * PITCH];
 
 vec2 fetch(uint pixel, uint channel) {
     uint packed = targets[params.step.target_offset + pixel];
     float y = float(bitfieldExtract(packed, int(8u * channel), 8)) / 255.0;
-    // A pixel that does not count agrees with its photograph.
+    // A masked pixel takes the value of its photograph, so that its difference is zero.
     return vec2(packed >> 24 == 0u ? y : image[pixel * CHANNELS + channel], y);
 }
 
-// SSIM from the windowed means of shifted values, and its derivatives by the means of x, x^2 and xy.
+// Returns SSIM from the windowed means of shifted values, and its derivatives by the means of x, x^2 and xy.
 float ssim(vec4 m, out vec3 derivatives) {
     vec2 mu = m.xy + 0.5;
     float a1 = 2.0 * mu.x * mu.y + C1;
     float b1 = dot(mu, mu) + C1;
-    // Of values far beyond one both are what rounding leaves, and that must stay what it can be: variances none below zero, and
-    // no covariance above half of their sum, or else similarities and gradients have no bound.
+    // For values far above one, variances and covariance are mostly rounding errors. Clamp them to their valid ranges:
+    // variances to at least zero, the covariance to at most half of their sum. Otherwise, SSIM and its gradients are
+    // unbounded.
     float variances = max(m.z - dot(m.xy, m.xy), 0.0);
     float a2 = 2.0 * clamp(m.w - m.x * m.y, -0.5 * variances, 0.5 * variances) + C2;
     float b2 = variances + C2;
@@ -66,7 +68,7 @@ void main() {
     uint tiles_y = (size.y + TILE_Y - 1u) / TILE_Y;
     uint tile = folded_workgroup();
     if (tile >= tiles_x * tiles_y) {
-        // Of a smaller view than the largest, or only there because the grid is folded.
+        // The tile lies outside: the view is smaller than the largest, or the folded grid has excess workgroups.
         if (gl_LocalInvocationID.x == 0u && tile < sums.length()) sums[tile] = vec2(0.0);
         return;
     }
@@ -76,7 +78,7 @@ void main() {
 
     for (uint item = gl_LocalInvocationID.x; item < 3u * COLUMNS; item += WORKGROUP) {
         uint channel = item / COLUMNS, column = item % COLUMNS;
-        uint x = origin.x + column - WINDOW_RADIUS; // wraps left of the image and so fails the comparison
+        uint x = origin.x + column - WINDOW_RADIUS; // left of the image, wraps around and fails the comparison
         bool inside = column >= WINDOW_RADIUS && column < WINDOW_RADIUS + TILE_X;
         Window window = window_start();
         for (uint k = 0u; k < rows + WINDOW_DELAY; k++) {

@@ -1,4 +1,4 @@
-// Mean features of a region, its size, and its majority class (lowest index on ties). One workgroup.
+// Computes the mean features of a region, its size, and its majority class (lowest index on ties). One workgroup.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"
@@ -18,7 +18,8 @@ shared float totals[AUGMENTED];
 void main() {
     for (uint k = gl_LocalInvocationID.x; k < AUGMENTED; k += WORKGROUP) {
         float sum = 0.0;
-        // Sums of sums: means may differ by less than long sums lose.
+        // Sums of sums lose less precision. Differences of means may be smaller than the rounding error of one long
+        // sum.
         for (uint first = 0u; first < push.groups; first += 16u) {
             float some = 0.0;
             for (uint g = first; g < min(first + 16u, push.groups); g++) some += region_sums[g * AUGMENTED + k];

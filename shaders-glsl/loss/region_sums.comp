@@ -1,4 +1,4 @@
-// Sums features over a region and counts its pixels by class, in batches of its pixels.
+// Sums features over a region and counts its pixels by class, in batches of pixels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -10,12 +10,12 @@ layout(constant_id = 2) const uint TILES = 1;
 layout(constant_id = 3) const uint CLASSES = 1;
 layout(constant_id = 4) const uint CHANNELS = 35;
 layout(constant_id = 5) const uint FIRST = 3;
-layout(constant_id = 6) const bool CLASSIFY = true; // false: the histogram stays as it is
+layout(constant_id = 6) const bool CLASSIFY = true; // false leaves the histogram unchanged
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
-IN(uint, mask);          // a bit a pixel
+IN(uint, mask);          // one bit per pixel
 IN(float, matrices);
 OUT(float, region_sums); // by workgroup: 32 features, number of pixels
 INOUT(uint, histogram);  // CLASSES
@@ -34,7 +34,8 @@ void main() {
     uint block = gl_WorkGroupID.x, blocks = list_blocks(pixels);
     while (block < blocks) {
         uint count = fill_list(block, pixels);
-        // Sums of sums: means may differ by less than long sums lose.
+        // Sums of sums lose less precision. Differences of means may be smaller than the rounding error of one long
+        // sum.
         float of_list[HELD];
         EACH_HELD(h) of_list[h] = 0.0;
         for (uint from = 0u; from < count; from += BATCH) {

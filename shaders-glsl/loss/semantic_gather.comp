@@ -1,6 +1,6 @@
 // Backward of feature sampling: gathers gradients of samples at the pixels of `pixel_mask`.
 //
-// Each pixel sums its samples in their order; no atomics.
+// Each pixel sums its samples in a fixed order, without atomics.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -10,20 +10,20 @@ layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint CHANNELS = 35; // floats of a pixel of the gradient
 layout(constant_id = 3) const uint FIRST = 3;     // channel of the first feature
-layout(constant_id = 4) const uint ACROSS = 8;    // lanes of a pixel
+layout(constant_id = 4) const uint ACROSS = 8;    // lanes per pixel
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, grad_features); // samples x 32
-IN(uint, pixel_mask);         // a bit a pixel
-OUT(float, grad_image);   // all features' channels, where its bit is set
+IN(uint, pixel_mask);         // one bit per pixel
+OUT(float, grad_image);   // channels of all features, written where the pixel's bit is set
 
 #define MASK(word) pixel_mask[word]
 #include "listed_mask.glsl"
 
-const uint HELD = FEATURES / ACROSS; // channels of a lane
+const uint HELD = FEATURES / ACROSS; // channels per lane
 
-// Samples that touch pixel `at`: first, and one past the last.
+// Returns the range of samples that are interpolated from pixel `at`: first, and one past the last.
 uvec2 span(uint at, uint samples, uint pixels) {
     if (samples <= 1u || pixels == 1u) return at == 0u ? uvec2(0u, samples) : uvec2(0u);
     uint across = pixels - 1u, steps = samples - 1u;
@@ -48,7 +48,7 @@ void main() {
             uint pixel = listed[min(from + within, count - 1u)];
             uint x = pixel % size.x, y = pixel / size.x;
             uvec2 columns = span(x, map.x, size.x), rows = span(y, map.y, size.y);
-            float sum[HELD]; // indexed by a variable: there may be many
+            float sum[HELD]; // indexed by a variable, since HELD may be large
             for (uint h = 0u; h < HELD; h++) sum[h] = 0.0;
             for (uint row = rows.x; row < rows.y; row++) {
                 float wy = weight_of(row, y, map.y, size.y);

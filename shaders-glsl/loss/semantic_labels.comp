@@ -1,4 +1,4 @@
-// Class of every pixel of an image, and its relevance to one query class.
+// Computes the class of every pixel of an image, and its relevance to one query class.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -10,16 +10,16 @@ layout(constant_id = 2) const uint TILES = 1;
 layout(constant_id = 3) const uint CLASSES = 1;
 layout(constant_id = 4) const uint CHANNELS = 35;
 layout(constant_id = 5) const uint FIRST = 3;
-layout(constant_id = 6) const bool COSINE = false; // relevance: the cosine; else the softmax's probability
+layout(constant_id = 6) const bool COSINE = false; // relevance is the cosine, else the probability of the softmax
 
-layout(push_constant, scalar) uniform Push { uint query; } push; // class of the relevance
+layout(push_constant, scalar) uniform Push { uint query; } push; // query class
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
 IN(float, matrices);
 OUT(uint, labels);     // NO_LABEL where a feature is not finite
-OUT(float, relevance); // 0 there
+OUT(float, relevance); // 0 where a feature is not finite
 
 #include "semantic_batch.glsl"
 #include "fetch_items.glsl"

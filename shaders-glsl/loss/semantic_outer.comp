@@ -1,7 +1,7 @@
-// Part of the decoder's gradient that needs the targets: the sum over samples of t (s f')^T.
+// Term of the decoder's gradient that needs the targets: the sum over samples of t (s f')^T.
 //
-// A workgroup does a stripe of the 512 rows over one run of samples; decoder_gradient sums the runs. Lanes are rows,
-// 2 x WORDS each.
+// One workgroup processes a stripe of the 512 rows over one run of samples. decoder_gradient sums the runs. Each lane
+// computes 2 x WORDS rows.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -9,20 +9,20 @@
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const uint WORDS = 2;  // of a target, two rows each, a lane
-layout(constant_id = 3) const uint SPLITS = 1; // runs
+layout(constant_id = 2) const uint WORDS = 2;  // words of a target per lane; a word has two rows
+layout(constant_id = 3) const uint SPLITS = 1; // runs of samples
 
-layout(push_constant, scalar) uniform Push { uint split; } push; // samples of a run
+layout(push_constant, scalar) uniform Push { uint split; } push; // samples per run
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
-IN(uint, features);  // of all views, 512 halves a sample
-IN(float, rows);     // of 33, by sample: s f'
+IN(uint, features);  // targets of all views, 512 halves per sample
+IN(float, rows);     // s f' of each sample, 33 numbers
 OUT(vec4, outer);    // SPLITS x 512 rows of 33
 
 #include "shared_rows.glsl"
 
-const uint HELD = 2u * WORDS; // rows of a lane
+const uint HELD = 2u * WORDS; // rows per lane
 const uint STRIPES = EMBEDDING / (HELD * SUBGROUP);
 
 void main() {
@@ -39,7 +39,7 @@ void main() {
         float t[HELD];
         [[unroll]] for (uint w = 0u; w < WORDS; w++) {
             uint pair = features[(params.step.semantic_offset + i) * EMBEDDING_WORDS + word + w * SUBGROUP];
-            // What is not finite belongs to a sample that does not count; times its zero it would still be NaN.
+            // Replace non-finite targets by zero. Their sample has weight zero, but the product would still be NaN.
             pair &= (pair & 0x7c00u) == 0x7c00u ? 0xffff0000u : ~0u;
             pair &= (pair & 0x7c000000u) == 0x7c000000u ? 0xffffu : ~0u;
             vec2 both = unpackHalf2x16(pair);

@@ -1,6 +1,6 @@
-// Small matrices that replace the decoder in a step: the rows of A^T A, then those of T A.
+// Computes small matrices that replace the decoder in a step: the rows of A^T A, then those of T A.
 //
-// Lanes are rows, PER_LANE each. The 512 rows of the sum are split into parts; semantic_reduce adds them.
+// Each lane computes PER_LANE rows. The sum over 512 terms is split into PARTS; semantic_reduce adds them.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"

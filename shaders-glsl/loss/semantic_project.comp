@@ -1,7 +1,7 @@
-// Projects every target of the view by the transposed decoder: F A, 33 numbers a sample.
+// Projects every target of the view by the transposed decoder: F A, 33 numbers per sample.
 //
-// The only product over all targets in the forward half. Lanes are samples, PER_LANE each. The 512 rows are split into
-// parts; the reader of the products adds them.
+// This is the only product over all targets in the forward pass. Each lane processes PER_LANE samples. The sum over 512
+// terms is split into PARTS; the kernel that reads the products adds them.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -12,11 +12,11 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint PER_LANE = 2;
 layout(constant_id = 3) const uint PARTS = 1;
 
-layout(push_constant, scalar) uniform Push { uint largest; } push; // samples from one part's products to the next one's
+layout(push_constant, scalar) uniform Push { uint largest; } push; // samples between the products of two parts
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
-IN(uint, features);   // of all views, 512 halves a sample
+IN(uint, features);   // targets of all views, 512 halves per sample
 IN(float, decoder);   // A: 512 x 33
 OUT(vec4, products);  // PARTS x largest rows of 33
 

@@ -1,15 +1,16 @@
-// Sums the partial results of several workgroups in a fixed order; adds to the destination or replaces it. PARTS
-// invocations share a sum if there are many workgroups.
+// Sums the partial results of several workgroups in a fixed order.
+//
+// Adds to the destination or replaces it. PARTS invocations share a sum if many workgroups wrote partial results.
 #version 460
 #include "common.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const bool ADD = true;
-layout(constant_id = 3) const uint PARTS = 8; // invocations of a sum
+layout(constant_id = 3) const uint PARTS = 8; // invocations per sum
 
 layout(push_constant, scalar) uniform Push {
-    uint width;  // sums of a workgroup
+    uint width;  // sums per workgroup
     uint groups;
 } push;
 

@@ -1,7 +1,7 @@
 // Semantic loss of the training view, in batches of samples of its target map.
 //
-// Blended features are sampled at the samples' positions, decoded in their small form, compared with the targets and
-// classified.
+// Blended features are interpolated at the positions of the samples, decoded by the small matrices, compared with the
+// targets, and classified.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -13,26 +13,26 @@ layout(constant_id = 2) const uint TILES = 1;
 layout(constant_id = 3) const uint CLASSES = 1;
 layout(constant_id = 4) const uint CHANNELS = 35; // floats of a pixel of the image
 layout(constant_id = 5) const uint FIRST = 3;     // channel of the first feature
-layout(constant_id = 6) const uint PARTS = 1;     // of the products, to be added up
+layout(constant_id = 6) const uint PARTS = 1;     // partial sums of each product
 
-layout(push_constant, scalar) uniform Push { uint largest; } push; // samples from one part's products to the next one's
+layout(push_constant, scalar) uniform Push { uint largest; } push; // samples between the products of two parts
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(float, image);
 IN(SemanticTarget, targets); // of all views
 IN(float, matrices);
-INOUT(float, products);      // PARTS x largest rows: the target through the decoder; afterwards, in the first, s f'
+INOUT(float, products);      // PARTS x largest rows: targets projected by the decoder; the first part then becomes s f'
 OUT(float, grad_features);   // samples x 32
 OUT(float, partials);
-OUT(vec3, sums);             // by workgroup: 1 - cos, cross-entropy, samples that did not count
+OUT(vec3, sums);             // by workgroup: 1 - cos, cross-entropy, excluded samples
 
 #include "semantic_sums.glsl"
 
-// As `staged`; one for each use, since compilers take time by the square of an array's uses.
+// Laid out like `staged`. Each use has its own array, since compile time grows with the square of an array's uses.
 float staged_products[TILES * SPREAD], staged_rows[TILES * SPREAD], staged_gradients[TILES * SPREAD];
 
-// Features at the samples of a batch, into `staged`.
+// Interpolates features at the samples of a batch into `staged`.
 void fetch(uint from, uint count) {
     uvec2 size = params.step.camera.size, map = params.step.semantic_size;
     SHORT for (uint t = 0u; t < TILES; t++) {
@@ -43,7 +43,7 @@ void fetch(uint from, uint count) {
         SHORT for (uint n = 0u; n < ACROSS; n++) {
             uint lane = lane_of(n);
             vec2 across = subgroupShuffle(wx, lane), down = subgroupShuffle(wy, lane);
-            // A neighbor without weight must not be read: it may be non-finite or out of bounds.
+            // A neighbor without weight must not be read, since it may be non-finite or out of bounds.
             uint right = across.y > 0.0 ? CHANNELS : 0u, below = down.y > 0.0 ? size.x * CHANNELS : 0u;
             uint at = subgroupShuffle(pixel, lane) * CHANNELS + FIRST + column();
             SHORT for (uint h = 0u; h < HELD; h++) {
@@ -58,7 +58,7 @@ void fetch(uint from, uint count) {
     }
 }
 
-// The products of targets and decoder, into `staged_products`.
+// Fetches the products of targets and decoder into `staged_products`.
 void fetch_products(uint from, uint count) {
     SHORT for (uint t = 0u; t < TILES; t++) {
         SHORT for (uint n = 0u; n < ACROSS; n++) {
@@ -124,7 +124,7 @@ void main() {
                 bool lives = subgroupShuffle(uint(live[t]), lane_of(n)) != 0u;
                 EACH_HELD(h) {
                     uint k = t * SPREAD + n * HELD + h;
-                    // What does not count may be anything.
+                    // Products of excluded samples may be non-finite.
                     a[k] = lives ? s * a[k] : 0.0;
                 }
             }

@@ -7,23 +7,23 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 2) const bool SEMANTIC = true; // whether there are sums of the training view
+layout(constant_id = 2) const bool SEMANTIC = true; // whether to add the sums of the training view
 layout(constant_id = 3) const uint PAIRS = 0;       // pseudo-views
 
 #define SUM_T vec3
 #include "group_sum.glsl"
 
 layout(push_constant, scalar) uniform Push {
-    uint semantic_count; // workgroups that left sums
-    uint pair_count;     // likewise, of each pseudo-view,
-    uint pair_pitch;     // whose sums begin so many apart
+    uint semantic_count; // workgroups that wrote sums
+    uint pair_count;     // likewise, for each pseudo-view
+    uint pair_pitch;     // stride between the sums of two pseudo-views
 } push;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(vec3, semantic_sums);
 IN(float, pair_sums); // PAIRS x pair_pitch
-IN(Region, regions);  // the training view's, then the pseudo-views'
+IN(Region, regions);  // of the training view, then of the pseudo-views
 INOUT(LossStats, stats);
 
 #include "region.glsl"

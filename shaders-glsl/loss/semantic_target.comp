@@ -1,4 +1,5 @@
-// Precomputes a semantic target: its inverse norm, and the class whose text embedding is closest. One subgroup a sample.
+// Precomputes a semantic target: its inverse norm, and the class of the closest text embedding. One subgroup per
+// sample.
 #version 460
 #include "common.glsl"
 #include "semantic.glsl"
@@ -6,13 +7,13 @@
 layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint CLASSES = 1;
-layout(constant_id = 3) const bool HAS_LABELS = false; // labels come from `labels`, rather than from the target itself
+layout(constant_id = 3) const bool HAS_LABELS = false; // whether to take labels from `labels` instead of the target
 
 layout(push_constant, scalar) uniform Push { uint samples; } push;
 
 IN(uint, features);     // samples x 512 halves
 IN(float, embeddings);  // CLASSES x 512, unit length
-IN(uint, labels);       // of each sample; read only with HAS_LABELS
+IN(uint, labels);       // one per sample; read only with HAS_LABELS
 OUT(SemanticTarget, targets);
 
 void main() {

@@ -1,7 +1,7 @@
 // Marks the pixels of a view whose features the loss reads, as a bit mask.
 //
-// These are the pixels that samples of its target map are interpolated from, and those of a region. One invocation a word
-// of 32 pixels.
+// These are the pixels from which samples of the target map are interpolated, and those of a region. One invocation per
+// word of 32 pixels.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -12,11 +12,11 @@ layout(constant_id = 1) const bool REGION = false;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
-IN(uint, mask);    // a bit a pixel, from the step's mask_offset
-OUT(uint, pixel_mask); // likewise, from the first word
+IN(uint, mask);    // one bit per pixel, from word `mask_offset` of the step
+OUT(uint, pixel_mask); // one bit per pixel, from word 0
 
-// Whether a sample of `samples` along an axis of `pixels` is interpolated from pixel `at`: one that lies less than a pixel
-// away, the first and last of both being on each other.
+// Returns whether a sample is interpolated from pixel `at`, along an axis of `samples` samples and `pixels` pixels.
+// Such a sample lies less than a pixel away. The first and last samples align with the first and last pixels.
 bool touched(uint at, uint samples, uint pixels) {
     if (samples == 0u) return false;
     if (samples == 1u || pixels == 1u) return at == 0u;

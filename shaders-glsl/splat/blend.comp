@@ -59,7 +59,7 @@ void main() {
                 float dy = py + float(k * tile.step_y) - my;
                 float p = u11 * dx + u12 * dy;
                 float q = u22 * dy;
-                float alpha = min(ALPHA_MAX, opacity * splat_exp2(-(p * p + q * q)));
+                float alpha = min(ALPHA_MAX, opacity * exp2(-(p * p + q * q)));
                 alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
                 float next = T[k] - alpha * T[k];
                 bool stop = alpha > 0.0 && next < TRANSMITTANCE_MIN;

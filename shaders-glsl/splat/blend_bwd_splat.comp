@@ -83,7 +83,7 @@ void main() {
                         float dy = corner.y + float(i / TILE_WIDTH + k * tile.step_y) - s.mean.y;
                         float p = s.factor.x * dx + s.factor.y * dy;
                         float q = s.factor.z * dy;
-                        float raw = s.opacity * splat_exp2(-(p * p + q * q));
+                        float raw = s.opacity * exp2(-(p * p + q * q));
                         float alpha = min(ALPHA_MAX, raw);
                         alpha = alpha >= ALPHA_MIN && real ? alpha : 0.0;
                         float before = start * subgroupExclusiveMul(1.0 - alpha);

@@ -23,7 +23,6 @@ IN(uint, entry_splats);
 IN(Splat, splats);
 IN(uint, splat_ids);
 IN(float, raw_features);   // [Gaussians * FEATURES]
-IN(uint, packed_features);
 IN(uint, pixel_mask);          // a bit a pixel
 OUT(float, feature_image); // [pixels * FEATURES], where its bit is set
 
@@ -73,7 +72,7 @@ void main() {
                     float dx = center[k].x - mx, dy = center[k].y - my;
                     float p = u11 * dx + u12 * dy;
                     float q = u22 * dy;
-                    float alpha = min(ALPHA_MAX, opacity * splat_exp2(-(p * p + q * q)));
+                    float alpha = min(ALPHA_MAX, opacity * exp2(-(p * p + q * q)));
                     alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
                     float next = T[k] - alpha * T[k];
                     bool stop = alpha > 0.0 && next < TRANSMITTANCE_MIN;

@@ -31,7 +31,6 @@ IN(uint, entry_splats);
 IN(Splat, splats);
 IN(uint, splat_ids);
 IN(float, raw_features);
-IN(uint, packed_features);
 IN(uint, pixel_mask);
 IN(float, feature_image);
 IN(float, grad_features);     // [pixels * FEATURES], where its bit is set
@@ -97,7 +96,7 @@ void main() {
                     float dx = center[k].x - mx, dy = center[k].y - my;
                     float p = u11 * dx + u12 * dy;
                     float q = u22 * dy;
-                    float raw = opacity * splat_exp2(-(p * p + q * q));
+                    float raw = opacity * exp2(-(p * p + q * q));
                     float alpha = min(ALPHA_MAX, raw);
                     alpha = alpha >= ALPHA_MIN && T[k] > 0.0 ? alpha : 0.0;
                     float next = T[k] - alpha * T[k];

@@ -1,118 +1,60 @@
-//! The kernels: GLSL in, SPIR-V and typed metadata out.
+//! Compute kernels: SPIR-V and typed metadata, generated from GLSL.
 //!
-//! Everything below is generated from the GLSL files of this folder: a kernel's push constants and shared structs field
-//! by field with checked offsets, its bindings by name with the access of the code, its specialization constants.
-//! A leaf: it knows no Vulkan and no Gaussians' meaning.
+//! The build script generates a module for each `*.comp` file of this folder. The module has the kernel's push
+//! constants, bindings by name with the access of the code, and specialization constants. Structs that host and shader
+//! share have checked offsets. This crate depends on neither Vulkan nor the renderer.
 
-/// How the code behind a binding touches it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// Only loads.
-    Read,
-    /// Only stores.
-    Write,
-    /// Loads and stores, or atomics whose result is used.
-    ReadWrite,
-    /// Only commuting atomics whose result is unused.
-    Accumulate,
-}
+pub use sgs_shader_abi::{Access, Binding, BindingKind, ImageFormat, SpecConstant};
+use std::borrow::Cow;
 
-/// Kind of a binding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BindingKind {
-    /// A storage buffer.
-    Storage,
-    /// A uniform buffer.
-    Uniform,
-    /// A two-dimensional storage image.
-    Image(ImageFormat),
-}
-
-/// Formats that kernels declare for their images.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ImageFormat {
-    /// `r32f`.
-    R32Float,
-    /// `r32ui`.
-    R32Uint,
-    /// `rgba8`.
-    Rgba8Unorm,
-    /// `rgba16f`.
-    Rgba16Float,
-    /// `rgba32f`.
-    Rgba32Float,
-}
-
-/// One binding of descriptor set 0.
-#[derive(Clone, Copy, Debug)]
-pub struct Binding {
-    /// GLSL name.
-    pub name: &'static str,
-    /// Number.
-    pub number: u32,
-    /// Kind of the bound resource.
-    pub kind: BindingKind,
-    /// Access of the code.
-    pub access: Access,
-}
-
-/// One specialization constant.
-#[derive(Clone, Copy, Debug)]
-pub struct Spec {
-    /// GLSL name.
-    pub name: &'static str,
-    /// `constant_id`.
-    pub id: u32,
-    /// Default as raw bits.
-    pub default: u32,
-}
-
-/// A kernel: its module and what was reflected from it.
+/// Kernel with its SPIR-V module and reflected metadata.
 #[derive(Clone, Copy, Debug)]
 pub struct Kernel {
-    /// The stage's name.
+    /// Name, the file stem of the GLSL.
     pub name: &'static str,
-    /// The family (folder) it belongs to.
+    /// Family, the folder of the GLSL.
     pub family: &'static str,
-    /// The module.
+    /// SPIR-V module.
     pub spirv: Spirv,
-    /// Bytes of push constants.
+    /// Size of the push constants in bytes.
     pub push_bytes: u32,
-    /// Bindings by number.
+    /// Bindings, sorted by number.
     pub bindings: &'static [Binding],
-    /// Specialization constants by id.
-    pub specs: &'static [Spec],
+    /// Specialization constants, sorted by id.
+    pub specs: &'static [SpecConstant],
 }
 
-/// A kernel that needs newer GLSL than some compilers know.
+/// Kernel that needs a GLSL extension which some compilers lack.
 #[derive(Clone, Copy, Debug)]
 pub struct Optional {
-    /// The kernel's name.
+    /// Name of the kernel.
     pub name: &'static str,
-    /// The extension of GLSL that it needs.
+    /// GLSL extension that the kernel needs.
     pub extension: &'static str,
-    /// The kernel, if this build's compiler knew the extension.
+    /// The kernel, if the compiler of this build supports the extension.
     pub kernel: Option<&'static Kernel>,
 }
 
-/// The optional kernel of this name, if this build has it.
+/// Returns the optional kernel of a name, if this build has it.
 pub fn optional(name: &str) -> Option<&'static Kernel> {
     OPTIONAL.iter().find(|o| o.name == name)?.kernel
 }
 
-/// Whether this build's compiler knew an extension of GLSL that some kernels need.
+/// Returns whether the compiler of this build supports a GLSL extension.
+///
+/// Answers only for extensions that some kernel needs; returns false for others.
 pub fn compiled_with(extension: &str) -> bool {
     OPTIONAL.iter().any(|o| o.extension == extension && o.kernel.is_some())
 }
 
-/// An embedded SPIR-V module, aligned for reading as words.
+/// Embedded SPIR-V module, aligned for reading as words.
 #[derive(Clone, Copy)]
 pub struct Spirv {
     bytes: &'static [u8],
 }
 
 impl Spirv {
-    /// The module's words.
+    /// Returns the words of the module.
     pub fn words(&self) -> &'static [u32] {
         bytemuck::cast_slice(self.bytes)
     }
@@ -124,7 +66,7 @@ impl std::fmt::Debug for Spirv {
     }
 }
 
-/// Bytes at the alignment of a word.
+/// Bytes with the alignment of a 32-bit word.
 #[repr(C, align(4))]
 struct Aligned<const N: usize>([u8; N]);
 

@@ -1,5 +1,8 @@
-//! Chromium without a window and without a network, told what to do through two pipes (the DevTools protocol): pages are
-//! opened, looked at, clicked and photographed as a person would.
+//! Chromium without a window or network, driven through two pipes.
+//!
+//! The pipes carry the DevTools protocol.
+//!
+//! Tests open, evaluate, drag and capture pages as a person would.
 
 use serde_json::{Value, json};
 use std::fs::File;
@@ -11,24 +14,24 @@ use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// How long an answer may take. Machines that run tests are busy.
+/// Time limit for a reply. Machines that run tests are busy.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A browser with one page.
+/// Browser with one page.
 pub struct Browser {
     child: Child,
     to: File,
     from: Receiver<Value>,
     next: u64,
     session: String,
-    /// What the browser said unasked.
-    heard: Vec<Value>,
-    /// Its profile and its pipes, which go with it.
+    /// Events that the browser sent.
+    reported: Vec<Value>,
+    /// Directory of its profile and pipes, deleted on drop.
     _folder: TempDir,
 }
 
 impl Browser {
-    /// Starts Chromium, if there is one.
+    /// Starts Chromium. Returns `None` if it is not installed.
     pub fn start() -> Option<Browser> {
         let known = ["chromium", "chromium-browser"];
         let name =
@@ -37,7 +40,7 @@ impl Browser {
         let pipes = ["in", "out"].map(|n| folder.path().join(n));
         let made = Command::new("mkfifo").args(&pipes).status();
         assert!(made.is_ok_and(|s| s.success()), "mkfifo failed");
-        // The browser reads from its file 3 and writes to its file 4. Nothing has a name that could be looked up.
+        // The browser reads from file descriptor 3 and writes to 4. Its resolver finds no host but 127.0.0.1.
         let mut command = Command::new("bash");
         command.args(["-c", "exec 3<\"$1\" 4>\"$2\"; shift 2; exec \"$@\"", "bash"]).args(&pipes).arg(name);
         command.args(["--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe", "--no-first-run"]);
@@ -57,7 +60,7 @@ impl Browser {
             }
         });
         let session = String::new();
-        let mut browser = Browser { child, to, from, next: 0, session, heard: Vec::new(), _folder: folder };
+        let mut browser = Browser { child, to, from, next: 0, session, reported: Vec::new(), _folder: folder };
         let target = browser.ask("Target.createTarget", json!({"url": "about:blank"}))["targetId"].clone();
         let attached = browser.ask("Target.attachToTarget", json!({"targetId": target, "flatten": true}));
         browser.session = attached["sessionId"].as_str().expect("a session").to_owned();
@@ -67,7 +70,7 @@ impl Browser {
         Some(browser)
     }
 
-    /// Sends a command and waits for its answer.
+    /// Sends a command and waits for its reply.
     #[track_caller]
     pub fn ask(&mut self, method: &str, params: Value) -> Value {
         self.next += 1;
@@ -84,20 +87,20 @@ impl Browser {
                 assert!(answer["error"].is_null(), "{method}: {answer}");
                 return answer["result"].clone();
             }
-            self.heard.push(answer);
+            self.reported.push(answer);
         }
     }
 
-    /// Opens a page of the disk at a size of the window, and waits until it is complete.
+    /// Opens a local file in a window of this size, and waits for the page.
     #[track_caller]
     pub fn open(&mut self, page: &Path, size: [u32; 2]) {
         self.visit(&format!("file://{}", page.display()), size);
     }
 
-    /// Opens an address, which is on this machine.
+    /// Opens an address on this machine, and waits until the page is complete.
     #[track_caller]
     pub fn visit(&mut self, address: &str, [width, height]: [u32; 2]) {
-        self.heard.clear();
+        self.reported.clear();
         let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
         self.ask("Emulation.setDeviceMetricsOverride", size);
         let answer = self.ask("Page.navigate", json!({"url": address}));
@@ -110,7 +113,7 @@ impl Browser {
         }
     }
 
-    /// What an expression comes to in the page.
+    /// Evaluates an expression in the page.
     #[track_caller]
     pub fn eval(&mut self, expression: &str) -> Value {
         let params = json!({"expression": expression, "returnByValue": true, "awaitPromise": true});
@@ -119,7 +122,7 @@ impl Browser {
         answer["result"]["value"].clone()
     }
 
-    /// Presses the mouse at a place of the window, moves it to another, and lets go.
+    /// Presses the mouse at a point of the window, moves to another point and releases.
     pub fn drag(&mut self, from: [f64; 2], to: [f64; 2]) {
         for (kind, [x, y]) in [("mousePressed", from), ("mouseMoved", to), ("mouseReleased", to)] {
             let event = json!({"type": kind, "x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1});
@@ -127,7 +130,7 @@ impl Browser {
         }
     }
 
-    /// The window, or all of the page, as a PNG file.
+    /// Writes a PNG file of the window, or of the whole page.
     pub fn photograph(&mut self, whole: bool, path: &Path) {
         let size = self.ask("Page.getLayoutMetrics", json!({}))["cssContentSize"].clone();
         let mut params = json!({"format": "png", "captureBeyondViewport": whole});
@@ -135,10 +138,12 @@ impl Browser {
             params["clip"] = json!({"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1});
         }
         let answer = self.ask("Page.captureScreenshot", params);
-        std::fs::write(path, decoded(answer["data"].as_str().unwrap_or_default())).expect("the picture is written");
+        std::fs::write(path, decoded(answer["data"].as_str().unwrap_or_default())).expect("the image is written");
     }
 
-    /// What the page asked for beside itself and what it holds, and what went wrong in it.
+    /// Returns the page's external requests and its errors.
+    ///
+    /// The document and `data:` URLs do not count as external.
     pub fn complaints(&mut self) -> Vec<String> {
         self.eval("1");
         let report_text = |e: &Value| match e["method"].as_str().unwrap_or_default() {
@@ -149,11 +154,11 @@ impl Browser {
             "Runtime.exceptionThrown" | "Log.entryAdded" => Some(e["params"].to_string()),
             _ => None,
         };
-        self.heard.iter().filter_map(report_text).collect()
+        self.reported.iter().filter_map(report_text).collect()
     }
 }
 
-/// Bytes from base64 (RFC 4648).
+/// Decodes base64 (RFC 4648).
 fn decoded(text: &str) -> Vec<u8> {
     let value = |c: u8| match c {
         b'A'..=b'Z' => Some(c - b'A'),
@@ -173,7 +178,7 @@ fn decoded(text: &str) -> Vec<u8> {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // It has children of its own; asked to close, it takes them along.
+        // `Browser.close` also ends the child processes of the browser.
         let _ = self.to.write_all(b"{\"id\":0,\"method\":\"Browser.close\"}\0");
         let begun = Instant::now();
         while begun.elapsed() < Duration::from_secs(10) && self.child.try_wait().is_ok_and(|s| s.is_none()) {
@@ -195,9 +200,9 @@ mod tests {
         }
     }
 
-    /// What the tests of pages rely on: errors, requests and missing files are heard.
+    /// Tests that errors, requests and missing files are reported; tests of pages rely on this.
     #[test]
-    fn what_goes_wrong_in_a_page_is_noticed() {
+    fn page_errors_and_requests_are_reported() {
         let Some(mut browser) = Browser::start() else {
             eprintln!("skipped: there is no chromium");
             return;

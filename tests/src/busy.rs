@@ -1,6 +1,7 @@
-//! A kernel that takes as long as it is told, for tests of time limits and failures.
+//! Kernel with a configurable run time, for tests of time limits and failures.
 //!
-//! Assembled by hand, so that the tests need no shader compiler. In GLSL, with 64 lanes a group:
+//! The SPIR-V is assembled by hand, so that the tests need no shader compiler. In GLSL, with 64 invocations per
+//! workgroup:
 //!
 //! ```text
 //! layout(binding = 0) uniform Settings { uint rounds; };
@@ -14,10 +15,10 @@ use sgs_engine::shader::{Access, Binding, BindingKind, Shader};
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// Lanes of a group.
+/// Invocations per workgroup.
 pub const LANES: u32 = 64;
 
-/// The kernel, with bindings `settings` (uniform) and `data` (storage).
+/// Returns the kernel, with bindings `settings` (uniform) and `data` (storage).
 pub fn kernel() -> Arc<Shader> {
     let binding = |name: &'static str, number, kind, access| Binding { name: name.into(), number, kind, access };
     Arc::new(Shader {
@@ -32,7 +33,7 @@ pub fn kernel() -> Arc<Shader> {
     })
 }
 
-/// What the kernel does to one value.
+/// Computes on the CPU what the kernel does to one value.
 pub fn reference(mut v: u32, rounds: u32) -> u32 {
     for _ in 0..rounds {
         v ^= v << 13;

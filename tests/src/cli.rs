@@ -1,17 +1,18 @@
-//! The `sgs` program, run as a user runs it: arguments in; exit status, standard output and standard error out.
+//! Harness that runs the `sgs` program as a user does and captures its results.
 //!
-//! Cargo gives the path of a program only to the tests of its own package. Here it is looked for beside the test
-//! programs, and built first where it is absent or older than any source, so that no test passes on yesterday's program.
+//! The results are the exit status, standard output and standard error. Cargo gives the path of a program only to the
+//! tests of its own package. This module therefore looks for the program next to the test programs. It builds the
+//! program first if the program is absent or older than any source, so that no test runs an outdated program.
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant, SystemTime};
 
-/// How a run of the program ended.
+/// Result of a finished run of the program.
 #[derive(Clone, Debug)]
 pub struct Finished {
-    /// Exit status; absent if a signal ended it.
+    /// Exit status; `None` if a signal ended the program.
     pub status: Option<i32>,
     /// Standard output.
     pub stdout: String,
@@ -28,8 +29,10 @@ impl Finished {
         self
     }
 
-    /// Fails unless the program refused with the exit status of a refusal and one sentence on standard error that holds all of
-    /// the words. Warnings may come before it. Standard output is empty, or with `--json` holds the same sentence as JSON.
+    /// Fails unless the program refused with one sentence that contains all words.
+    ///
+    /// The exit status must be that of a refusal: 1, 2, 42 or 75. The sentence is on standard error; warnings may
+    /// precede it. Standard output is empty, or with `--json` holds the same sentence as JSON.
     #[track_caller]
     pub fn refused(&self, words: &[&str]) -> &Finished {
         let context = format!("sgs {}\n{}{}", self.arguments, self.stdout, self.stderr);
@@ -50,7 +53,7 @@ impl Finished {
         self
     }
 
-    /// As [`Finished::refused`], with one exit status.
+    /// Fails unless the program refused with this exit status; see [`Finished::refused`].
     #[track_caller]
     pub fn refused_with(&self, status: i32, words: &[&str]) -> &Finished {
         let context = format!("sgs {}\n{}{}", self.arguments, self.stdout, self.stderr);
@@ -66,7 +69,7 @@ impl Finished {
         }
     }
 
-    /// Standard output as JSON.
+    /// Parses standard output as JSON.
     #[track_caller]
     pub fn json(&self) -> serde_json::Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("sgs {}: {e}\n{}", self.arguments, self.stdout))
@@ -79,18 +82,18 @@ pub fn sgs<S: AsRef<str>>(arguments: &[S]) -> Finished {
     finished(arguments, output)
 }
 
-/// As [`sgs`], with more in its environment.
+/// Runs the program as [`sgs`] does, with additional environment variables.
 pub fn sgs_with<S: AsRef<str>>(arguments: &[S], environment: &[(&str, &str)]) -> Finished {
     let output = command(arguments).envs(environment.iter().copied()).output();
     finished(arguments, output.unwrap_or_else(|e| panic!("sgs cannot be run: {e}")))
 }
 
-/// Starts the program, with its output kept for [`wait`].
+/// Starts the program; [`wait`] returns its output.
 pub fn start<S: AsRef<str>>(arguments: &[S]) -> Child {
     start_with(arguments, &[])
 }
 
-/// As [`start`], with more in its environment.
+/// Starts the program as [`start`] does, with additional environment variables.
 pub fn start_with<S: AsRef<str>>(arguments: &[S], environment: &[(&str, &str)]) -> Child {
     let mut command = command(arguments);
     command.envs(environment.iter().copied());
@@ -103,7 +106,7 @@ pub fn wait(child: Child) -> Finished {
     finished(&["(started before)"], child.wait_with_output().unwrap_or_else(|e| panic!("sgs cannot be awaited: {e}")))
 }
 
-/// Runs the program from a shell that has made some preparations (limits, signals).
+/// Runs the program from a shell after commands that set limits or signals.
 pub fn sgs_after<S: AsRef<str>>(preparation: &str, arguments: &[S]) -> Finished {
     let direct = command(arguments);
     let mut shell = Command::new("bash");
@@ -118,7 +121,7 @@ pub fn sgs_after<S: AsRef<str>>(preparation: &str, arguments: &[S]) -> Finished 
     finished(arguments, shell.output().unwrap_or_else(|e| panic!("bash cannot be run: {e}")))
 }
 
-/// Runs the program where nobody reads what it prints.
+/// Runs the program with a closed reader of its standard output.
 pub fn sgs_with_closed_stdout<S: AsRef<str>>(arguments: &[S]) -> Finished {
     let (reader, writer) = std::io::pipe().unwrap_or_else(|e| panic!("there is no pipe: {e}"));
     drop(reader);
@@ -126,13 +129,15 @@ pub fn sgs_with_closed_stdout<S: AsRef<str>>(arguments: &[S]) -> Finished {
     finished(arguments, output.unwrap_or_else(|e| panic!("sgs cannot be run: {e}")))
 }
 
-/// Sends a signal, by its name without SIG.
+/// Sends a signal, named without SIG.
 pub fn signal(child: &Child, name: &str) {
     let status = Command::new("kill").arg(format!("-{name}")).arg(child.id().to_string()).status();
     assert!(status.is_ok_and(|s| s.success()), "the signal {name} could not be sent");
 }
 
-/// Waits until something holds while a program runs; false if the program ended before.
+/// Waits until a condition holds while a program runs.
+///
+/// Returns false if the program ended first. Fails after five minutes.
 #[track_caller]
 pub fn until(child: &mut Child, mut holds: impl FnMut() -> bool) -> bool {
     let begun = Instant::now();
@@ -157,7 +162,7 @@ fn command<S: AsRef<str>>(arguments: &[S]) -> Command {
     {
         command.args(["--device", &device]);
     }
-    // Pipelines of one test serve the next, without touching those of the user.
+    // Tests share one pipeline cache and leave the user's cache alone.
     let cache = program.with_file_name("sgs-tests-cache");
     command.env("XDG_CACHE_HOME", cache).env("RUST_BACKTRACE", "1").env_remove("SGS_LOG").stdin(Stdio::null());
     command
@@ -173,7 +178,7 @@ fn finished<S: AsRef<str>>(arguments: &[S], output: Output) -> Finished {
     }
 }
 
-/// Where the program is, built if need be.
+/// Returns the path of the program, built if necessary.
 pub fn program() -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| {
@@ -195,7 +200,7 @@ pub fn program() -> &'static Path {
     })
 }
 
-/// When a source of the program last changed.
+/// Returns the time of the latest change of the program's sources.
 fn newest(root: &Path) -> SystemTime {
     let mut newest = SystemTime::UNIX_EPOCH;
     let folders = ["engine", "passes", "shaders-glsl", "tools"];

@@ -1,23 +1,25 @@
-//! Comparisons that can fail: tolerances of absolute plus relative error, and finite differences of a reference.
+//! Comparisons with absolute plus relative tolerance, and finite differences.
 
-/// How far two numbers may be apart: `absolute + relative * |expected|`.
+/// Largest difference of two numbers: `absolute + relative * |expected|`.
 #[derive(Clone, Copy, Debug)]
 pub struct Tolerance {
-    /// Absolute part.
+    /// Absolute term.
     pub absolute: f64,
-    /// Relative part.
+    /// Relative term.
     pub relative: f64,
 }
 
 impl Tolerance {
-    /// Both parts.
+    /// Creates a tolerance from both terms.
     pub const fn new(absolute: f64, relative: f64) -> Tolerance {
         Tolerance { absolute, relative }
     }
 }
 
-/// Index, expected and found of the element that exceeds its tolerance most, as a multiple of it. NaN is infinitely far
-/// from anything but NaN.
+/// Returns the element that exceeds its tolerance most.
+///
+/// The result is its index, the expected and the found value, and their difference as a multiple of the tolerance. NaN
+/// is infinitely far from anything but NaN.
 pub fn worst(expected: &[f64], found: &[f32], tolerance: Tolerance) -> Option<(usize, f64, f64, f64)> {
     assert_eq!(expected.len(), found.len(), "lengths differ");
     let mut worst: Option<(usize, f64, f64, f64)> = None;
@@ -44,7 +46,7 @@ pub fn assert_close(what: &str, expected: &[f64], found: &[f32], tolerance: Tole
     }
 }
 
-/// Central difference of `f` along coordinate `i` of `x`.
+/// Returns the central difference of `f` along coordinate `i` of `x`.
 pub fn finite_difference(x: &mut [f64], i: usize, step: f64, mut f: impl FnMut(&[f64]) -> f64) -> f64 {
     let old = x[i];
     x[i] = old + step;

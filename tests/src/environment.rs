@@ -1,4 +1,4 @@
-//! Surfaces under an environment, and everything that a device makes of them at once.
+//! Surfaces under an environment map, and all results of the device for them.
 
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::Tuning;
@@ -12,24 +12,24 @@ use sgs_shaders::structs::Step;
 
 use crate::Gpu;
 
-/// Place of the camera.
+/// Position of the camera.
 pub const CAMERA: [f32; 3] = [0.25, -0.5, 1.5];
-/// Columns and rows that smoothness is measured on.
+/// Columns and rows of the smoothness map.
 pub const MAP: [u32; 2] = [64, 32];
-/// Weight of smoothness.
+/// Weight of the smoothness loss.
 pub const WEIGHT: f32 = 0.75;
 
-/// As bytes.
+/// Returns the bytes of a slice.
 pub fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// An environment with smoothness on a small map.
+/// Creates an environment map with smoothness on a small map.
 pub fn made(size: u32) -> Environment {
     Environment::new(size, &EnvironmentOptions { smoothness: Some(MAP), ..Default::default() }).unwrap()
 }
 
-/// Texels as a room has them: a gradient, noise, a few that are very bright.
+/// Returns texels that resemble a room: a gradient, noise and a few very bright texels.
 pub fn room(e: &Environment, seed: u32) -> Vec<f32> {
     let mut rng = Pcg::new(seed);
     let mut texels = e.start(seed);
@@ -41,49 +41,49 @@ pub fn room(e: &Environment, seed: u32) -> Vec<f32> {
     texels
 }
 
-/// Everything that a device makes of an environment, surfaces and a gradient.
+/// Results of the device for an environment map, surfaces and a gradient.
 pub struct Found {
-    /// All levels.
+    /// Filtered radiance of all levels.
     pub radiance: Vec<f32>,
-    /// Light on each pixel.
+    /// Environment light on each pixel.
     pub ambient: Vec<f32>,
-    /// The diffuse part of it.
+    /// Diffuse component of the environment light.
     pub diffuse: Vec<f32>,
-    /// Gradients, added to [`BEFORE`].
+    /// Gradients of the materials, added to [`BEFORE`].
     pub materials: Vec<f32>,
-    /// Likewise.
+    /// Gradients of metallic, added to [`BEFORE`].
     pub metallic: Vec<f32>,
-    /// Fixed point, low words first.
+    /// Gradient sums of the texels in fixed point, low words first.
     pub texel_sums: Vec<u32>,
-    /// Gradients.
+    /// Gradients of the texels.
     pub texels: Vec<f32>,
-    /// Without its weight.
+    /// Smoothness loss without its weight.
     pub smoothness: f64,
 }
 
-/// What it is made from.
+/// Inputs of [`run`].
 #[derive(Clone, Copy)]
 pub struct Given<'g> {
-    /// The environment.
+    /// Environment map.
     pub e: &'g Environment,
-    /// Its texels.
+    /// Texels of the environment map.
     pub texels: &'g [f32],
-    /// Surfaces.
+    /// Shaded surfaces.
     pub pixels: &'g [Pixel],
-    /// By the light on them.
+    /// Gradient of the loss with respect to the environment light of each pixel.
     pub gradient: &'g [f32],
-    /// With smoothness.
+    /// Whether the smoothness loss contributes.
     pub smooth: bool,
-    /// With metallic.
+    /// Whether the surfaces have metallic.
     pub metallic: bool,
-    /// Whether lanes add up first, as wide subgroups do.
+    /// Whether a subgroup adds up its gradients first, as subgroups of 32 do.
     pub merge: bool,
 }
 
-/// What gradients of materials begin with.
+/// Initial value of the gradients of materials.
 pub const BEFORE: f32 = 0.5;
 
-/// Runs every stage once.
+/// Runs every pass once.
 pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
     let (e, pixels) = (given.e, given.pixels);
     let count = pixels.len() as u64;
@@ -171,7 +171,7 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
     }
 }
 
-/// Numbers as 32 bits hold them.
+/// Rounds the numbers of a pixel to 32-bit floats.
 pub fn narrow(p: Pixel) -> Pixel {
     let n = |x: f64| f64::from(x as f32);
     Pixel {
@@ -184,13 +184,13 @@ pub fn narrow(p: Pixel) -> Pixel {
     }
 }
 
-/// Of length 1.
+/// Returns the vector scaled to length 1.
 pub fn unit(d: [f64; 3]) -> [f64; 3] {
     let length = d.iter().map(|x| x * x).sum::<f64>().sqrt();
     d.map(|x| x / length)
 }
 
-/// A pixel whose normal stands at an angle of cosine `facing` to the view.
+/// Draws a pixel whose normal and view direction have the cosine `facing`.
 pub fn pixel(rng: &mut Pcg, roughness: f64, facing: f64) -> Pixel {
     let point: [f64; 3] = std::array::from_fn(|_| f64::from(rng.range(-2.0, 2.0) as f32));
     let view = unit(std::array::from_fn(|k| f64::from(CAMERA[k]) - point[k]));
@@ -208,7 +208,9 @@ pub fn pixel(rng: &mut Pcg, roughness: f64, facing: f64) -> Pixel {
     })
 }
 
-/// Ordinary surfaces, and those that could go wrong. No roughness lies where the levels or the table bend.
+/// Returns ordinary surfaces and corner cases.
+///
+/// No roughness lies at a kink of the level interpolation or of the table, where gradients jump.
 pub fn surfaces(seed: u32) -> Vec<Pixel> {
     let mut rng = Pcg::new(seed);
     let mut all = Vec::new();
@@ -217,7 +219,7 @@ pub fn surfaces(seed: u32) -> Vec<Pixel> {
             all.push(pixel(&mut rng, roughness, facing));
         }
     }
-    // Mirrored directions along edges and to corners of the cube, and normals there.
+    // Normals and mirrored directions along edges and toward corners of the cube map.
     for d in
         [[1.0, 1.0, 0.2], [1.0, -1.0, 1.0], [-1.0, -1.0, -1.0], [0.3, 1.0, -1.0], [1.0, 0.999, 0.998], [0.0, 0.0, 1.0]]
     {
@@ -227,11 +229,11 @@ pub fn surfaces(seed: u32) -> Vec<Pixel> {
         let mut q = pixel(&mut rng, 0.5, 1.0);
         q.normal = unit(d);
         let (camera, n) = (CAMERA.map(f64::from), unit(d));
-        // Seen along the normal: mirrored into it.
+        // A view along the normal mirrors into the normal.
         q.point = std::array::from_fn(|k| camera[k] - 2.0 * n[k]);
         all.push(narrow(Pixel { roughness: 0.31, ..q }));
     }
-    // Not shaded, and just so.
+    // Coverage just below and just above the shading threshold, and a normal of length 0.
     all.push(Pixel { coverage: 0.0009, ..pixel(&mut rng, 0.4, 0.5) });
     all.push(narrow(Pixel { coverage: 0.0011, ..pixel(&mut rng, 0.4, 0.5) }));
     all.push(Pixel { normal: [0.0; 3], ..pixel(&mut rng, 0.4, 0.5) });

@@ -1,4 +1,4 @@
-//! Views whose features are compared, for tests: cameras, weights, the reference's loss, and their part of a graph.
+//! Views for tests of features: cameras, weights, reference loss and graph passes.
 
 use crate::Gpu;
 use crate::scenes::{self, Rng};
@@ -10,14 +10,16 @@ use sgs_passes::reference::blend::render;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::{Handles, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
-    Channels, Entries, EntryFeatures, Screen, Visible, Wanted, blend_features, blend_features_bwd, features_pack,
-    intersect, project, wanted_words,
+    Channels, Entries, EntryFeatures, Screen, Visible, Wanted, blend_features, blend_features_bwd, intersect, project,
+    wanted_words,
 };
 use sgs_shaders::structs::Work;
 
 const WIDE: usize = SEMANTIC_FEATURES as usize;
 
-/// Pixels at which features are wanted: scattered, so that tiles have a few, all or none.
+/// Returns true if the features of a pixel are requested.
+///
+/// The pixels are scattered, so that tiles have a few, all or none of them.
 pub fn wants(pixel: usize) -> bool {
     pixel % 5 < 3 || (60..150).contains(&pixel)
 }
@@ -26,20 +28,18 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// A view whose features are compared: the loss is their dot product with the weights.
+/// View whose loss is the dot product of its features and the weights.
 pub struct View {
-    /// Where it is.
+    /// Camera of the view.
     pub camera: Camera,
-    /// `[pixels * features]`; zero where nothing is wanted.
+    /// `[pixels * features]` weights; zero at pixels that are not requested.
     pub weights: Vec<f64>,
-    /// Whether kernels are told that what is wanted lies close together. Nothing but time depends on it.
+    /// Value of [`Wanted::dense`]; affects only the run time.
     pub dense: bool,
-    /// Bits of features where blending reads them.
-    pub feature_bits: u32,
 }
 
 impl View {
-    /// Turned to the right by `angle`.
+    /// Creates a view whose camera turns to the right by `angle` radians.
     pub fn new(size: [u32; 2], angle: f64, seed: u64) -> View {
         let mut camera = scenes::camera(size);
         let turned = DMat3::from_rotation_y(-angle);
@@ -48,15 +48,10 @@ impl View {
         let mut r = Rng::new(seed);
         let pixels = (size[0] * size[1]) as usize;
         let weight = |i: usize| if wants(i / WIDE) { f64::from(r.between(-1.0, 1.0) as f32) } else { 0.0 };
-        View {
-            camera,
-            weights: (0..pixels * WIDE).map(weight).collect(),
-            dense: seed.is_multiple_of(2),
-            feature_bits: 32,
-        }
+        View { camera, weights: (0..pixels * WIDE).map(weight).collect(), dense: seed.is_multiple_of(2) }
     }
 
-    /// By the reference, of Gaussians without normals.
+    /// Returns the loss of the reference, for Gaussians without normals.
     pub fn loss(&self, g: &Gaussians) -> f64 {
         let all = render(g, &self.camera, 0, false, [0.0; 3]).image;
         let features = all.chunks_exact(3 + WIDE).flat_map(|pixel| &pixel[3..]);
@@ -64,25 +59,27 @@ impl View {
     }
 }
 
-/// One view's part of a graph.
+/// Buffers of one view in a graph.
 pub struct Declared {
-    /// The image side.
+    /// Screen of the view.
     pub screen: Screen,
-    /// What is seen.
+    /// Visible splats.
     pub visible: Visible,
-    /// Its tiles.
+    /// Tile entries.
     pub entries: Entries,
-    /// The image of features.
+    /// Image of the features.
     pub image: Buffer,
-    /// What features left at the entries.
+    /// Gradients that came through features, by entry.
     pub features: EntryFeatures,
-    /// What its uniforms and buffers hold.
+    /// Contents of its uniforms and buffers.
     pub inputs: Vec<(Buffer, Vec<u8>)>,
 }
 
-/// Declares a view up to what features leave at its entries. Where nothing is wanted stands what nobody may read.
+/// Declares a view up to the gradients of its entries.
+///
+/// Weights of pixels that are not requested are NaN; no kernel may read them.
 pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: Buffer, values: Step) -> Declared {
-    let t = gpu.tuning().with(Accuracy { feature_bits: view.feature_bits, ..Accuracy::EXACT });
+    let t = gpu.tuning().with(Accuracy::EXACT);
     let step = g.uniform("step", size_of::<Step>() as u64);
     let screen = Screen { step, largest: view.camera.size, tile: t.tile };
     let visible = project(g, &t, &screen, handles, Channels::default()).unwrap();
@@ -92,7 +89,6 @@ pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: 
     let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
     let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
     let shown = Wanted { pixels: requested, dense: view.dense };
-    let handles = &features_pack(g, &t, handles).unwrap();
     blend_features(g, &t, &screen, handles, &visible, &entries, shown, image).unwrap();
     let features = blend_features_bwd(g, &t, &screen, handles, &visible, &entries, shown, image, gradient).unwrap();
     let mut camera = scenes::gpu_camera(&view.camera);
@@ -106,7 +102,7 @@ pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: 
     Declared { screen, visible, entries, image, features, inputs }
 }
 
-/// What the buffers of Gaussians hold.
+/// Returns the contents of the buffers of Gaussians.
 pub fn gaussian_inputs(g: &Gaussians, handles: &Handles) -> Vec<(Buffer, Vec<u8>)> {
     let n = g.len() as u32;
     let data = scenes::data(g);

@@ -1,4 +1,4 @@
-//! A visibility field with an image and lights, run by the device and by the reference.
+//! Visibility field with an image and lights, for the device and the reference.
 
 use crate::{Gpu, Tolerance, assert_close};
 use sgs_engine::graph::{Buffer, Graph};
@@ -14,36 +14,36 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// A field, an image and lights.
+/// Visibility field, image and lights.
 #[derive(Clone)]
 pub struct Case {
-    /// Its shape.
+    /// Shape of the field.
     pub config: FieldConfig,
-    /// Two features an entry.
+    /// Hash tables: two features per entry.
     pub tables: Vec<f32>,
-    /// Layers.
+    /// Weights of the network.
     pub mlp: Vec<f32>,
     /// Lower corner of the box.
     pub low: [f32; 3],
-    /// Upper corner.
+    /// Upper corner of the box.
     pub high: [f32; 3],
-    /// By pixel.
+    /// Point of each pixel.
     pub points: Vec<[f32; 3]>,
-    /// By pixel.
+    /// Coverage of each pixel.
     pub coverage: Vec<f32>,
-    /// Places.
+    /// Positions of the lights.
     pub lights: Vec<[f32; 3]>,
-    /// What changes from step to step.
+    /// Parameters that change from step to step.
     pub step: FieldStep,
-    /// Bits of the tables where they are looked up.
+    /// Bits of a table feature when the field is evaluated: 16 or 32.
     pub table_bits: u32,
 }
 
-/// Sixteen small levels, most of them hashed.
+/// Configuration with sixteen small levels, most of them hashed.
 pub const SMALL: FieldConfig = FieldConfig::new(16, 11, 4, 300);
 
 impl Case {
-    /// Points within the box and around it, every eleventh pixel not shaded.
+    /// Draws points within the box and around it; every eleventh pixel is not shaded.
     pub fn random(config: FieldConfig, pixels: usize, lights: usize, seed: u32) -> Case {
         let mut rng = Pcg::new(seed);
         let (low, high) = ([-1.5, -1.0, 0.5], [1.5, 2.0, 2.5]);
@@ -80,17 +80,17 @@ impl Case {
         }
     }
 
-    /// For the reference.
+    /// Returns the field of the reference.
     pub fn reference(&self) -> reference::Field {
         reference::Field::new(&self.config, &self.tables, &self.mlp, self.low, self.high).stored(self.table_bits)
     }
 
-    /// In double precision.
+    /// Converts to double precision.
     pub fn wide(v: [f32; 3]) -> [f64; 3] {
         v.map(f64::from)
     }
 
-    /// In a graph, with what its buffers hold.
+    /// Declares the field in a graph and adds the contents of its buffers to `inputs`.
     pub fn declare(&self, g: &mut Graph, inputs: &mut Vec<(Buffer, Vec<u8>)>) -> (Field, View) {
         let mut provided = |name: &str, data: Vec<u8>| {
             let buffer = g.input(name, data.len() as u64);
@@ -110,12 +110,12 @@ impl Case {
         (field, View { pixels: self.points.len() as u32, points, coverage, lights })
     }
 
-    /// Mean visibility by the device, or that of one light.
+    /// Computes on the device the mean visibility, or the visibility of one light.
     pub fn forward(&self, gpu: &Gpu, one: Option<u32>, split: bool) -> Vec<f32> {
         self.forward_with(gpu, gpu.tuning(), one, split)
     }
 
-    /// The same with other sizes of kernels, or another accuracy.
+    /// Same as [`Case::forward`], with other kernel sizes or accuracy.
     pub fn forward_with(&self, gpu: &Gpu, tuning: Tuning, one: Option<u32>, split: bool) -> Vec<f32> {
         let (mut g, mut inputs) = (Graph::new("visibility"), Vec::new());
         let (field, view) = self.declare(&mut g, &mut inputs);
@@ -124,13 +124,13 @@ impl Case {
         gpu.run(g, &inputs).get(out)
     }
 
-    /// The same by the reference.
+    /// Computes the same with the reference.
     pub fn expected(&self, one: Option<u32>) -> Vec<f64> {
         let field = self.reference();
         self.expected_of(one, |point, light| field.visibility(point, light))
     }
 
-    /// The same by the reference whose second layer has operands of 16 bits.
+    /// Computes the same with the reference whose second layer has 16-bit operands.
     pub fn expected_half(&self, one: Option<u32>) -> Vec<f64> {
         let field = self.reference();
         self.expected_of(one, |point, light| field.visibility_half(point, light))
@@ -149,40 +149,40 @@ impl Case {
     }
 }
 
-/// A pixel's point, moved as the smoothness term moves it.
+/// Returns a pixel's point with the jitter of the smoothness loss.
 pub fn jittered(case: &Case, pixel: usize) -> [f64; 3] {
     let by = reference::jitter(case.step.seed, 0, pixel as u32, f64::from(case.step.jitter));
     [0, 1, 2].map(|k| f64::from(case.points[pixel][k]) + by[k])
 }
 
-/// What a backward pass left.
+/// Results of a backward pass.
 pub struct Found {
-    /// By layers.
+    /// Gradients of the network's weights.
     pub mlp: Vec<f32>,
-    /// By places of lights.
+    /// Gradients of the light positions.
     pub lights: Vec<f32>,
-    /// By tables.
+    /// Gradients of the tables.
     pub tables: Vec<f32>,
-    /// Of the tables, as they are.
+    /// Gradients of the tables in fixed point, two words each.
     pub words: Vec<u32>,
-    /// A bit an entry.
+    /// One bit per table entry: whether its gradient was written.
     pub touched: Vec<u32>,
-    /// What they were multiplied by.
+    /// Factor of the fixed-point gradients.
     pub scale: f32,
 }
 
-/// Gradients of the loss by pixel, and radiance of lights.
+/// Gradient of the loss for each pixel, and radiance of each light.
 pub struct LossGradients {
-    /// By pixel.
+    /// Gradient of the loss with respect to the radiance of each pixel.
     pub pixels: Vec<[f32; 3]>,
-    /// By light.
+    /// Radiance of each light.
     pub lights: Vec<[f32; 3]>,
-    /// Of the backward pass.
+    /// Options of the backward pass.
     pub options: BackwardOptions,
 }
 
 impl LossGradients {
-    /// Numbers of about the root of `scale`.
+    /// Draws numbers up to the square root of `scale`.
     pub fn random(case: &Case, scale: f64, seed: u32) -> LossGradients {
         let mut rng = Pcg::new(seed);
         let mut colors = |n: usize, low: f64| -> Vec<[f32; 3]> {
@@ -192,21 +192,21 @@ impl LossGradients {
         LossGradients { pixels, lights, options: BackwardOptions::default() }
     }
 
-    /// What is asked of a pair.
+    /// Returns the gradient of the loss with respect to the visibility of a pair.
     pub fn by_visibility(&self, pixel: usize, light: usize) -> f64 {
         (0..3).map(|k| f64::from(self.pixels[pixel][k]) * f64::from(self.lights[light][k])).sum()
     }
 }
 
-/// A whole number in two words, times a factor.
+/// Converts a 64-bit integer in two words to a float, scaled by a factor.
 pub fn whole(words: &[u32], inverse: f32) -> f32 {
     let value = (u64::from(words[0]) | u64::from(words[1]) << 32) as i64;
     (value as f64 * f64::from(inverse)) as f32
 }
 
 impl Case {
-    /// Gradients by the device.
-    pub fn backward(&self, gpu: &Gpu, asked: &LossGradients) -> Found {
+    /// Computes gradients on the device.
+    pub fn backward(&self, gpu: &Gpu, requested: &LossGradients) -> Found {
         let (mut g, mut inputs) = (Graph::new("visibility_bwd"), Vec::new());
         let (field, view) = self.declare(&mut g, &mut inputs);
         let mut provided = |name: &str, data: Vec<u8>| {
@@ -215,8 +215,8 @@ impl Case {
             buffer
         };
         let constant = Constant {
-            radiance: provided("radiance", bytes(&asked.lights)),
-            radiance_gradient: provided("radiance_gradient", bytes(&asked.pixels)),
+            radiance: provided("radiance", bytes(&requested.lights)),
+            radiance_gradient: provided("radiance_gradient", bytes(&requested.pixels)),
         };
         let entries = self.config.entries() as usize;
         let tables = provided("table_gradients", vec![0; 16 * entries]);
@@ -229,7 +229,7 @@ impl Case {
             touched,
             scale: g.external("scale", 8),
         };
-        visibility_bwd(&mut g, gpu.tuning(), &field, &view, most, &constant, &asked.options, &into).unwrap();
+        visibility_bwd(&mut g, gpu.tuning(), &field, &view, most, &constant, &requested.options, &into).unwrap();
         let out = gpu.run(g, &inputs);
         let scale = out.get::<f32>(into.scale);
         assert_eq!(scale[0] * scale[1], 1.0);
@@ -247,7 +247,7 @@ impl Case {
         }
     }
 
-    /// The same by the reference.
+    /// Computes the same gradients with the reference.
     pub fn expected_gradients(
         &self,
         options: &BackwardOptions,
@@ -273,17 +273,21 @@ impl Case {
         into
     }
 
-    /// Fails unless device and reference agree, to a share of the largest of each kind.
-    pub fn check_gradients(&self, gpu: &Gpu, asked: &LossGradients, share: f64) -> Found {
-        let found = self.backward(gpu, asked);
-        let expected = self.expected_gradients(&asked.options, |i, j| asked.by_visibility(i, j));
-        found.check(&expected, asked.options.places, share);
+    /// Fails unless the gradients of device and reference agree.
+    ///
+    /// `share`: tolerance as a fraction of the largest gradient of each kind.
+    pub fn check_gradients(&self, gpu: &Gpu, requested: &LossGradients, share: f64) -> Found {
+        let found = self.backward(gpu, requested);
+        let expected = self.expected_gradients(&requested.options, |i, j| requested.by_visibility(i, j));
+        found.check(&expected, requested.options.places, share);
         found
     }
 }
 
 impl Found {
-    /// Fails unless these are the reference's gradients, to a share of the largest of each kind.
+    /// Fails unless the gradients match the reference.
+    ///
+    /// `share`: tolerance as a fraction of the largest gradient of each kind.
     pub fn check(&self, expected: &reference::Gradients, places: bool, share: f64) {
         let close = |what: &str, expected: &[f64], found: &[f32]| {
             let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));

@@ -1,9 +1,11 @@
-//! What tests of exchange with other programs write: splats and lights in which every number tells its place.
+//! Splats and lights for tests of exchange with other programs.
+//!
+//! Every number of the splats is different, so that a swapped field shows.
 
 use sgs_run::{LightFile, LightRow, LobeRow};
 use sgs_scene::Splats;
 
-/// Splats in which every number is another, before a camera of the room.
+/// Returns splats in front of a camera of the room; every number is different.
 pub fn sample(n: usize) -> Splats {
     let mut state = 11_u32;
     let mut next = |low: f32, high: f32| {
@@ -26,8 +28,8 @@ pub fn sample(n: usize) -> Splats {
     }
 }
 
-/// Three lights of twelve lobes.
-pub fn lamps() -> LightFile {
+/// Returns three lights of twelve lobes.
+pub fn lights() -> LightFile {
     let lobe = |k: usize| LobeRow {
         axis: [0.6, 0.0, 0.8],
         sharpness: 0.3 * k as f32,

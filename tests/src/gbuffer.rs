@@ -1,4 +1,4 @@
-//! Surfaces, the sparse matrix of a view and materials through it, on a device.
+//! G-buffer, weight matrix of a view and material render, on a device.
 
 use crate::{Gpu, scenes};
 use sgs_engine::graph::{Buffer, Graph};
@@ -12,28 +12,30 @@ use sgs_passes::shade::{
 };
 use sgs_passes::splat::{Blended, Screen, blend, intersect, project};
 
-/// Entries of tiles that there is room for.
+/// Capacity of tile entries.
 pub const ROOM: u32 = 1 << 17;
 
-/// A view of some Gaussians with materials, and what is asked of its pixels.
+/// View of Gaussians with materials, and the loss gradient of its pixels.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// The scene; it has normals.
+    /// Gaussians with normals.
     pub scene: Gaussians,
-    /// The view.
+    /// Camera of the view.
     pub camera: Camera,
     /// Materials of the Gaussians.
     pub raw: Materials,
-    /// By albedo, roughness and metallic of every pixel.
+    /// Gradient with respect to albedo, roughness and metallic of every pixel.
     pub gradient: Vec<[f64; 5]>,
-    /// Entries of the matrix that there is room for.
+    /// Capacity of the matrix, in entries.
     pub room: u32,
-    /// Of the weights.
+    /// Bits of a weight: 16 or 32.
     pub bits: u32,
 }
 
 impl Case {
-    /// With materials at random, `reach` around the middle, and gradients at random.
+    /// Creates a case with random materials and gradients.
+    ///
+    /// Raw materials lie within `reach` of zero. `metals`: whether the Gaussians have metallic.
     pub fn new(scene: Gaussians, camera: Camera, metals: bool, reach: f64) -> Case {
         let pixels = (camera.size[0] * camera.size[1]) as usize;
         let raw = random_materials(scene.len(), metals, reach, 3);
@@ -41,44 +43,44 @@ impl Case {
     }
 }
 
-/// What the device made of it; the matrix and its transpose as `weights` has them.
+/// Results of the device: surfaces, matrix, transpose, materials and gradients.
 pub struct Found {
-    /// World.
+    /// Surface points in world space.
     pub points: Vec<[f32; 3]>,
-    /// World, unit or zero.
+    /// Normals in world space, unit or zero.
     pub normals: Vec<[f32; 3]>,
-    /// Opacity.
+    /// Opacity of each pixel.
     pub coverage: Vec<f32>,
-    /// `[pixels + 1]`.
+    /// First entry of each pixel's row: `[pixels + 1]`.
     pub row_starts: Vec<u32>,
-    /// Gaussians.
+    /// Gaussian of each entry.
     pub columns: Vec<u32>,
-    /// Of all entries.
+    /// Weight of each entry.
     pub weights: Vec<f32>,
-    /// `[Gaussians + 1]`.
+    /// First entry of each Gaussian's column: `[Gaussians + 1]`.
     pub column_starts: Vec<u32>,
-    /// Pixels.
+    /// Pixel of each entry of the transpose.
     pub rows: Vec<u32>,
-    /// Of all entries.
+    /// Weight of each entry of the transpose.
     pub row_weights: Vec<f32>,
-    /// Nonzero if something did not fit.
+    /// Nonzero if a capacity was exceeded.
     pub flags: u32,
-    /// Entries that there are.
+    /// Number of entries that the matrix needs.
     pub wanted: u32,
-    /// Albedo and roughness of pixels.
+    /// Albedo and roughness of each pixel.
     pub materials: Vec<[f32; 4]>,
-    /// Of pixels, or empty.
+    /// Metallic of each pixel, or empty.
     pub metallic: Vec<f32>,
-    /// By raw albedo.
+    /// Gradient with respect to raw albedo.
     pub grad_albedo: Vec<f32>,
-    /// By raw roughness.
+    /// Gradient with respect to raw roughness.
     pub grad_roughness: Vec<f32>,
-    /// By raw metallic, or empty.
+    /// Gradient with respect to raw metallic, or empty.
     pub grad_metallic: Vec<f32>,
 }
 
 impl Found {
-    /// The entries of a pixel's row.
+    /// Returns the entries of a pixel's row.
     pub fn row(&self, pixel: usize) -> std::ops::Range<usize> {
         self.row_starts[pixel] as usize..self.row_starts[pixel + 1] as usize
     }
@@ -92,7 +94,7 @@ fn single(values: &[f64]) -> Vec<u8> {
     bytes(&values.iter().map(|v| *v as f32).collect::<Vec<f32>>())
 }
 
-/// Everything at once.
+/// Runs all passes from projection to the gradients of the materials.
 pub fn run(gpu: &Gpu, case: &Case) -> Found {
     let Case { scene, camera, raw, gradient, room, bits } = case;
     let (room, bits) = (*room, *bits);
@@ -203,7 +205,7 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
 fn random_materials(n: usize, metals: bool, reach: f64, seed: u64) -> Materials {
     let mut r = scenes::Rng::new(seed);
     let mut many = |count: usize| (0..count).map(|_| f64::from(r.between(-reach, reach) as f32)).collect::<Vec<_>>();
-    // The range of files, and the published one.
+    // Two albedo ranges: the range of files and the published range.
     let albedo_range = if metals { [0.09, 0.9] } else { [0.01, 0.98] };
     let (albedo, roughness) = (many(3 * n), many(n));
     Materials { albedo, roughness, metallic: if metals { many(n) } else { Vec::new() }, albedo_range }

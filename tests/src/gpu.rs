@@ -1,4 +1,4 @@
-//! A device for tests: validation on, every output poisoned, any message fails the test.
+//! Device for tests: validation on, outputs poisoned; any message fails the test.
 
 use sgs_engine::device::PipelineInfo;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
@@ -7,18 +7,18 @@ use sgs_engine::{Device, DeviceBuffer, DeviceOptions, Location};
 use sgs_passes::Tuning;
 use std::sync::Arc;
 
-/// A device whose drop fails the test if validation said anything.
+/// Device whose drop fails the test if validation reported a message.
 pub struct Gpu {
     device: Device,
 }
 
-/// What a graph left in its external buffers.
+/// Contents of the external buffers after a graph ran.
 pub struct Outputs {
     contents: Vec<Vec<u8>>,
 }
 
 impl Outputs {
-    /// The contents of an external buffer as values.
+    /// Returns the contents of an external buffer as values.
     pub fn get<T: bytemuck::Pod>(&self, buffer: Buffer) -> Vec<T> {
         let bytes = &self.contents[buffer.index()];
         let count = bytes.len() / size_of::<T>();
@@ -42,28 +42,30 @@ impl Gpu {
         Gpu { device: Device::open(&options).unwrap_or_else(|e| panic!("{e}")) }
     }
 
-    /// The device.
+    /// Returns the device.
     pub fn device(&self) -> &Device {
         &self.device
     }
 
-    /// Kernel sizes for it.
+    /// Returns kernel sizes for the device.
     pub fn tuning(&self) -> Tuning {
         Tuning::for_device(self.device.info())
     }
 
-    /// Its subgroup size.
+    /// Returns the subgroup size of the device.
     pub fn subgroup_size(&self) -> u32 {
         self.device.info().subgroup_size
     }
 
-    /// Runs a graph once. External buffers and uniforms in `inputs` start with that content, the other externals and
-    /// every transient with ones in every bit (NaN as a float).
+    /// Runs a graph once.
+    ///
+    /// External buffers and uniforms in `inputs` start with that content. Other external buffers and all transients
+    /// start with ones in every bit (NaN as a float).
     pub fn run(&self, graph: Graph, inputs: &[(Buffer, Vec<u8>)]) -> Outputs {
         self.run_times(graph, inputs, 1)
     }
 
-    /// As [`Gpu::run`], several replays one after the other.
+    /// Runs a graph like [`Gpu::run`], with several replays in sequence.
     pub fn run_times(&self, graph: Graph, inputs: &[(Buffer, Vec<u8>)], replays: usize) -> Outputs {
         let plan = Arc::new(graph.compile(&CompileOptions::default()).unwrap_or_else(|e| panic!("{e}")));
         let options = ExecOptions { poison: true, ..Default::default() };
@@ -83,8 +85,8 @@ impl Gpu {
             }
             memory.push(Some(buffer));
         }
-        // Handles are made by the graph alone; the ones in `inputs` are all that is needed for uniforms, and externals
-        // are bound through the plan's own numbering.
+        // Only the graph makes handles. Uniforms use the handles in `inputs`; external buffers are bound through the
+        // plan's own numbering.
         for (i, buffer) in memory.iter().enumerate() {
             if let Some(buffer) = buffer {
                 exec.bind(plan.buffer(i), buffer).unwrap();
@@ -107,13 +109,15 @@ impl Gpu {
     }
 }
 
-/// Pipelines of a device that could run at another subgroup size than the one they are specialized for, or with lanes missing.
+/// Returns pipelines that rely on a subgroup size that the device may not use.
+///
+/// Such a pipeline could run at another subgroup size than its specialization constant, or with inactive lanes.
 pub fn subgroup_faults(device: &Device) -> Vec<String> {
     let info = device.info();
     let fixed = info.subgroup_sizes.0 == info.subgroup_sizes.1;
     let fault = |p: &PipelineInfo| {
         let constant = p.specs.iter().find(|(name, _)| name == "SUBGROUP").map_or(p.subgroup_size, |(_, bits)| *bits);
-        // These multiply pieces of any size by ordinary instructions, without subgroup operations.
+        // These kernels multiply matrices of any size with ordinary instructions, without subgroup operations.
         let emulated = p.kernel.ends_with("_halves");
         let wrong = p.uses_subgroups && constant != p.subgroup_size && !emulated;
         let partial = p.uses_subgroups && info.optional.full_subgroups && !p.full_subgroups && !emulated;

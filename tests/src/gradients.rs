@@ -1,4 +1,6 @@
-//! Gradients of the whole render (projection, harmonics, blending): a case for the kernels and for the reference.
+//! Gradients of the whole render: projection, spherical harmonics and blending.
+//!
+//! A [`Case`] runs on the kernels and on the reference.
 
 use crate::Gpu;
 use crate::scenes::{self, Rng};
@@ -10,45 +12,47 @@ use sgs_passes::reference::project::{Camera, Gaussians, project_at};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, Gradients, Screen, Wanted, blend, blend_bwd, blend_debt, blend_features,
-    blend_features_bwd, features_bwd, features_pack, intersect, project, project_bwd, wanted_words,
+    blend_features_bwd, features_bwd, intersect, project, project_bwd, wanted_words,
 };
 
-/// A scene, a view of it, and the weights of what is seen: the loss is their dot product.
+/// Scene, view and loss weights; the loss is the dot product of weights and render.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// The scene.
+    /// Gaussians of the scene.
     pub gaussians: Gaussians,
-    /// The view.
+    /// Camera of the view.
     pub camera: Camera,
-    /// Whether depth and its square are blended.
+    /// Whether depth and squared depth are blended.
     pub depth: bool,
-    /// Weights of the image's channels.
+    /// Weights of the image's channels, by pixel.
     pub image: Vec<f64>,
-    /// Weights of transmittances.
+    /// Weights of the transmittances, by pixel.
     pub transmittance: Vec<f64>,
-    /// Weights of features, by pixel; zero where they are not wanted.
+    /// Weights of semantic features, by pixel; zero at pixels that are not requested.
     pub features: Vec<f64>,
-    /// Whether features move opacities and footprints.
+    /// Whether features contribute to the gradients of opacities and footprints.
     pub features_move: bool,
-    /// What is left out for speed.
+    /// Approximations for speed.
     pub accuracy: Accuracy,
 }
 
-/// Pixels at which features are wanted: scattered, so that tiles have a few, all or none.
+/// Returns true if the features of a pixel are requested.
+///
+/// The pixels are scattered, so that tiles have a few, all or none of them.
 fn wants(pixel: usize) -> bool {
     pixel % 7 < 3 || (100..230).contains(&pixel)
 }
 
-/// What is behind everything.
+/// Background color, linear RGB.
 const BACKGROUND: [f64; 3] = [0.3, 0.1, 0.6];
 
 impl Case {
-    /// With random weights, in the usual view.
+    /// Creates a case with random weights and the default camera.
     pub fn new(gaussians: Gaussians, size: [u32; 2], depth: bool) -> Case {
         Case::seen(gaussians, scenes::camera(size), depth)
     }
 
-    /// With random weights, in any view.
+    /// Creates a case with random weights and any camera.
     pub fn seen(gaussians: Gaussians, camera: Camera, depth: bool) -> Case {
         let size = camera.size;
         let channels = 3 + if gaussians.normals.is_empty() { 0 } else { 3 } + if depth { 2 } else { 0 };
@@ -76,10 +80,12 @@ impl Case {
         (0..4).rev().find(|b| !self.gaussians.sh[*b].is_empty()).unwrap_or(0)
     }
 
-    /// The reference's image, with semantic features behind the other channels. What rounding of stored numbers has changed
-    /// at the scene of the case stays that change as parameters move: gradients pass it by.
+    /// Renders the reference image, with semantic features after the other channels.
+    ///
+    /// The rounding error of stored numbers is measured at the parameters of the case and added as a constant.
+    /// Gradients therefore ignore the rounding.
     pub fn reference(&self, g: &Gaussians, camera: &Camera) -> RenderedImage {
-        let exact = Accuracy { color_bits: 32, feature_bits: 32, ..self.accuracy };
+        let exact = Accuracy { color_bits: 32, ..self.accuracy };
         let seen = |g: &Gaussians, camera: &Camera, a: &Accuracy| project_at(g, camera, self.degree(), self.depth, a);
         let mut splats = seen(g, camera, &exact);
         if self.accuracy != exact {
@@ -95,14 +101,14 @@ impl Case {
         blend_at(&splats, camera.size, channels, BACKGROUND, &self.accuracy)
     }
 
-    /// The reference's loss.
+    /// Returns the loss of the reference render.
     pub fn loss(&self, g: &Gaussians, camera: &Camera) -> f64 {
         let r = self.reference(g, camera);
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
         let weights: Vec<f64> = if self.features.is_empty() {
             self.image.clone()
         } else {
-            // The reference has features behind the other channels of a pixel.
+            // The reference image has the features of a pixel after its other channels.
             let base = self.image.len() / self.transmittance.len();
             let pixels = self.image.chunks_exact(base).zip(self.features.chunks_exact(SEMANTIC_FEATURES as usize));
             pixels.flat_map(|(a, b)| a.iter().chain(b).copied()).collect()
@@ -110,7 +116,7 @@ impl Case {
         dot(&r.image, &weights) + dot(&r.transmittance, &self.transmittance)
     }
 
-    /// Blended features against the reference where they are wanted; elsewhere nothing may be written.
+    /// Tests blended features against the reference; other pixels must stay unwritten.
     fn check_features(&self, found: &[f32]) {
         let r = self.reference(&self.gaussians, &self.camera);
         let (f, all) = (SEMANTIC_FEATURES as usize, r.image.len() / r.transmittance.len());
@@ -125,10 +131,10 @@ impl Case {
         }
     }
 
-    /// Gradients by the GPU: every group, then the twelve numbers of the pose.
+    /// Computes gradients on the GPU: every group, then the twelve numbers of the pose.
     ///
     /// # Panics
-    /// If entries overflow, or features are wrong or written where they are not wanted.
+    /// If the entries overflow, if features are wrong, or if pixels that are not requested are written.
     pub fn gpu_gradients(&self, gpu: &Gpu, which: BackwardKernel) -> (Vec<Vec<f32>>, Vec<f32>) {
         let n = self.gaussians.len() as u32;
         let model = Model {
@@ -161,14 +167,13 @@ impl Case {
         let owed = blend_debt(&mut g, &t, &screen, channels.count(), &blended, &gradient).unwrap();
         let mut sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, which, true).unwrap();
         let pixels = screen.pixels();
-        let packed = features_pack(&mut g, &t, &handles).unwrap();
         let wide = model.semantics.then(|| {
             let requested = g.input("wanted", 4 * wanted_words(pixels));
             let image = g.external("features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
             let gradient = g.input("grad_features", 4 * u64::from(SEMANTIC_FEATURES) * pixels);
             let all = Wanted { pixels: requested, dense: true };
-            blend_features(&mut g, &t, &screen, &packed, &visible, &entries, all, image).unwrap();
-            let left = blend_features_bwd(&mut g, &t, &screen, &packed, &visible, &entries, all, image, gradient);
+            blend_features(&mut g, &t, &screen, &handles, &visible, &entries, all, image).unwrap();
+            let left = blend_features_bwd(&mut g, &t, &screen, &handles, &visible, &entries, all, image, gradient);
             (requested, gradient, left.unwrap(), image)
         });
         if self.features_move {
@@ -207,7 +212,7 @@ impl Case {
             let mut words = vec![0_u32; wanted_words(pixels) as usize];
             (0..pixels as usize).filter(|&p| wants(p)).for_each(|p| words[p / 32] |= 1 << (p % 32));
             inputs.push((requested, bytemuck::cast_slice(&words).to_vec()));
-            // Where nothing is wanted stands what nobody may read.
+            // Weights of pixels that are not requested are NaN; no kernel may read them.
             let weights = self.features.iter().enumerate();
             let weights =
                 weights.map(|(i, x)| if wants(i / SEMANTIC_FEATURES as usize) { *x as f32 } else { f32::NAN });
@@ -216,7 +221,7 @@ impl Case {
         for group in model.groups() {
             inputs.push((handles.group(group), bytemuck::cast_slice(data.group(group)).to_vec()));
         }
-        // Gradients are written for visible Gaussians alone.
+        // The kernels write gradients only for visible Gaussians, so the buffers start at zero.
         inputs.extend(
             groups
                 .iter()
@@ -240,7 +245,7 @@ impl Case {
     }
 }
 
-/// A group's parameters.
+/// Returns the parameters of a group.
 pub fn parameters(g: &mut Gaussians, group: Group) -> &mut Vec<f64> {
     match group {
         Group::Means => &mut g.means,

@@ -1,10 +1,10 @@
-//! What tests of the intrinsic stage begin with.
+//! Settings and scenes for tests of the intrinsic stage.
 
 use crate::Place;
 use crate::rooms::Room;
 use sgs_config::Settings;
 
-/// Settings of a stage that takes a second or two.
+/// Returns settings of a stage that takes a second or two.
 pub fn settings(steps: u32) -> Settings {
     let mut s = Settings::default();
     s.geometry.steps = 20;
@@ -19,7 +19,9 @@ pub fn settings(steps: u32) -> Settings {
     s
 }
 
-/// A room with priors of albedo and roughness; a corner of each view's albedo says nothing.
+/// Creates a room with priors and masks.
+///
+/// The priors cover normals, albedo, roughness and metallic.
 pub fn place() -> (Place, Room) {
     let room = Room { priors: true, ..Room::default() };
     let place = Place::new(room);

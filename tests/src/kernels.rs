@@ -1,10 +1,12 @@
-//! Kernels made for tests (`tests/kernels`): integers only, so that a result is right or wrong and never close.
+//! Kernels made for tests (`tests/kernels`).
+//!
+//! They use only integers, so that results compare exactly.
 
 use sgs_engine::shader::{Access, Binding, BindingKind, Shader};
 use std::borrow::Cow;
 use std::sync::Arc;
 
-/// A kernel as the build script found it.
+/// Kernel in the table of the build script.
 struct Entry {
     name: &'static str,
     push_bytes: u32,
@@ -14,7 +16,7 @@ struct Entry {
 
 static TABLE: &[Entry] = include!(concat!(env!("OUT_DIR"), "/test_kernels.rs"));
 
-/// The kernel of that name; fails if there is none.
+/// Returns the kernel with this name; fails if there is none.
 #[track_caller]
 pub fn kernel(name: &str) -> Arc<Shader> {
     let Some(entry) = TABLE.iter().find(|entry| entry.name == name) else { panic!("no test kernel is called {name}") };
@@ -31,7 +33,7 @@ pub fn kernel(name: &str) -> Arc<Shader> {
     })
 }
 
-/// What `mixed` of `words.glsl` computes.
+/// Computes on the CPU what `mixed` of `words.glsl` computes.
 pub fn mixed(a: u32, b: u32) -> u32 {
     let mut x = a ^ b.wrapping_mul(0x9e37_79b9);
     x ^= x >> 15;

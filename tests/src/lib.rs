@@ -1,5 +1,7 @@
-//! The harness: a device with validation on, graphs run once with poisoned outputs, tolerances, finite differences; the
-//! `sgs` program as a user runs it, and tiny rooms for it.
+//! Test harness: device, graphs, tolerances, the `sgs` program and tiny rooms.
+//!
+//! The device has validation on. Graphs run once with poisoned outputs. Gradients are tested against finite
+//! differences.
 
 pub mod browser;
 pub mod busy;

@@ -1,4 +1,6 @@
-//! Pixels under lights: cases for the kernels of `shade`, with the same numbers for their references, and what the kernels make of them.
+//! Pixels under lights, for the kernels of `shade` and their references.
+//!
+//! Kernels and references get the same numbers.
 
 use crate::{Gpu, Tolerance, assert_close};
 use sgs_engine::graph::{Buffer, Graph};
@@ -13,31 +15,31 @@ use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
 use sgs_shaders::structs::Step;
 
-/// Pixels beyond the view's that buffers have.
+/// Number of pixels in the buffers after the view's pixels.
 pub const SPARE: usize = 7;
 
-/// A view of pixels and a set of lights; all numbers are those of 32 bits.
+/// View of pixels and a set of lights; all numbers are exact in 32-bit floats.
 #[derive(Clone, Debug)]
 pub struct Lit {
     /// Columns and rows.
     pub size: [usize; 2],
-    /// By pixel.
+    /// Surface and material of each pixel.
     pub pixels: Vec<Pixel>,
     /// Whether metallic has a buffer.
     pub metallic: bool,
-    /// Raw parameters.
+    /// Raw parameters of the lights.
     pub raw: Raw,
-    /// The camera's place.
+    /// Position of the camera.
     pub camera: V3,
-    /// By pixel and channel: gradient of the radiance.
+    /// Gradient with respect to the radiance, by pixel and channel.
     pub gradient: Vec<f64>,
-    /// Of random numbers.
+    /// Seed of the device's random numbers.
     pub seed: u32,
-    /// What gradients of materials are added to.
+    /// Initial value of the gradients of materials.
     pub before: f32,
 }
 
-/// A number as 32 bits hold it.
+/// Rounds to single precision.
 pub fn narrow(x: f64) -> f64 {
     f64::from(x as f32)
 }
@@ -53,18 +55,18 @@ fn floats(values: impl IntoIterator<Item = f64>) -> Vec<u8> {
 /// Buffers of a case in a graph, with their contents.
 #[derive(Clone, Debug)]
 pub struct Bound {
-    /// The pixels.
+    /// Buffers of the pixels.
     pub pixels: Pixels,
-    /// The lights.
+    /// Buffers of the lights.
     pub parameters: LightParameters,
-    /// Gradient of the radiance.
+    /// Gradient with respect to the radiance.
     pub gradient: Buffer,
-    /// What the buffers hold.
+    /// Contents of the buffers.
     pub inputs: Vec<(Buffer, Vec<u8>)>,
 }
 
 impl Lit {
-    /// Random pixels in a cube of side 2, materials of all kinds, lights around them.
+    /// Draws pixels in a cube of side 2, materials of all kinds and lights around them.
     pub fn random(size: [usize; 2], model: LightModel, metallic: bool, seed: u32) -> Lit {
         let mut rng = Pcg::new(seed);
         let mut vector = |scale: f64| narrow3([0; 3].map(|_| scale * rng.range(-1.0, 1.0)));
@@ -103,24 +105,24 @@ impl Lit {
         }
     }
 
-    /// The normalizer of the light.
+    /// Returns the normalizer of the radiance: one over the number of lights.
     pub fn normalizer(&self) -> f64 {
         narrow(1.0 / f64::from(self.raw.model.lights))
     }
 
-    /// The reference's lights.
+    /// Returns the lights of the reference.
     pub fn lights(&self) -> Vec<Option<reference::Light>> {
         reference::lights_prepare(&self.raw)
     }
 
-    /// Puts the case into a graph, for views of up to `largest`.
+    /// Declares the case in a graph, for views of up to `largest`.
     pub fn bind(&self, g: &mut Graph, largest: [u32; 2]) -> Bound {
         let room = (self.pixels.len() + SPARE) as u64;
         let p = &self.pixels;
         let mut inputs = Vec::new();
         let mut input = |g: &mut Graph, name: &str, width: u64, data: Vec<u8>| {
             let buffer = g.input(name, 4 * width * room);
-            // What lies behind the view would be noticed.
+            // NaN after the view's pixels would show in the results if a kernel read them.
             let spare = f32::NAN.to_le_bytes().repeat((width * SPARE as u64) as usize);
             inputs.push((buffer, [data, spare].concat()));
             buffer
@@ -156,40 +158,42 @@ impl Lit {
     }
 }
 
-/// What the kernels of lights left, without what lies behind the view.
+/// Results of the light kernels for the view's pixels.
 #[derive(Clone, Debug)]
 pub struct Found {
     /// Radiance.
     pub direct: Vec<f32>,
-    /// The whole again, and its diffuse part.
+    /// Radiance from the split kernel, and its diffuse component.
     pub split: [Vec<f32>; 2],
-    /// Gradients, with what they were added to: albedo and roughness by pixel.
+    /// Gradients of albedo and roughness by pixel, including the initial value.
     pub materials: Vec<f32>,
-    /// The same of metallic.
+    /// Gradients of metallic, including the initial value.
     pub metallic: Vec<f32>,
-    /// Gradients of places of lights.
+    /// Gradients of the light positions.
     pub positions: Vec<f32>,
-    /// Gradients of rows of lobes.
+    /// Gradients of the lobes, by row.
     pub lobes: Vec<f32>,
-    /// Gradients of normals.
+    /// Gradients of the normals.
     pub normals: Vec<f32>,
 }
 
-/// What gradients of materials are added to in cases drawn at random.
+/// Initial value of the gradients of materials in random cases.
 pub const BEFORE: f32 = 0.5;
 
-/// Every kernel of lights on a case, in a view of up to `largest`.
+/// Runs every light kernel on a case, in a view of up to `largest`.
 ///
 /// # Panics
-/// If something is written behind the view, or kernels of one body disagree.
+/// If a kernel writes after the view's pixels, or if variants of a kernel disagree.
 pub fn run(gpu: &Gpu, shape: Shape, case: &Lit, largest: [u32; 2], perturbation: Option<&Perturbation>) -> Found {
     run_culled(gpu, shape, case, largest, perturbation, 0.0)
 }
 
-/// [`run`], with lights left out of which no more than `missing` is lost.
+/// Runs the kernels as [`run`] does, with culled lights.
+///
+/// `missing` bounds the irradiance that culling removes from a pixel.
 ///
 /// # Panics
-/// As it.
+/// Like [`run`].
 pub fn run_culled(
     gpu: &Gpu,
     shape: Shape,
@@ -246,7 +250,7 @@ pub fn run_culled(
         lobes: out.get(into.lobes),
         normals: radiance(normals),
     };
-    // Kernels of one body, with more or less beside it.
+    // These variants share the body of the kernel, so they must give the same radiance.
     for other in [radiance(again), found.split[0].clone()] {
         assert_close(
             "variant",

@@ -4,10 +4,10 @@ use crate::Gpu;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::Tuning;
 use sgs_passes::loss::{
-    CrossPicture, EdgeAware, MaterialLosses, MaterialPictures, Msg, cross_view, edge_aware, material_sum, msg,
+    CrossViewImage, EdgeAware, MaterialImages, MaterialLosses, Msg, cross_view, edge_aware, material_sum, msg,
     own_prior, pack_mask, relight,
 };
-use sgs_passes::reference::cross_view::{Picture, cross_view as cross, cross_view_bwd as cross_bwd};
+use sgs_passes::reference::cross_view::{MaskedAlbedo, cross_view as cross, cross_view_bwd as cross_bwd};
 use sgs_passes::reference::edge_aware::{edge_aware as edge, edge_aware_bwd as edge_bwd};
 use sgs_passes::reference::msg::{Difference, msg as msg_reference, square};
 use sgs_passes::reference::photometric::unpack;
@@ -16,12 +16,12 @@ use sgs_shaders::structs::{MaterialStats, MaterialWeights, Step};
 
 /// First pixel of the view in the buffers of all views.
 pub const OFFSET: usize = 5;
-/// First word of its mask.
+/// First word of the view's mask.
 pub const MASK_OFFSET: usize = 3;
-/// Pixels that buffers have beyond the view's.
+/// Number of pixels in the buffers after the view's pixels.
 const SPARE: usize = 41;
 
-/// Weights that are exact in 32 bits and differ.
+/// Distinct weights that are exact in 32-bit floats.
 pub const WEIGHTS: MaterialWeights = MaterialWeights {
     albedo_msg: 0.75,
     roughness_msg: 0.5,
@@ -32,65 +32,67 @@ pub const WEIGHTS: MaterialWeights = MaterialWeights {
     own_prior: 0.4375,
 };
 
-/// A view's images and what they are compared with; the first is the training view, others are pseudo-views.
+/// Images of a view and their targets.
+///
+/// The first view is the training view, others are pseudo-views. `P` is the number of pixels.
 #[derive(Clone)]
 pub struct Painted {
     /// Columns and rows.
     pub size: [usize; 2],
-    /// `[P * 3]`, sRGB.
+    /// `[P * 3]` albedo, sRGB.
     pub albedo: Vec<f64>,
-    /// `[P]`.
+    /// `[P]` roughness.
     pub roughness: Vec<f64>,
-    /// `[P]`.
+    /// `[P]` coverage.
     pub coverage: Vec<f64>,
-    /// Packed RGBA8, `[P]` each: the photograph, priors of albedo and of roughness, two estimates.
+    /// `[P]` photograph, packed RGBA8 like the priors and estimates.
     pub photo: Vec<u32>,
-    /// Prior of albedo.
+    /// `[P]` prior of albedo.
     pub albedo_prior: Vec<u32>,
-    /// Prior of roughness.
+    /// `[P]` prior of roughness.
     pub roughness_prior: Vec<u32>,
-    /// Albedo under other light.
+    /// `[P]` estimates of albedo from the view under other lights.
     pub estimates: [Vec<u32>; 2],
-    /// A region.
+    /// `[P]` region of the view.
     pub mask: Vec<bool>,
 }
 
-/// Which losses a graph has.
+/// Losses of a graph.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Asked {
-    /// Smoothness.
+pub struct Requested {
+    /// Edge-aware smoothness loss.
     pub edge: bool,
-    /// Gradients at several scales.
+    /// Multi-scale gradient loss.
     pub msg: bool,
-    /// Whether roughness is there too.
+    /// Whether the losses include roughness.
     pub roughness: bool,
-    /// Whether only the region counts for `msg`.
+    /// Whether `msg` is restricted to the region.
     pub masked: bool,
-    /// Number of estimates under other light, within the region.
+    /// Number of estimates under other light, restricted to the region.
     pub estimates: usize,
-    /// The region in all views.
+    /// Cross-view loss of the region.
     pub cross: bool,
-    /// Albedo of the region against its own prior.
+    /// Loss of the region's albedo against its own prior.
     pub own: bool,
 }
 
-/// What a device made of it: gradients less what was there before, and the record.
+/// Results of the device: gradients without their initial values, and statistics.
 pub struct Found {
-    /// `[P * 3]` of each view.
+    /// `[P * 3]` gradient of each view's albedo.
     pub albedo: Vec<Vec<f32>>,
-    /// `[P * 3]` of the training view.
+    /// `[P * 3]` gradient of the training view's roughness.
     pub roughness: Vec<f32>,
-    /// The record.
+    /// Loss statistics.
     pub stats: MaterialStats,
 }
 
-/// A number that 32 bits hold, as the reference must see it.
+/// Rounds to single precision, so that device and reference use equal numbers.
 pub fn narrow(x: f64) -> f64 {
     f64::from(x as f32)
 }
 
 impl Painted {
-    /// Waves and noise; holes of a few pixels in coverage and priors.
+    /// Draws waves and noise, with holes of single pixels in coverage and priors.
     pub fn new(size: [usize; 2], seed: u32) -> Painted {
         let mut rng = Pcg::new(seed);
         let pixels = size[0] * size[1];
@@ -101,7 +103,7 @@ impl Painted {
         let albedo = (0..3 * pixels).map(|i| narrow(wave(i / 3, i % 3) + 0.1 * rng.uniform())).collect();
         let roughness = (0..pixels).map(|p| narrow(wave(p, 4) + 0.1 * rng.uniform())).collect();
         let mut coverage: Vec<f64> = (0..pixels).map(|_| narrow(rng.range(0.6, 1.0))).collect();
-        // In the upper third, so that coarse levels have something left.
+        // Holes lie in the upper third, so that coarse levels keep valid pixels.
         let third = (pixels / 3).max(1);
         let mut image = |holes: usize| -> Vec<u32> {
             let mut noisy = |p: usize, c: usize| (200.0 * wave(p, c) + 40.0 * rng.uniform()) as u32;
@@ -118,7 +120,7 @@ impl Painted {
         for _ in 0..holes {
             coverage[rng.next_u32() as usize % third] = narrow(rng.range(0.0, 0.499));
         }
-        // A disk.
+        // The region is a disk.
         let center = size.map(|s| 0.45 * s as f64);
         let inside = |p: usize| {
             let (x, y) = ((p % size[0]) as f64 - center[0], (p / size[0]) as f64 - center[1]);
@@ -128,17 +130,17 @@ impl Painted {
         Painted { size, albedo, roughness, coverage, photo, albedo_prior, roughness_prior, estimates, mask }
     }
 
-    /// Number of pixels.
+    /// Returns the number of pixels.
     pub fn pixels(&self) -> usize {
         self.size[0] * self.size[1]
     }
 
-    /// Albedo less a prior of it, where both are there.
+    /// Returns albedo minus a prior, at pixels where both are valid.
     pub fn albedo_difference(&self, prior: &[u32], masked: bool) -> Difference {
         self.difference(3, prior, masked, |p, c| self.albedo[3 * p + c])
     }
 
-    /// Roughness less its prior.
+    /// Returns roughness minus its prior, at pixels where both are valid.
     pub fn roughness_difference(&self, masked: bool) -> Difference {
         self.difference(1, &self.roughness_prior, masked, |p, _| self.roughness[p])
     }
@@ -158,19 +160,21 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// In 32 bits, with spare pixels behind that are no numbers.
+/// Converts to 32-bit floats and appends spare pixels of NaN.
 fn single(data: impl Iterator<Item = f64>, channels: usize) -> Vec<u8> {
     let all: Vec<f32> = data.map(|x| x as f32).chain(std::iter::repeat_n(f32::NAN, SPARE * channels)).collect();
     bytes(&all)
 }
 
-/// What gradients hold before: small, so that sums are as good as what is added.
+/// Returns the initial value of a gradient.
+///
+/// The value is small, so that the sum is as accurate as the added gradient.
 fn before(i: usize, pixels: usize) -> f32 {
     (i % 7) as f32 * 0.0625 / pixels as f32
 }
 
-/// Runs the losses of views; the largest view has a few more columns and rows.
-pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found {
+/// Runs the losses of views; the graph's largest view has a few more columns and rows.
+pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], requested: Requested) -> Found {
     let v = &views[0];
     let most = |a: usize| views.iter().map(|v| v.size[a]).max().unwrap_or(1) as u32;
     let largest = [most(0) + 3, most(1) + 1];
@@ -196,7 +200,7 @@ pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found 
         let mask = provided(&mut g, &format!("mask{k}"), padded(&pack_mask(&v.mask), MASK_OFFSET));
         let albedo_gradient = g.external(format!("by_albedo{k}"), 12 * (v.pixels() + SPARE) as u64);
         gradients.push((albedo_gradient, v.pixels()));
-        crosses.push(CrossPicture { step, albedo, mask, albedo_gradient, largest });
+        crosses.push(CrossViewImage { step, albedo, mask, albedo_gradient, largest });
     }
     let gray = provided(&mut g, "gray", single(v.roughness.iter().flat_map(|&r| [r, f64::NAN, f64::NAN]), 3));
     let coverage = provided(&mut g, "coverage", single(v.coverage.iter().copied(), 1));
@@ -212,38 +216,38 @@ pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found 
     inputs.extend(steps);
     let stats = g.external("stats", size_of::<MaterialStats>() as u64);
 
-    let CrossPicture { step, albedo, mask, albedo_gradient, .. } = crosses[0];
-    let pictures = MaterialPictures { albedo, roughness: asked.roughness.then_some(gray) };
-    let into = MaterialPictures { albedo: albedo_gradient, roughness: asked.roughness.then_some(by_gray) };
+    let CrossViewImage { step, albedo, mask, albedo_gradient, .. } = crosses[0];
+    let images = MaterialImages { albedo, roughness: requested.roughness.then_some(gray) };
+    let into = MaterialImages { albedo: albedo_gradient, roughness: requested.roughness.then_some(by_gray) };
     let mut losses = MaterialLosses::default();
-    if asked.edge {
-        let a = EdgeAware { step, weights, pictures, targets, largest };
+    if requested.edge {
+        let a = EdgeAware { step, weights, images, targets, largest };
         losses.edge = Some(edge_aware(&mut g, tuning, &a, &into).unwrap());
     }
     let a = Msg {
         step,
         weights,
-        pictures,
+        images,
         coverage,
         albedo_prior,
-        roughness_prior: asked.roughness.then_some(roughness_prior),
+        roughness_prior: requested.roughness.then_some(roughness_prior),
         all_views: true,
-        mask: asked.masked.then_some(mask),
+        mask: requested.masked.then_some(mask),
         largest,
     };
-    if asked.msg {
+    if requested.msg {
         losses.msg = Some(msg(&mut g, tuning, &a, &into).unwrap());
     }
-    for i in 0..asked.estimates {
+    for i in 0..requested.estimates {
         let a = Msg { albedo_prior: estimates[i], all_views: false, mask: Some(mask), ..a };
-        let share = 1.0 / asked.estimates as f32;
+        let share = 1.0 / requested.estimates as f32;
         losses.relight[i] = Some(relight(&mut g, tuning, &a, i as u32, share, albedo_gradient).unwrap());
     }
-    if asked.own {
+    if requested.own {
         let a = Msg { mask: Some(mask), ..a };
         losses.own_prior = Some(own_prior(&mut g, tuning, &a, albedo_gradient).unwrap());
     }
-    if asked.cross {
+    if requested.cross {
         losses.cross_view = Some(cross_view(&mut g, tuning, weights, &crosses).unwrap());
     }
     material_sum(&mut g, tuning, step, weights, &losses, stats).unwrap();
@@ -260,20 +264,20 @@ pub fn run(gpu: &Gpu, tuning: Tuning, views: &[Painted], asked: Asked) -> Found 
     Found { albedo: all, roughness, stats: out.get::<MaterialStats>(stats)[0] }
 }
 
-/// What the references say: gradients by albedo of each view, by roughness of the first one, and the record.
+/// Results of the references.
 pub struct Expected {
-    /// `[P * 3]` of each view.
+    /// `[P * 3]` gradient of each view's albedo.
     pub albedo: Vec<Vec<f64>>,
-    /// `[P * 3]` of the training view, of which the first channel counts.
+    /// `[P * 3]` gradient of the training view's roughness; only the first channel is nonzero.
     pub roughness: Vec<f64>,
-    /// The record's, before their weights.
+    /// Loss terms of the statistics, before their weights.
     pub terms: [f64; 7],
-    /// Their weighted sum.
+    /// Weighted sum of the terms.
     pub total: f64,
 }
 
-/// By the references.
-pub fn expected(views: &[Painted], asked: Asked) -> Expected {
+/// Runs the reference losses.
+pub fn expected(views: &[Painted], requested: Requested) -> Expected {
     let v = &views[0];
     let n = v.pixels();
     let mut albedo: Vec<Vec<f64>> = views.iter().map(|v| vec![0.0; 3 * v.pixels()]).collect();
@@ -282,41 +286,41 @@ pub fn expected(views: &[Painted], asked: Asked) -> Expected {
     let add = |to: &mut [f64], gradient: &[f64], weight: f32| {
         to.iter_mut().zip(gradient).for_each(|(t, g)| *t += f64::from(weight) * g);
     };
-    if asked.msg {
-        let (loss, gradient) = msg_reference(&v.albedo_difference(&v.albedo_prior, asked.masked));
+    if requested.msg {
+        let (loss, gradient) = msg_reference(&v.albedo_difference(&v.albedo_prior, requested.masked));
         terms[0] = loss;
         add(&mut albedo[0], &gradient, WEIGHTS.albedo_msg);
-        if asked.roughness {
-            let (loss, gradient) = msg_reference(&v.roughness_difference(asked.masked));
+        if requested.roughness {
+            let (loss, gradient) = msg_reference(&v.roughness_difference(requested.masked));
             terms[1] = loss;
             add(&mut roughness, &gradient, WEIGHTS.roughness_msg);
         }
     }
-    if asked.edge {
+    if requested.edge {
         terms[2] = edge(&v.albedo, 3, &v.photo, v.size);
         add(&mut albedo[0], &edge_bwd(&v.albedo, 3, &v.photo, v.size), WEIGHTS.albedo_edge);
-        if asked.roughness {
+        if requested.roughness {
             terms[3] = edge(&v.roughness, 1, &v.photo, v.size);
             add(&mut roughness, &edge_bwd(&v.roughness, 1, &v.photo, v.size), WEIGHTS.roughness_edge);
         }
     }
-    if asked.cross {
-        let pictures: Vec<Picture> =
-            views.iter().map(|v| Picture { albedo: v.albedo.clone(), mask: v.mask.clone() }).collect();
-        terms[4] = cross(&pictures).0;
-        for (to, gradient) in albedo.iter_mut().zip(cross_bwd(&pictures)) {
+    if requested.cross {
+        let images: Vec<MaskedAlbedo> =
+            views.iter().map(|v| MaskedAlbedo { albedo: v.albedo.clone(), mask: v.mask.clone() }).collect();
+        terms[4] = cross(&images).0;
+        for (to, gradient) in albedo.iter_mut().zip(cross_bwd(&images)) {
             add(to, &gradient, WEIGHTS.cross_view);
         }
     }
-    for estimate in &v.estimates[..asked.estimates] {
-        let share = 1.0 / asked.estimates as f32;
+    for estimate in &v.estimates[..requested.estimates] {
+        let share = 1.0 / requested.estimates as f32;
         let d = v.albedo_difference(estimate, true);
         for (loss, gradient) in [msg_reference(&d), square(&d)] {
             terms[5] += f64::from(share) * loss;
             add(&mut albedo[0], &gradient, share * WEIGHTS.relight);
         }
     }
-    if asked.own {
+    if requested.own {
         let d = v.albedo_difference(&v.albedo_prior, true);
         for (loss, gradient) in [msg_reference(&d), square(&d)] {
             terms[6] += loss;
@@ -327,7 +331,7 @@ pub fn expected(views: &[Painted], asked: Asked) -> Expected {
     let weights =
         [w.albedo_msg, w.roughness_msg, w.albedo_edge, w.roughness_edge, w.cross_view, w.relight, w.own_prior];
     let total = terms.iter().zip(weights).map(|(t, w)| t * f64::from(w)).sum();
-    // Of roughness the first channel counts.
+    // Roughness uses only the first channel.
     let roughness = roughness.into_iter().flat_map(|g| [g, 0.0, 0.0]).collect();
     Expected { albedo, roughness, terms, total }
 }

@@ -7,19 +7,19 @@ use sgs_passes::scene::EMBEDDING;
 use sgs_scene::{write_ids, write_npy_f16, write_npy_f32};
 use std::path::Path;
 
-/// The classes.
+/// Names of the classes.
 pub const WALLS: [&str; 6] = ["right", "left", "floor", "ceiling", "back", "front"];
 
-/// What to write.
+/// Semantic priors to write.
 #[derive(Clone, Copy, Debug)]
 pub struct Meaning {
-    /// Pixels between samples of the maps.
+    /// Distance of neighboring samples of the maps, in pixels.
     pub stride: u32,
-    /// Share of samples that say another class.
+    /// Fraction of samples with a wrong class.
     pub wrong: f64,
-    /// Whether there are masks of the walls; ids differ from classes.
+    /// Whether to write masks of the walls; their ids differ from the classes.
     pub masks: bool,
-    /// Whether there is ground truth.
+    /// Whether to write ground truth.
     pub truth: bool,
 }
 
@@ -33,7 +33,7 @@ impl Meaning {
     /// Adds the priors to a scene directory that `room` has written.
     pub fn write(&self, room: &Room, root: &Path) {
         let mut rng = Pcg::new(5);
-        // Texts share a direction, as those of a language model do.
+        // Text embeddings share a common direction, like the embeddings of a language model.
         let common: Vec<f64> = (0..EMBEDDING).map(|_| rng.normal()).collect();
         let texts: Vec<Vec<f64>> =
             WALLS.iter().map(|_| common.iter().map(|c| c + 0.8 * rng.normal()).collect()).collect();

@@ -1,4 +1,4 @@
-//! The photometric loss on a device.
+//! Photometric loss on a device.
 
 use crate::Gpu;
 use sgs_engine::graph::Graph;
@@ -9,12 +9,12 @@ use sgs_shaders::structs::{LossStats, Step};
 
 /// First pixel of the view in the buffer of photographs.
 pub const OFFSET: usize = 5;
-/// Pixels that the buffers have beyond the view's.
+/// Number of pixels in the buffers after the view's pixels.
 pub const SPARE: usize = 37;
-/// Of L1 and of 1 - SSIM.
+/// Weights of L1 and of 1 - SSIM.
 pub const WEIGHTS: [f32; 2] = [0.8, 0.2];
 
-/// Of a view of that shape.
+/// Returns the step parameters of a view of this shape.
 pub fn step(shape: Shape) -> Step {
     let mut step = Step { target_offset: OFFSET as u32, ..Default::default() };
     step.camera.size = [shape.width as u32, shape.height as u32];
@@ -22,7 +22,7 @@ pub fn step(shape: Shape) -> Step {
     step
 }
 
-/// Behind what a kernel may read and before it, where it matters, lies a pattern that would be noticed.
+/// Pads data with a pattern before and after it, to detect reads out of bounds.
 pub fn padded<T: Copy>(before: usize, data: &[T], spare: usize, pattern: T) -> Vec<T> {
     let mut all = vec![pattern; before];
     all.extend_from_slice(data);
@@ -30,12 +30,14 @@ pub fn padded<T: Copy>(before: usize, data: &[T], spare: usize, pattern: T) -> V
     all
 }
 
-/// As they lie in memory.
+/// Returns the bytes of a slice.
 pub fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// Gradient of all of `grad_image`, spare pixels included, and the statistics.
+/// Runs the photometric loss.
+///
+/// Returns all of `grad_image`, including the spare pixels, and the statistics.
 pub fn run_photometric(
     gpu: &Gpu,
     tuning: Tuning,

@@ -1,4 +1,4 @@
-//! A folder with a tiny room and runs beside it, gone with the value.
+//! Temporary directory with a tiny room and its runs, deleted on drop.
 
 use crate::cli::{Finished, sgs};
 use crate::rooms::Room;
@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// Reads every file below a folder; none where the folder is absent.
+/// Reads every file below a directory; returns an empty map if the directory is absent.
 pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
@@ -18,11 +18,11 @@ pub fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// A folder with a room in `scene`, and runs beside it.
+/// Temporary directory with a room in `scene`, and runs next to the room.
 pub struct Place(TempDir);
 
 impl Place {
-    /// A room of its own.
+    /// Writes a room into a new temporary directory.
     pub fn new(room: Room) -> Place {
         let place = Place(tempfile::tempdir().unwrap());
         std::fs::create_dir(place.path("scene")).unwrap();
@@ -30,17 +30,20 @@ impl Place {
         place
     }
 
-    /// A file or folder of it.
+    /// Returns the path of a file or directory in it.
     pub fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    /// The same as an argument.
+    /// Returns the path as a command-line argument.
     pub fn text(&self, name: &str) -> String {
         self.path(name).display().to_string()
     }
 
-    /// Arguments of a training into `run`, with densification and resets in a few steps.
+    /// Returns arguments of a training into `run`, with early densification.
+    ///
+    /// Densification starts at step 5 and repeats every 5 steps. Opacities are reset every 12 steps and checkpoints are
+    /// written every 7.
     pub fn arguments(&self, run: &str, steps: u32, more: &[&str]) -> Vec<String> {
         let mut all: Vec<String> = ["train", &self.text("scene"), "-o", &self.text(run)].map(String::from).to_vec();
         all.extend(["--geometry-steps".into(), steps.to_string()]);
@@ -51,7 +54,7 @@ impl Place {
             "geometry.densify.grad_threshold=0.00005",
             "geometry.densify.max_gaussians=3000",
             "geometry.entry_capacity=300",
-            "geometry.checkpoint_interval=7",
+            "train.checkpoint_interval=7",
         ] {
             all.extend(["--set".into(), pair.into()]);
         }
@@ -59,20 +62,23 @@ impl Place {
         all
     }
 
-    /// Goes on with the training into `run`.
+    /// Resumes the training into `run`.
     pub fn resume(&self, run: &str) -> Finished {
         sgs(&["train", &self.text("scene"), "-o", &self.text(run), "--resume"])
     }
 
-    /// A file, whole.
+    /// Reads a whole file.
     pub fn read(&self, name: &str) -> Vec<u8> {
         std::fs::read(self.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
     }
 
-    /// The steps in the log of a run, decisions and densifications left out; fails unless every line is JSON.
+    /// Returns the steps in the log of a run, without decisions and densifications.
+    ///
+    /// # Panics
+    /// If a line is not JSON.
     pub fn logged(&self, run: &str) -> Vec<u64> {
         let text = std::fs::read_to_string(self.path(run).join("log.jsonl")).unwrap_or_default();
-        // A line may be in the making while the run goes on.
+        // A running training may have written only a part of the last line.
         let whole = text.rfind('\n').map_or("", |end| &text[..end]);
         let lines =
             whole.lines().map(|l| serde_json::from_str::<serde_json::Value>(l).unwrap_or_else(|e| panic!("{e}: {l}")));
@@ -80,7 +86,7 @@ impl Place {
         steps.map(|l| l["step"].as_u64().unwrap()).collect()
     }
 
-    /// Fails unless two runs left the same.
+    /// Fails unless two runs have equal `scene.ply` and `log.jsonl` files.
     #[track_caller]
     pub fn assert_same(&self, a: &str, b: &str) {
         for file in ["scene.ply", "log.jsonl"] {

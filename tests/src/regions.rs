@@ -1,12 +1,12 @@
-//! The correspondence of a region between views on a device.
+//! Correspondence loss of a region between views, on a device.
 
 use crate::Gpu;
 use sgs_engine::graph::Graph;
 use sgs_passes::loss::{
-    Head, Pictured, correspondence_bwd, correspondence_train_bwd, decoder_gradient, pack_mask, region, regions,
+    Head, ImagePart, correspondence_bwd, correspondence_train_bwd, decoder_gradient, pack_mask, region, regions,
     semantic_prepare, semantic_sum,
 };
-use sgs_passes::reference::correspondence::Picture;
+use sgs_passes::reference::correspondence::MaskedImage;
 use sgs_passes::reference::semantic::Head as ReferenceHead;
 use sgs_passes::scene::FEATURES;
 use sgs_shaders::structs::{LossStats, Step};
@@ -14,41 +14,43 @@ use sgs_shaders::structs::{LossStats, Step};
 const CHANNELS: usize = 40;
 const FIRST: usize = 8;
 const MASK_OFFSET: usize = 2;
-/// Room that images have.
+/// Columns and rows of the largest view.
 pub const LARGEST: [u32; 2] = [37, 29];
-/// Of the loss.
+/// Weight of the loss.
 pub const WEIGHT: f64 = 0.375;
-/// Logits are divided by it.
+/// Divisor of the logits.
 pub const TEMPERATURE: f64 = 0.5;
-/// What is in the training view's gradient before.
+/// Initial value of the training view's gradient.
 const BEFORE: f32 = 0.25;
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// What the device made of it.
+/// Results of the device.
 pub struct Found {
-    /// Gradient by the training view's features.
+    /// Gradient of the training view's features.
     pub train: Vec<f32>,
-    /// Gradient by those of each pseudo-view.
+    /// Gradient of each pseudo-view's features.
     pub pseudo: Vec<Vec<f32>>,
-    /// Gradient by the decoder.
+    /// Gradient of the decoder.
     pub decoder: Vec<f32>,
-    /// The record.
+    /// Loss statistics.
     pub stats: LossStats,
 }
 
 /// Runs the loss of a training view and pseudo-views.
-pub fn run(gpu: &Gpu, h: &ReferenceHead, pictures: &[([usize; 2], Picture)]) -> Found {
-    run_with(gpu, h, pictures, [WEIGHT, TEMPERATURE], BEFORE)
+pub fn run(gpu: &Gpu, h: &ReferenceHead, images: &[([usize; 2], MaskedImage)]) -> Found {
+    run_with(gpu, h, images, [WEIGHT, TEMPERATURE], BEFORE)
 }
 
-/// With a weight, a temperature, and something in the training view's gradient before.
+/// Runs the loss with a weight, a temperature and an initial gradient.
+///
+/// `before` is the initial value of the training view's gradient.
 pub fn run_with(
     gpu: &Gpu,
     h: &ReferenceHead,
-    pictures: &[([usize; 2], Picture)],
+    images: &[([usize; 2], MaskedImage)],
     [weight, temperature]: [f64; 2],
     before: f32,
 ) -> Found {
@@ -66,9 +68,9 @@ pub fn run_with(
         (embeddings, wide(&h.text)),
         (stats, bytes(&[LossStats { total: 0.5, ..Default::default() }])),
     ];
-    let shared = regions(&mut g, pictures.len() as u32 - 1);
+    let shared = regions(&mut g, images.len() as u32 - 1);
     let mut declared = Vec::new();
-    for (i, (size, p)) in pictures.iter().enumerate() {
+    for (i, (size, p)) in images.iter().enumerate() {
         let mut image = vec![f32::NAN; room * CHANNELS];
         for pixel in 0..size[0] * size[1] {
             for k in 0..FEATURES {
@@ -77,7 +79,7 @@ pub fn run_with(
         }
         let mask = [vec![u32::MAX; MASK_OFFSET], pack_mask(&p.mask)].concat();
         let floats = 4 * image.len() as u64;
-        let on_gpu_picture = Pictured {
+        let on_gpu_image = ImagePart {
             step: g.uniform(format!("step{i}"), size_of::<Step>() as u64),
             image: g.input(format!("image{i}"), floats),
             channels: CHANNELS as u32,
@@ -93,14 +95,14 @@ pub fn run_with(
             ..Default::default()
         };
         values.camera.size = size.map(|n| n as u32);
-        inputs.push((on_gpu_picture.step, bytes(&[values])));
-        inputs.push((on_gpu_picture.image, bytes(&image)));
-        inputs.push((on_gpu_picture.mask, bytes(&mask)));
+        inputs.push((on_gpu_image.step, bytes(&[values])));
+        inputs.push((on_gpu_image.image, bytes(&image)));
+        inputs.push((on_gpu_image.mask, bytes(&mask)));
         if i == 0 {
             inputs.push((gradient, bytes(&vec![before; room * CHANNELS])));
         }
-        region(&mut g, &on_gpu_picture, &on_gpu, &prepared, &shared, i as u32).unwrap();
-        declared.push((on_gpu_picture, gradient));
+        region(&mut g, &on_gpu_image, &on_gpu, &prepared, &shared, i as u32).unwrap();
+        declared.push((on_gpu_image, gradient));
     }
     let (train, train_gradient) = declared[0];
     let left = correspondence_bwd(&mut g, tuning, &declared[1..], &on_gpu, &prepared, &shared).unwrap();
@@ -110,7 +112,7 @@ pub fn run_with(
     semantic_sum(&mut g, tuning, train.step, None, Some((&left, &shared)), stats).unwrap();
     let out = gpu.run(g, &inputs);
     let mut found: Vec<Vec<f32>> = Vec::new();
-    for (i, ((size, rendered), (_, buffer))) in pictures.iter().zip(&declared).enumerate() {
+    for (i, ((size, rendered), (_, buffer))) in images.iter().zip(&declared).enumerate() {
         let mut features = Vec::new();
         for (p, pixel) in out.get::<f32>(*buffer).chunks(CHANNELS).enumerate() {
             let inside = p < size[0] * size[1];
@@ -118,10 +120,10 @@ pub fn run_with(
             for (c, x) in pixel.iter().enumerate() {
                 let untouched = if i == 0 { *x == before } else { x.to_bits() == u32::MAX };
                 let feature = (FIRST..FIRST + FEATURES).contains(&c);
-                assert!(mine && feature || untouched, "channel {c} of pixel {p} of picture {i} was written");
+                assert!(mine && feature || untouched, "channel {c} of pixel {p} of image {i} was written");
             }
             if inside {
-                // Nothing is asked of others: the reference says zero.
+                // The kernel skips pixels outside the region; the reference has zero there.
                 let gradient = |&x: &f32| {
                     if !mine {
                         0.0

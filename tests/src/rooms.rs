@@ -1,30 +1,31 @@
-//! A tiny room on disk: the inside of a box with smoothly painted walls, of which color, normal and depth are known at
-//! every pixel.
+//! Tiny room on disk: the inside of a box with smoothly painted walls.
+//!
+//! Color, normal and depth are known at every pixel.
 
 use glam::{DMat3, DVec2, DVec3};
 use serde_json::json;
 use sgs_scene::{Camera, Image, write_exr, write_ids, write_png};
 use std::path::Path;
 
-/// Half the sides of the box.
+/// Half the side lengths of the box.
 const WALLS: DVec3 = DVec3::new(1.4, 1.0, 1.6);
 
 /// Albedo of each wall, sRGB, in the order of [`Room::walls`].
 pub const ALBEDO: [[f32; 3]; 6] =
     [[0.7, 0.2, 0.2], [0.2, 0.7, 0.2], [0.2, 0.2, 0.7], [0.7, 0.7, 0.2], [0.2, 0.7, 0.7], [0.7, 0.2, 0.7]];
 
-/// What to write.
+/// Size and contents of a room.
 #[derive(Clone, Copy, Debug)]
 pub struct Room {
-    /// Views; every fourth is a test view.
+    /// Number of views; every fourth is a test view.
     pub views: usize,
-    /// Columns and rows.
+    /// Columns and rows of an image.
     pub size: [u32; 2],
-    /// Pixels between points, in each training view.
+    /// Distance of neighboring points in each training view, in pixels.
     pub spacing: u32,
-    /// Whether there are priors of the normals.
+    /// Whether the room has priors of normals.
     pub priors: bool,
-    /// Whether there is ground truth of normals and depth.
+    /// Whether the room has ground truth of normals and depth.
     pub truth: bool,
 }
 
@@ -34,7 +35,7 @@ impl Default for Room {
     }
 }
 
-/// What a ray meets.
+/// Intersection of a ray and a wall.
 struct Hit {
     depth: f64,
     position: DVec3,
@@ -43,7 +44,7 @@ struct Hit {
 }
 
 impl Room {
-    /// The cameras: a walk along an arc, all looking into the same half of the room.
+    /// Returns the cameras along an arc, all directed into the same half of the room.
     pub fn cameras(&self) -> Vec<Camera> {
         (0..self.views)
             .map(|i| {
@@ -70,7 +71,9 @@ impl Room {
             .collect()
     }
 
-    /// The wall behind every pixel: twice the axis of its normal, and one more if that points the negative way.
+    /// Returns the wall behind every pixel.
+    ///
+    /// The index is twice the axis of the normal, plus one if the normal points along the positive axis.
     pub fn walls(&self, camera: &Camera) -> Vec<usize> {
         let wall = |x: u32, y: u32| {
             let n = hit(camera, DVec2::new(f64::from(x) + 0.5, f64::from(y) + 0.5)).normal;
@@ -80,13 +83,15 @@ impl Room {
         (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y))).map(|(x, y)| wall(x, y)).collect()
     }
 
-    /// Names of training and test views.
+    /// Returns the names of training and test views.
     pub fn split(&self) -> (Vec<String>, Vec<String>) {
         let names = |test: bool| (0..self.views).filter(|i| (i % 4 == 1) == test).map(|i| format!("{i:03}")).collect();
         (names(false), names(true))
     }
 
-    /// Adds priors of albedo, roughness and metallic by wall, and masks of the walls, to a scene directory.
+    /// Adds masks and priors of albedo, roughness and metallic to a scene directory.
+    ///
+    /// Every wall has one value.
     pub fn write_materials(&self, root: &Path) {
         for kind in ["albedo", "roughness", "metallic", "masks"] {
             std::fs::create_dir_all(root.join("priors").join(kind)).unwrap();
@@ -169,7 +174,7 @@ impl Room {
     }
 }
 
-/// A transforms file for these cameras; intrinsics stand with every frame.
+/// Returns a transforms file for these cameras, with intrinsics in every frame.
 pub fn transforms(cameras: &[Camera]) -> serde_json::Value {
     let frames: Vec<_> = cameras
         .iter()
@@ -192,7 +197,7 @@ pub fn write_json(path: &Path, value: &serde_json::Value) {
     std::fs::write(path, value.to_string()).unwrap();
 }
 
-/// The wall that a pixel sees.
+/// Returns the intersection of a pixel's ray with the box.
 fn hit(camera: &Camera, pixel: DVec2) -> Hit {
     let eye = camera.position();
     let ray = camera.unproject(pixel, 1.0) - eye;
@@ -218,7 +223,7 @@ fn hit(camera: &Camera, pixel: DVec2) -> Hit {
         wave(DVec3::new(-1.0, 2.2, 0.9), 1.1),
         wave(DVec3::new(0.7, -1.3, 1.9), 2.0),
     );
-    // Every wall has its shade, as in a lit room.
+    // Every wall has its own shade, as in a lit room.
     let shade = 0.8 + 0.15 * normal.dot(DVec3::new(0.5, 0.8, 0.3));
     Hit { depth, position: p, normal, color: (color * shade).clamp(DVec3::ZERO, DVec3::ONE) }
 }

@@ -1,4 +1,4 @@
-//! Run directories as the intrinsic stage leaves them, made up without training.
+//! Run directories with the files of the intrinsic stage, created without training.
 
 use crate::field;
 use crate::scenes::{self, Rng};
@@ -9,28 +9,30 @@ use sgs_run::{LightFile, LightRow, LobeRow, RunDirectory, VisibilityFile, splats
 use sgs_scene::{Image, Splats, write_environment};
 use std::path::Path;
 
-/// What a run has besides materials and lights.
+/// Optional contents of a run besides materials and lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parts {
-    /// Metallic.
+    /// Whether the Gaussians have metallic.
     pub metallic: bool,
-    /// Surroundings.
+    /// Whether the run has an environment map.
     pub environment: bool,
-    /// How shadows are found; in the field, if there is one, is anything.
+    /// Source of shadows. `Field` adds a field with random weights.
     pub visibility: VisibilityKind,
 }
 
 impl Parts {
-    /// Everything.
+    /// All optional contents.
     pub const ALL: Parts = Parts { metallic: true, environment: true, visibility: VisibilityKind::Field };
-    /// Nothing.
+    /// No optional contents.
     pub const NONE: Parts = Parts { metallic: false, environment: false, visibility: VisibilityKind::None };
 }
 
-/// Lights of a run.
+/// Number of lights of a run.
 pub const LIGHTS: usize = 4;
 
-/// Splats with materials in front of [`scenes::camera`], most of them facing it.
+/// Returns splats with materials in front of [`scenes::camera`].
+///
+/// Most normals face the camera.
 pub fn with_materials(count: usize, metallic: bool, seed: u64) -> Splats {
     let model = Model { sh_degree: 1, normals: true, ..Default::default() };
     let mut s = splats(&scenes::data(&scenes::ordinary(count, 1, true, seed)), model);
@@ -43,13 +45,13 @@ pub fn with_materials(count: usize, metallic: bool, seed: u64) -> Splats {
     s
 }
 
-/// A latitude-longitude map of made-up light.
+/// Returns a latitude-longitude map of random radiance, three floats per pixel.
 pub fn map(width: u32, seed: u64) -> Vec<f32> {
     let mut r = Rng::new(seed);
     (0..3 * width * width / 2).map(|_| r.between(0.0, 2.0) as f32).collect()
 }
 
-/// Makes a run directory with [`LIGHTS`] lights, the third of which is off.
+/// Creates a run directory with [`LIGHTS`] lights, the third of which is off.
 pub fn fabricate(root: &Path, parts: Parts) {
     let run = RunDirectory::create(root).expect("a directory");
     let mut settings = Settings::default();

@@ -1,34 +1,36 @@
-//! Small scenes of Gaussians for tests: ordinary, and made of everything that could go wrong.
+//! Small scenes of Gaussians for tests: ordinary Gaussians and corner cases.
 
 use glam::{DMat3, DVec2, DVec3};
 use sgs_passes::pipeline as gpu;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::{GaussianData, Group, SEMANTIC_FEATURES};
 
-/// A small deterministic generator (PCG hash of a counter).
+/// Small deterministic random generator (PCG hash of a counter).
 #[derive(Clone, Debug)]
 pub struct Rng(u64);
 
 impl Rng {
-    /// From a seed.
+    /// Creates a generator from a seed.
     pub fn new(seed: u64) -> Rng {
         Rng(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15))
     }
 
-    /// Uniform in [0, 1).
+    /// Draws a number uniformly from [0, 1).
     pub fn unit(&mut self) -> f64 {
         self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
         let x = ((self.0 >> ((self.0 >> 59) + 5)) ^ self.0).wrapping_mul(12605985483714917081);
         ((x ^ (x >> 43)) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Uniform between two numbers.
+    /// Draws a number uniformly between two numbers.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.unit()
     }
 }
 
-/// A camera that looks along +z from the origin, turned a little so that nothing is axis-aligned.
+/// Returns a camera near the origin that looks along +z.
+///
+/// A small rotation keeps the scene from being axis-aligned.
 pub fn camera(size: [u32; 2]) -> Camera {
     let rotation = DMat3::from_euler(glam::EulerRot::XYZ, 0.05, -0.08, 0.03);
     let width = f64::from(size[0]);
@@ -42,7 +44,7 @@ pub fn camera(size: [u32; 2]) -> Camera {
     }
 }
 
-/// The same camera for the GPU.
+/// Converts a camera to the GPU's layout.
 pub fn gpu_camera(c: &Camera) -> gpu::Camera {
     let row = |i: usize| {
         let r = c.rotation.row(i);
@@ -60,12 +62,12 @@ pub fn gpu_camera(c: &Camera) -> gpu::Camera {
     }
 }
 
-/// Rounds to single precision, so that both sides start from the same numbers.
+/// Rounds to single precision, so that device and reference use equal numbers.
 fn single(v: f64) -> f64 {
     f64::from(v as f32)
 }
 
-/// `count` ordinary splats in front of the camera.
+/// Returns `count` ordinary Gaussians in front of the camera.
 pub fn ordinary(count: usize, degree: usize, normals: bool, seed: u64) -> Gaussians {
     let mut r = Rng::new(seed);
     let mut g = Gaussians::default();
@@ -92,8 +94,10 @@ pub fn ordinary(count: usize, degree: usize, normals: bool, seed: u64) -> Gaussi
     g
 }
 
-/// Needles, discs, giants, specks, splats through the near plane and beside the view, quaternions that are not unit,
-/// opacities at both ends: all in one image.
+/// Returns corner cases of Gaussians in one image.
+///
+/// They include extreme anisotropy and size, Gaussians through the near plane and beside the view, quaternions that are
+/// not unit, and opacities at both ends.
 pub fn hard(seed: u64) -> Gaussians {
     let mut g = ordinary(60, 3, false, seed);
     let mut r = Rng::new(seed + 1);
@@ -109,16 +113,16 @@ pub fn hard(seed: u64) -> Gaussians {
         }
     };
     let q = [0.9, 0.1, -0.3, 0.35];
-    add([0.2, 0.1, 3.0], [0.5, -9.0, -9.0], q, 1.0); // needle
-    add([-0.4, 0.2, 2.5], [1.5, -14.0, -12.0], [0.3, 0.2, 0.1, -0.8], 2.0); // long thin needle
+    add([0.2, 0.1, 3.0], [0.5, -9.0, -9.0], q, 1.0); // elongated
+    add([-0.4, 0.2, 2.5], [1.5, -14.0, -12.0], [0.3, 0.2, 0.1, -0.8], 2.0); // extremely elongated and thin
     add([0.3, -0.3, 4.0], [-0.5, -0.7, -12.0], q, 0.5); // disc
-    add([0.0, 0.0, 30.0], [3.0, 3.2, 2.5], q, -1.0); // giant behind all
-    add([0.0, 0.0, 5.0], [7.5, 7.5, 7.5], q, -3.5); // flat over the whole image
+    add([0.0, 0.0, 30.0], [3.0, 3.2, 2.5], q, -1.0); // large, behind all others
+    add([0.0, 0.0, 5.0], [7.5, 7.5, 7.5], q, -3.5); // constant over the whole image
     add([0.1, 0.0, 0.05], [-4.0, -3.5, -4.5], q, 0.0); // close
     add([0.3, 0.2, -0.15], [0.5, 0.4, 0.3], q, 3.0); // around the near plane, just in front of it
     add([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], q, 3.0); // behind
-    add([4.0, 0.3, 2.0], [0.2, 0.0, -0.3], q, 1.0); // beside the view, reaching in
-    add([0.5, 0.5, 3.0], [-20.0, -30.0, -18.0], q, 2.0); // speck below the smallest scale
+    add([4.0, 0.3, 2.0], [0.2, 0.0, -0.3], q, 1.0); // center beside the view, footprint inside
+    add([0.5, 0.5, 3.0], [-20.0, -30.0, -18.0], q, 2.0); // below the smallest scale
     add([-0.5, -0.4, 3.5], [-3.0, -2.0, -2.5], [0.0; 4], 1.0); // zero quaternion
     add([-0.5, 0.4, 3.6], [-3.0, -2.0, -1.5], [3e18, -2e18, 1e18, 5e17], 1.0); // huge quaternion
     add([-0.2, 0.4, 3.7], [-3.0, -2.0, -1.5], [3e-18, -2e-18, 1e-18, 5e-19], 1.0); // tiny quaternion
@@ -129,8 +133,10 @@ pub fn hard(seed: u64) -> Gaussians {
     g
 }
 
-/// Opaque flat splats on a rectangle that faces along z, so closely that nothing shines through: `low` and `high` are two
-/// corners of the rectangle at the given z.
+/// Adds a rectangle of flat Gaussians that face along z.
+///
+/// The Gaussians are so opaque and dense that nothing shines through. `low` and `high` are two corners of the rectangle
+/// at the given z.
 pub fn sheet(g: &mut Gaussians, low: [f64; 2], high: [f64; 2], z: f64, spacing: f64) {
     let count = [0, 1].map(|k| ((high[k] - low[k]) / spacing).round() as usize);
     for i in 0..=count[0] * (count[1] + 1) + count[1] {
@@ -145,14 +151,14 @@ pub fn sheet(g: &mut Gaussians, low: [f64; 2], high: [f64; 2], z: f64, spacing: 
     }
 }
 
-/// The same Gaussians with semantic features.
+/// Adds semantic features to Gaussians.
 pub fn with_semantics(mut g: Gaussians, seed: u64) -> Gaussians {
     let mut r = Rng::new(seed);
     g.semantics = (0..g.len() * SEMANTIC_FEATURES as usize).map(|_| single(r.between(-1.0, 1.0))).collect();
     g
 }
 
-/// Reference Gaussians as the GPU takes them.
+/// Converts reference Gaussians to the GPU's layout.
 pub fn data(g: &Gaussians) -> GaussianData {
     let single = |v: &[f64]| v.iter().map(|x| *x as f32).collect::<Vec<f32>>();
     let mut d = GaussianData::default();

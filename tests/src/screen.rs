@@ -1,5 +1,6 @@
-//! A display that nobody sees (Xvfb), with hands on its mouse and keyboard (XTEST, by xdotool): windows are used in it as a
-//! person would, and looked at as they stand on the screen.
+//! Virtual display (Xvfb) with mouse and keyboard input (XTEST, through xdotool).
+//!
+//! Tests use windows in it as a person would and read the image on the screen.
 
 use sgs_scene::Image;
 use std::io::{BufRead, BufReader};
@@ -8,10 +9,10 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// How long a window may take. Machines that run tests are busy.
+/// Time limit for a window. Machines that run tests are busy.
 const PATIENCE: Duration = Duration::from_secs(400);
 
-/// A display.
+/// Virtual display.
 pub struct Screen {
     server: Child,
     name: String,
@@ -19,7 +20,9 @@ pub struct Screen {
 }
 
 impl Screen {
-    /// Starts a display of this size; nothing, with a line that says why, if there is no Xvfb or no xdotool here.
+    /// Starts a display of this size, in pixels.
+    ///
+    /// Returns `None` and prints the reason if Xvfb or xdotool is not installed.
     pub fn start([width, height]: [u32; 2]) -> Option<Screen> {
         let there = |name: &str| Command::new(name).arg("-help").stderr(Stdio::null()).stdout(Stdio::null()).status();
         for name in ["Xvfb", "xdotool"] {
@@ -40,12 +43,12 @@ impl Screen {
         Some(Screen { server, name: format!(":{}", number.trim()), folder })
     }
 
-    /// Its name, for `DISPLAY`.
+    /// Returns its name, for `DISPLAY`.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Does something with the mouse, the keyboard or windows; gives what xdotool says.
+    /// Runs an xdotool command for mouse, keyboard or windows, and returns its output.
     #[track_caller]
     pub fn act<S: AsRef<str>>(&self, arguments: &[S]) -> String {
         let arguments: Vec<&str> = arguments.iter().map(AsRef::as_ref).collect();
@@ -55,7 +58,7 @@ impl Screen {
         String::from_utf8_lossy(&output.stdout).trim().to_owned()
     }
 
-    /// The number of the window whose title holds a text, once it is there, with the keyboard's attention.
+    /// Waits for a window whose title contains a text, focuses it and returns its id.
     #[track_caller]
     pub fn window(&self, title: &str) -> String {
         let mut found = String::new();
@@ -68,12 +71,14 @@ impl Screen {
             found = String::from_utf8_lossy(&search.stdout).lines().next().unwrap_or_default().to_owned();
             !found.is_empty()
         });
-        // Nobody manages windows here, who would otherwise do this.
+        // The display has no window manager, which would otherwise set the focus.
         self.act(&["windowfocus", "--sync", &found]);
         found
     }
 
-    /// Presses a button at a place of the screen, moves in steps to another, and lets go.
+    /// Presses a button at a point of the screen, moves to another and releases.
+    ///
+    /// The pointer moves in four steps.
     #[track_caller]
     pub fn drag(&self, button: &str, from: [f64; 2], to: [f64; 2]) {
         self.point(from);
@@ -92,14 +97,14 @@ impl Screen {
         self.act(&["mousemove", &x, &y]);
     }
 
-    /// Waits until a file is there, whole.
+    /// Waits until a file exists, and returns its path.
     #[track_caller]
     pub fn file(&self, path: &Path) -> PathBuf {
         self.until(&path.display().to_string(), || path.is_file());
         path.to_owned()
     }
 
-    /// Waits until something holds.
+    /// Waits until a condition holds.
     #[track_caller]
     pub fn until(&self, what: &str, mut holds: impl FnMut() -> bool) {
         let begun = Instant::now();
@@ -109,11 +114,11 @@ impl Screen {
         }
     }
 
-    /// What the screen shows, from its upper left corner.
+    /// Returns the image on the screen, from its upper left corner.
     #[track_caller]
-    pub fn picture(&self) -> Image {
+    pub fn image(&self) -> Image {
         let bytes = std::fs::read(self.folder.path().join("Xvfb_screen0")).expect("the screen's memory");
-        // An X window dump: 25 numbers, a name, colors of 12 bytes each, rows of BGRX.
+        // X window dump: 25 numbers, a name, colors of 12 bytes each, rows of BGRX.
         let number = |i: usize| u32::from_be_bytes([0, 1, 2, 3].map(|k| bytes[4 * i + k])) as usize;
         let (width, height, row) = (number(4), number(5), number(12));
         let first = number(0) + 12 * number(19);

@@ -1,4 +1,4 @@
-//! The semantic loss on a device.
+//! Semantic loss on a device.
 
 use crate::Gpu;
 use crate::surfaces::narrow;
@@ -14,20 +14,20 @@ use sgs_passes::reference::semantic::{View, Weights};
 use sgs_passes::scene::{Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
 use sgs_shaders::structs::{LossStats, SemanticTarget, Step, Work};
 
-/// Other views' samples before this one's.
+/// Number of samples of other views before the view's samples.
 const OFFSET: usize = 3;
-/// Pixels behind this view's.
+/// Number of pixels in the buffers after the view's pixels.
 const SPARE: usize = 7;
 const CHANNELS: usize = 38;
 const FIRST: usize = 4;
-/// Weights that are exact in 32 bits.
+/// Weights that are exact in 32-bit floats.
 pub const WEIGHTS: Weights = Weights { cosine: 0.75, class: 1.25, temperature: 0.5 };
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// A decoder as it starts, and texts.
+/// Creates a decoder with initial weights, and random text embeddings.
 pub fn head(classes: usize, seed: u32) -> reference::Head {
     let mut rng = Pcg::new(seed);
     let text: Vec<f32> = (0..classes * EMBEDDING).map(|_| rng.normal() as f32).collect();
@@ -39,7 +39,9 @@ pub fn head(classes: usize, seed: u32) -> reference::Head {
     }
 }
 
-/// Features as large as they become, and targets near what some class says; labels are the targets' own.
+/// Creates a view with random features and targets near class embeddings.
+///
+/// The features are as large as trained features. The labels are computed from the targets.
 pub fn view(size: [usize; 2], map: [usize; 2], head: &reference::Head, seed: u32) -> View {
     let mut rng = Pcg::new(seed + 100);
     let samples = map[0] * map[1];
@@ -55,26 +57,28 @@ pub fn view(size: [usize; 2], map: [usize; 2], head: &reference::Head, seed: u32
     v
 }
 
-/// What the device made of it.
+/// Results of the device.
 pub struct Found {
-    /// Gradient by the features of every pixel.
+    /// Gradient of the features of every pixel.
     pub image: Vec<f32>,
-    /// Gradient by the decoder.
+    /// Gradient of the decoder.
     pub decoder: Vec<f32>,
-    /// The record.
+    /// Loss statistics.
     pub stats: LossStats,
-    /// What targets say.
+    /// Target of each sample, computed by the device.
     pub targets: Vec<SemanticTarget>,
-    /// The decoder after as many steps as were asked for.
+    /// Parameters of the decoder after the requested steps.
     pub learned: Vec<f32>,
 }
 
-/// Runs the loss of a view. `given`: whether labels go to the device, or it takes the targets' own.
+/// Runs the loss of a view.
+///
+/// `given`: whether the device receives the labels; otherwise the device computes them from the targets.
 pub fn run(gpu: &Gpu, h: &reference::Head, v: &View, given: bool, largest: [u32; 2], weights: &Weights) -> Found {
     run_steps(gpu, h, v, given, largest, weights, 0)
 }
 
-/// As [`run`], and the decoder takes so many steps.
+/// Runs the loss as [`run`] does, and updates the decoder for `steps` steps.
 pub fn run_steps(
     gpu: &Gpu,
     h: &reference::Head,
@@ -111,11 +115,11 @@ pub fn run_steps(
         work: g.input("work", size_of::<Work>() as u64),
     };
     let (flags, skipped) = (g.input("flags", 4), g.external("skipped", 4));
-    // What samples touch, and some more.
+    // All pixels that samples read, and some more.
     let touched = sampled_pixels(v.size.map(|n| n as u32), v.map.map(|n| n as u32));
     let wanted: Vec<bool> = touched.iter().enumerate().map(|(p, &t)| t || p % 5 == 2).collect();
     let mut wanted_words = pack_mask(&wanted);
-    // Bits past the image say nothing.
+    // Bits after the last pixel of the image must have no effect.
     let spare = wanted.len() % 32;
     if let Some(last) = wanted_words.last_mut().filter(|_| spare > 0) {
         *last |= u32::MAX << spare;
@@ -137,7 +141,7 @@ pub fn run_steps(
         channels: CHANNELS as u32,
         first: FIRST as u32,
         largest,
-        // As if another view's map were larger.
+        // The maximum exceeds the view's samples, as if another view had a larger map.
         targets: SemanticTargets { features: feature_buffer, targets, largest: samples as u32 + 70 },
         wanted: wanted_buffer,
     };
@@ -188,7 +192,7 @@ pub fn run_steps(
             assert!(mine || x.to_bits() == u32::MAX, "channel {c} of pixel {p} was written");
         }
         if p < pixels {
-            // Nothing is asked of others: the reference says zero.
+            // The kernel skips pixels that are not requested; the reference has zero there.
             image.extend(pixel[FIRST..FIRST + FEATURES].iter().map(|&x| if wanted[p] { x } else { 0.0 }));
         }
     }

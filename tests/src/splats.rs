@@ -1,11 +1,11 @@
-//! Gaussians for rays, with the same numbers for the reference.
+//! Gaussians for ray tracing, with the same numbers for the reference.
 
 use crate::lit::narrow;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::traced::{self as reference, Splat, V3};
 use sgs_passes::scene::{GaussianData, Group};
 
-/// As kernels take them.
+/// Converts Gaussians of the reference to the GPU's layout.
 pub fn splat_data(splats: &[Splat]) -> GaussianData {
     let mut d = GaussianData::default();
     let f = |x: f64| x as f32;
@@ -18,7 +18,9 @@ pub fn splat_data(splats: &[Splat]) -> GaussianData {
     d
 }
 
-/// Gaussians of all kinds between the pixels of a case and its lights: balls, sheets, needles, faint ones, giants.
+/// Draws Gaussians of all kinds between the pixels of a case and its lights.
+///
+/// The kinds are spherical, flat, elongated, large and tiny; opacities range from faint to opaque.
 pub fn random_splats(count: usize, seed: u32) -> Vec<Splat> {
     let mut rng = Pcg::new(seed);
     let typical = (1.0 / (count as f64).cbrt()).ln() - 0.5;
@@ -47,7 +49,9 @@ pub fn random_splats(count: usize, seed: u32) -> Vec<Splat> {
         .collect()
 }
 
-/// How far what gets through may be off because a Gaussian's alpha is at the threshold or its peak at an end.
+/// Bounds the transmittance error of a ray due to discontinuities.
+///
+/// A Gaussian adds to the bound if its alpha is near the threshold or its peak is near an end of the ray.
 pub fn doubt(splats: &[Splat], from: V3, to: V3) -> f64 {
     let v: V3 = std::array::from_fn(|k| to[k] - from[k]);
     let reach = v.iter().map(|x| x * x).sum::<f64>().sqrt();

@@ -1,4 +1,4 @@
-//! The losses of normals and depths on a device.
+//! Losses of normals and depths on a device.
 
 use crate::Gpu;
 use sgs_engine::graph::Graph;
@@ -9,28 +9,28 @@ use sgs_shaders::structs::{LossStats, Step};
 
 /// First pixel of the view in the buffers of all views.
 const OFFSET: usize = 3;
-/// Pixels that buffers have beyond the view's.
+/// Number of pixels in the buffers after the view's pixels.
 const SPARE: usize = 41;
-/// Weights that are exact in 32 bits.
+/// Weights that are exact in 32-bit floats.
 pub const WEIGHTS: Terms = Terms { normal: 0.25, normal_smooth: 0.75, depth_smooth: 0.5, depth_variance: 0.875 };
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// What the device made of a scene; gradients in the reference's arrangement.
+/// Results of the device; gradients have the layout of the reference.
 pub struct Found {
-    /// By blended normals.
+    /// Gradient of the blended normals.
     pub normals: Vec<f32>,
-    /// By blended depths and their squares.
+    /// Gradient of the blended depths and their squares.
     pub depths: Vec<f32>,
-    /// By transmittance.
+    /// Gradient of the transmittances.
     pub transmittance: Vec<f32>,
-    /// The record.
+    /// Loss statistics.
     pub stats: LossStats,
 }
 
-/// Numbers that 32 bits hold, as the reference must see them.
+/// Rounds to single precision, so that device and reference use equal numbers.
 pub fn narrow(x: f64) -> f64 {
     f64::from(x as f32)
 }
@@ -77,7 +77,7 @@ pub fn run(gpu: &Gpu, tuning: Tuning, s: &Scene, largest: [u32; 2], weights: &Te
         largest,
     };
     let geometry = geometry_loss(&mut g, tuning, &a, grad_image, grad_transmittance).unwrap();
-    // Only for its sums, so that the record has everything.
+    // The photometric pass only fills its sums, so that the statistics are complete.
     let color = Photometric { step, image: image_buffer, targets, channels: channels as u32, largest };
     let partials = photometric(&mut g, tuning, &color).unwrap();
     let (photometric, geometry) = ((partials.sums, partials.count), (geometry.sums, geometry.count));

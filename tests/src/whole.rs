@@ -1,4 +1,4 @@
-//! An image, and whole training steps, of Gaussians that a test makes.
+//! Renders and training steps of Gaussians that a test creates.
 
 use crate::{Gpu, scenes};
 use sgs_config::Settings;
@@ -10,10 +10,10 @@ use sgs_passes::scene::{GaussianData, Gaussians, Model};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_train::Schedule;
 
-/// What is behind everything.
+/// Background color, linear RGB.
 pub const BACKGROUND: [f64; 3] = [0.2, 0.5, 0.8];
 
-/// Highest band that all Gaussians have.
+/// Returns the highest spherical harmonics band of the Gaussians.
 pub fn degree(g: &ReferenceGaussians) -> u32 {
     (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32
 }
@@ -25,23 +25,25 @@ fn upload(gpu: &Gpu, g: &ReferenceGaussians, training: bool) -> sgs_engine::Resu
     Ok(gaussians)
 }
 
-/// Colors and what else the Gaussians have and is asked for.
+/// Returns the channels: colors, normals if the Gaussians have any, and depth if requested.
 fn channels(g: &ReferenceGaussians, depth: bool) -> Channels {
     Channels { colors: true, normals: !g.normals.is_empty(), depth }
 }
 
-/// Colors and transmittance of one view.
+/// Renders colors and transmittance of one view.
 ///
 /// # Errors
-/// What the engine says.
-pub fn picture(gpu: &Gpu, g: &ReferenceGaussians, camera: &Camera) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
+/// Errors of the engine.
+pub fn rendered(gpu: &Gpu, g: &ReferenceGaussians, camera: &Camera) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
     channels_of(gpu, g, camera, false)
 }
 
-/// Colors, normals if the Gaussians have any, depth and its square if asked for; and transmittance.
+/// Renders one view: colors, normals if present, depth if requested, and transmittance.
+///
+/// Depth comes with its square.
 ///
 /// # Errors
-/// What the engine says.
+/// Errors of the engine.
 pub fn channels_of(
     gpu: &Gpu,
     g: &ReferenceGaussians,
@@ -51,14 +53,16 @@ pub fn channels_of(
     let gaussians = upload(gpu, g, false)?;
     let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, camera.size, channels(g, depth))?;
     let background = BACKGROUND.map(|b| b as f32);
-    let picture = renderer.render(&gaussians, &scenes::gpu_camera(camera), degree(g), background)?;
-    Ok((picture.image, picture.transmittance))
+    let rendered = renderer.render(&gaussians, &scenes::gpu_camera(camera), degree(g), background)?;
+    Ok((rendered.image, rendered.transmittance))
 }
 
-/// Some training steps towards a gray photograph, in one view; what each reported, and what the parameters became.
+/// Trains some steps toward a gray photograph, in one view.
+///
+/// Returns the report of each step and the final parameters.
 ///
 /// # Errors
-/// What the engine says.
+/// Errors of the engine.
 pub fn steps(
     gpu: &Gpu,
     g: &ReferenceGaussians,
@@ -68,10 +72,12 @@ pub fn steps(
     steps_of(gpu, g, camera, false, count)
 }
 
-/// The same with the losses of depth, if asked for, and of normals, which have priors, if the Gaussians have any.
+/// Trains like [`steps`], with the losses of normals and depth.
+///
+/// The loss of normals needs Gaussians with normals and uses a constant prior. The loss of depth is on if requested.
 ///
 /// # Errors
-/// What the engine says.
+/// Errors of the engine.
 pub fn steps_of(
     gpu: &Gpu,
     g: &ReferenceGaussians,
@@ -111,7 +117,7 @@ pub fn steps_of(
         exec.finish()?;
         let report = status.report(step)?;
         if report.flags != 0 {
-            // As training does: room for what was wanted, and the same step again.
+            // Like the trainer: raise the capacity to the requested number and repeat the step.
             assert!(report.entries > options.entry_capacity, "a flag without reason: {report:?}");
             options.entry_capacity = report.entries;
             exec = GeometryStep::new(device, &gpu.tuning(), &gaussians, &inputs, &status, options)?;

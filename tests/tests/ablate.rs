@@ -1,4 +1,4 @@
-//! `sgs ablate`: variants over seeds, their table, and resuming.
+//! `sgs ablate`: variants over seeds, the table of results, and resuming.
 
 use serde_json::Value;
 use sgs_tests::Place;
@@ -7,7 +7,7 @@ use sgs_tests::meaning::Meaning;
 use sgs_tests::rooms::{Room, write_json};
 use std::time::SystemTime;
 
-/// Runs of two seeds for a room with normal priors.
+/// Names of the runs: three variants and two seeds, in a room with normal priors.
 const RUNS: [&str; 6] = ["rgb_seed5", "depth_seed5", "normal_seed5", "rgb_seed6", "depth_seed6", "normal_seed6"];
 
 fn room() -> Place {
@@ -75,7 +75,7 @@ fn ablation_table_holds_means_and_spreads() {
 
 /// Every term is added once and left out once on a room with all priors.
 ///
-/// Variants with the same settings share a run; the others differ. Classes are measured.
+/// Variants with the same settings share a run. Other variants give different splats. Class accuracy is measured.
 #[test]
 fn every_term_is_a_variant() {
     let room = Room { priors: true, truth: true, ..Room::default() };
@@ -118,7 +118,7 @@ fn finished_runs_are_not_repeated() {
     let said = ablate(&place, &[]).ok().stderr;
     assert!(!said.contains(", seed "), "something was done again: {said}");
     assert!(trained(&place) == first && place.read("table/ablation.json") == table);
-    // A run that is not measured is only measured. A run whose settings file is missing or changed is trained again.
+    // A run without metrics is evaluated, not retrained. A run whose settings file is missing or changed is retrained.
     std::fs::remove_file(place.path("table/rgb_seed5/metrics.json")).unwrap();
     ablate(&place, &["-q"]).ok();
     assert!(trained(&place) == first && place.read("table/ablation.json") == table);
@@ -126,7 +126,7 @@ fn finished_runs_are_not_repeated() {
     ablate(&place, &["-q"]).ok();
     let again: Vec<bool> = trained(&place).iter().zip(&first).map(|(a, b)| a != b).collect();
     assert_eq!(again, [false, false, true, false, false, false]);
-    // A single variant keeps the other rows of the table; other settings keep none.
+    // `--only` retains the other rows of the table. Changed settings drop all of them.
     ablate(&place, &["-q", "--only", "rgb"]).ok();
     assert_eq!(json(&place, "table/ablation.json")["variants"].as_array().unwrap().len(), 3);
     ablate(&place, &["-q", "--force", "--only", "rgb", "--set", "geometry.losses.l1=0.5"]).ok();
@@ -140,7 +140,7 @@ fn finished_runs_are_not_repeated() {
 #[test]
 fn interrupted_ablation_resumes() {
     let place = room();
-    let more = ["--seeds", "1", "--no-densify", "--set", "geometry.checkpoint_interval=10"];
+    let more = ["--seeds", "1", "--no-densify", "--set", "train.checkpoint_interval=10"];
     let long: Vec<String> =
         arguments(&place, "60", &more[2..]).into_iter().map(|a| if a == "2" { "1".to_owned() } else { a }).collect();
     let mut child = start(&long);

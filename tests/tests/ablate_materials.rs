@@ -71,7 +71,7 @@ fn material_variants_share_geometry() {
     }
     let value = |i: usize| table["variants"][i]["mean"]["pbr_psnr"].as_f64().unwrap();
     assert!(value(0) != value(1) && value(0) != value(2), "what is left out makes no difference");
-    // They share the geometry and have their own materials.
+    // The variants share the geometry and train their own materials.
     let common = geometry(&place, "table/geometry_seed5");
     for name in ["full", "no_lights", "no_priors"] {
         let own = geometry(&place, &format!("table/{name}_seed5"));
@@ -114,7 +114,7 @@ fn ablation_accepts_existing_geometry() {
     let first = written(&place, "table/full_seed5/scene.ply");
     on("a");
     assert!(written(&place, "table/full_seed5/scene.ply") == first, "it was trained twice");
-    // Materials on other geometry differ.
+    // Other geometry retrains the materials.
     on("b");
     assert!(!place.path("table/geometry_seed5").exists());
 }
@@ -123,7 +123,7 @@ fn ablation_accepts_existing_geometry() {
 fn ablation_of_both_stages_resumes() {
     let place = room();
     let more = ["--stage", "all", "--intrinsic-steps", "40", "--only", "rgb,no_visibility", "--seeds", "1"];
-    let more = [&more[..], &["--set", "intrinsic.checkpoint_interval=4"]].concat();
+    let more = [&more[..], &["--set", "train.checkpoint_interval=4"]].concat();
     let long = arguments(&place, "table", &more);
     let rgb = more.iter().map(|m| if m.starts_with("rgb") { "rgb" } else { m }).collect::<Vec<_>>();
     sgs(&arguments(&place, "table", &rgb)).ok();
@@ -142,11 +142,11 @@ fn ablation_of_both_stages_resumes() {
     assert_eq!(names(&table), ["rgb", "no_visibility"]);
     let timed = [0, 1].map(|i| table["variants"][i]["mean"]["intrinsic_seconds_per_step"].is_f64());
     assert_eq!(timed, [true, false], "what was interrupted has no time of its own");
-    // Materials use the geometry that uses most of the scene's priors, even if its row was not requested.
+    // Materials use the geometry variant with the most priors, even if its row was not requested.
     assert!(geometry(&place, "table/no_visibility_seed5").means == geometry(&place, "table/normal_seed5").means);
     assert!(written(&place, "table/normal_seed5/scene.ply") == formed);
     assert!(geometry(&place, "table/rgb_seed5").means != geometry(&place, "table/normal_seed5").means);
-    // Without an interruption the result is the same.
+    // An uninterrupted run gives the same result.
     let alone = more.iter().map(|m| if m.starts_with("rgb") { "no_visibility" } else { m }).collect::<Vec<_>>();
     sgs(&arguments(&place, "again", &alone)).ok();
     for file in ["scene.ply", "lights.json"] {
@@ -168,7 +168,7 @@ fn invalid_material_variants_are_refused() {
     intrinsic(&["--start", "nothing.ply"]).refused(&["no file \"nothing.ply\""]);
     ablate(&place, &["--start", &place.text("scene/x.ply")]).refused(&["--start", "--stage intrinsic"]);
     assert!(!place.path("table").exists(), "a refused table leaves nothing");
-    // A room without material priors.
+    // Without material priors, `no_priors` equals `full`.
     std::fs::remove_dir_all(place.path("scene/priors")).unwrap();
     intrinsic(&["--only", "no_priors"]).refused(&["would differ from no other", "no priors of materials"]);
 }

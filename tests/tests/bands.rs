@@ -1,6 +1,7 @@
 //! Automatic number of spherical-harmonics bands.
 //!
-//! A band is added, measured, and retained or removed. Every decision is recorded. Interruptions do not change decisions.
+//! A band is added, measured, and retained or removed. Every decision is recorded. Interruptions do not change
+//! decisions.
 
 use sgs_config::{Settings, ShDegree};
 use sgs_scene::{Scene, SceneOptions};
@@ -20,7 +21,7 @@ fn settings(gain: f64) -> Settings {
     s
 }
 
-/// Returns a training, its reported steps, and its decisions.
+/// Returns a training, its SH degree after each step, and its decisions.
 fn train(gpu: &Gpu, scene: &Scene, s: &Settings) -> (Geometry, Vec<u32>, Vec<Decision>) {
     let mut training = Geometry::new(gpu.device(), scene, s, None).unwrap();
     let (mut degrees, mut decided) = (Vec::new(), Vec::new());
@@ -53,16 +54,16 @@ fn bands_are_added_and_retained_or_removed() {
     assert!(all.needs().bands > 0);
     drop(all);
 
-    // No band is retained: each is tried, and removed with all its memory.
+    // No band is retained: each is tried and removed, and its memory is freed.
     let (none, degrees, decided) = train(&gpu, &scene, &settings(1e9));
     assert_eq!(degrees.iter().filter(|d| **d == 3).count(), 4, "{degrees:?}");
     assert!(degrees[5..].iter().all(|d| *d == 0), "{degrees:?}");
     let [_, second, third] = &decided[..] else { panic!("{decided:?}") };
-    assert_eq!((second.what.as_str(), second.step, second.on, second.asked), ("band 2", 6, false, Some(1e9)));
+    assert_eq!((second.what.as_str(), second.step, second.on, second.requested), ("band 2", 6, false, Some(1e9)));
     let text = [second.to_string(), third.to_string()];
-    assert!(text[0].starts_with("band 2 left out after step 6: worth "), "{text:?}");
-    assert!(text[0].contains(" dB with those above it at 1 view that was held back, asked "), "{text:?}");
-    assert!(text[1].contains(" dB at 1 view that was held back, asked "), "{text:?}");
+    assert!(text[0].starts_with("band 2 left out after step 6: gains "), "{text:?}");
+    assert!(text[0].contains(" dB with those above it at 1 view that was held back, limit "), "{text:?}");
+    assert!(text[1].contains(" dB at 1 view that was held back, limit "), "{text:?}");
     let splats = none.splats().unwrap();
     assert!(splats.sh_degree() == 0 && splats.sh[1..].iter().all(Vec::is_empty));
     let automatic = none.gaussians().bytes();
@@ -110,11 +111,11 @@ fn band_decisions_are_logged_and_stored() {
     let place = Place::new(Room { views: 8, ..Room::default() });
     let more = ["--set", "geometry.sh_degree=auto", "--set", "geometry.sh_gain=1000"];
     let said = sgs(&place.arguments("run", 40, &more)).ok();
-    assert_eq!(said.stderr.matches("band 1 left out after step 6: worth ").count(), 1, "{}", said.stderr);
+    assert_eq!(said.stderr.matches("band 1 left out after step 6: gains ").count(), 1, "{}", said.stderr);
     let json = |text: &[u8]| serde_json::from_slice::<serde_json::Value>(text).unwrap();
     let summary = json(&place.read("run/training.json"));
     let of = |what: &str| summary["decisions"].as_array().unwrap().iter().find(|d| d["what"] == what).unwrap().clone();
-    assert_eq!((&summary["sh_degree"], &of("band 1")["asked"]), (&0.into(), &1000.0.into()));
+    assert_eq!((&summary["sh_degree"], &of("band 1")["requested"]), (&0.into(), &1000.0.into()));
     assert_eq!(of("normals")["reason"], "the scene has no normal priors");
     assert_eq!(of("semantics")["on"], false);
     let log = String::from_utf8(place.read("run/log.jsonl")).unwrap();
@@ -122,7 +123,7 @@ fn band_decisions_are_logged_and_stored() {
     assert_eq!(json(line.as_bytes())["decision"]["what"], "band 1");
     let config = String::from_utf8(place.read("run/config.toml")).unwrap();
     assert!(config.contains("sh_degree = \"auto\""), "{config}");
-    // Resuming, evaluating and showing the run use the retained bands.
+    // Resuming and evaluating the run use the retained bands.
     place.resume("run").ok();
     sgs(&["eval", &place.text("run")]).ok();
     let quiet = sgs(&[&place.arguments("quiet", 40, &more)[..], &["-q".to_owned()]].concat()).ok();
@@ -130,7 +131,7 @@ fn band_decisions_are_logged_and_stored() {
     place.assert_same("run", "quiet");
 
     let plan = sgs(&["plan", &place.text("scene"), "--set", "geometry.sh_degree=auto"]).ok().stdout;
-    for word in ["of degree 0 at first", "worth 0.02 dB", "bands that may come", "the scene has no semantic priors"] {
+    for word in ["of degree 0 at first", "gains 0.02 dB", "bands that may come", "the scene has no semantic priors"] {
         assert!(plan.contains(word), "{word}: {plan}");
     }
     let wrong = sgs(&place.arguments("other", 40, &["--set", "geometry.sh_degree=some"]));

@@ -1,4 +1,4 @@
-//! Classes after training, on a run with known classes: render, query, measure.
+//! Semantic classes of a trained run with known classes: rendering, queries, accuracy.
 
 use glam::{DVec2, DVec3, Vec3};
 use sgs_config::Settings;
@@ -14,13 +14,15 @@ use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
 use std::path::Path;
 
-/// Class names by id; 0 is none.
+/// Class names by id. Id 0 is no class.
 const CLASSES: [&str; 7] = ["background", "left wall", "carpet", "ceiling", "floor", "right/wall", "front wall"];
 const TEMPERATURE: f32 = 0.25;
 const CEILING: usize = 3;
 const SIZE: [u32; 2] = [48, 36];
 
-/// Returns the class of a position: the room has six parts, above and below, left, middle and right.
+/// Returns the class of a position.
+///
+/// The room has six parts: left, middle and right, each with an upper and a lower half.
 fn class(p: DVec3) -> usize {
     let column = if p.x < -0.3 { 0 } else { 1 + usize::from(p.x > 0.3) };
     1 + 2 * column + usize::from(p.y > 0.0)
@@ -28,7 +30,7 @@ fn class(p: DVec3) -> usize {
 
 /// Builds class texts and a decoder.
 ///
-/// Texts have any length. The decoder maps feature k to the text of class k.
+/// Text embeddings are not normalized. The decoder maps feature k to the normalized text embedding of class k.
 fn head() -> SemanticHead {
     let mut rng = Pcg::new(3);
     let data: Vec<f32> = (0..CLASSES.len() * EMBEDDING).map(|_| 2.0 * rng.normal() as f32).collect();
@@ -42,7 +44,7 @@ fn head() -> SemanticHead {
 
 /// Room with classes as ground truth, and a run on it.
 ///
-/// Opaque splats everywhere except on the ceiling, which is missing.
+/// The run has opaque splats everywhere except on the ceiling, which has none.
 struct Known(Place);
 
 impl Known {
@@ -90,7 +92,7 @@ impl Known {
         GroundTruth::of(&open(&self.0)).semantic(view).unwrap().unwrap()
     }
 
-    /// Changes the splats of the run.
+    /// Writes a changed copy of the run's splats to `name`.
     fn change(&self, name: &str, change: impl FnOnce(&mut Splats)) -> &Known {
         let mut splats = Splats::read_ply(&self.0.path("run/scene.ply")).unwrap();
         change(&mut splats);
@@ -103,7 +105,7 @@ fn open(place: &Place) -> Scene {
     Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap()
 }
 
-/// Reads RGBA or gray with alpha, as stored.
+/// Reads an RGBA image or a gray image with alpha, as stored.
 fn pixels<const N: usize>(path: &Path) -> Vec<[u8; N]> {
     let image = image::open(path).unwrap();
     assert_eq!([image.width(), image.height()], SIZE, "{}", path.display());
@@ -111,7 +113,9 @@ fn pixels<const N: usize>(path: &Path) -> Vec<[u8; N]> {
     image.as_bytes().as_chunks::<N>().0.to_vec()
 }
 
-/// Returns whether a pixel and its neighbors have one class: splats extend beyond their walls.
+/// Returns whether all pixels within 3 pixels of `at` have its class.
+///
+/// Splats extend beyond their walls, so that pixels at borders mix classes.
 fn inside(truth: &RegionMap, at: usize) -> bool {
     let (x, y) = ((at as u32 % truth.width) as i32, (at as u32 / truth.width) as i32);
     let around = (-3..=3).flat_map(|dy| (-3..=3).map(move |dx| (x + dx, y + dy)));
@@ -147,7 +151,7 @@ fn label_maps_show_the_known_classes() {
         let alpha = known.exr(&format!("{view:03}_alpha.exr"));
         let shown = pixels::<4>(&known.0.path(&format!("out/{view:03}_semantic.png")));
         for (at, (&label, rgba)) in labels.data.iter().zip(&shown).enumerate() {
-            // Number and color agree, and empty pixels have neither.
+            // Label and color agree. Empty pixels have neither.
             assert_eq!(label == -1.0, alpha.data[at] < 0.5, "view {view}, pixel {at}: alpha {}", alpha.data[at]);
             if label == -1.0 {
                 assert_eq!(*rgba, [0; 4]);
@@ -180,7 +184,7 @@ fn relevance_is_the_probability_of_the_class() {
     assert_eq!(files, 3 * 5, "color, and each class once");
     assert!(!known.0.path("out/labels.json").exists(), "there is no map that it explains");
     known.render("run", &[&["--channels", "semantic"], &queries[..]].concat()).ok();
-    // The decoded feature of a wall is the text of its class.
+    // The decoded feature of a wall is the text embedding of its class.
     let unit: Vec<f64> = normalize_embeddings(&head().text.data).into_iter().map(f64::from).collect();
     let text = |c: usize| &unit[c * EMBEDDING..][..EMBEDDING];
     let cosine = |a: usize, b: usize| text(a).iter().zip(text(b)).map(|(x, y)| x * y).sum::<f64>();
@@ -198,7 +202,8 @@ fn relevance_is_the_probability_of_the_class() {
                 if r == -1.0 {
                     assert_eq!(*gray, [0, 0]);
                 } else {
-                    // Black at chance, white where the decoded text is that of the class.
+                    // Black is the probability of chance. White is the probability where the decoded text is the
+                    // query's.
                     let chance = 1.0 / CLASSES.len() as f64;
                     let shown = (f64::from(r) - chance) / (probability(query, query) - chance) * 255.0;
                     assert!((f64::from(gray[0]) - shown.clamp(0.0, 255.0)).abs() < 0.51 && gray[1] == 255);
@@ -212,7 +217,7 @@ fn relevance_is_the_probability_of_the_class() {
         }
     }
     assert!(compared > 1000, "{compared}");
-    // A temperature other than that of training.
+    // Query at a temperature that differs from that of training.
     known.render("run", &["--query", "floor", "--temperature", "1", "--format", "exr"]).ok();
     let (truth, relevance) = (known.truth(0), known.exr("000_semantic_floor.exr").data);
     let at = (0..relevance.len()).find(|at| truth.ids[*at] == 4 && inside(&truth, *at)).unwrap();
@@ -229,7 +234,7 @@ fn relevance_is_the_probability_of_the_class() {
 fn accuracy_is_measured_against_the_known_classes() {
     let known = Known::new();
     known.render("run", &["--channels", "semantic", "--format", "exr"]).ok();
-    // A pixel's class is right if its number is the true one; the room has no class 0.
+    // A pixel is right if its label equals the true class. The room has no class 0.
     let share = |view: usize| {
         let (labels, truth) = (known.exr(&format!("{view:03}_semantic.exr")), known.truth(view));
         let right = labels.data.iter().zip(&truth.ids).filter(|(l, t)| **l == f32::from(**t)).count();
@@ -250,7 +255,7 @@ fn accuracy_is_measured_against_the_known_classes() {
     assert!(table.contains(&format!("{accuracy:.4}")), "{table}");
     assert!(known.0.path("out/001_semantic.png").is_file() && known.0.path("out/labels.json").is_file());
 
-    // Ground truth may list the classes in another order, and lack some.
+    // Ground truth may list the classes in another order and omit some.
     let order = ["background", "front wall", "carpet", "right/wall", "floor", "ceiling", "ghost"];
     let text = serde_json::json!({ "labels": order }).to_string();
     std::fs::write(known.0.path("scene/gt/semantic/labels.json"), text).unwrap();
@@ -316,11 +321,11 @@ fn runs_without_classes_are_refused() {
     std::fs::remove_file(&path).unwrap();
     semantic("run").refused(&["semantics.safetensors", "there is no such file"]);
     assert!(!known.0.path("out/labels.json").exists() && !known.0.path("out/000_semantic.png").exists());
-    // The rest of the run is unchanged.
+    // Other channels of the run still render.
     known.render("run", &["--channels", "rgb,depth"]).ok();
 }
 
-/// Classes of an earlier training are not used for the next result.
+/// Training again deletes the classes of the earlier training.
 #[test]
 fn retraining_removes_classes() {
     let known = Known::new();

@@ -1,4 +1,4 @@
-//! Refusals of `sgs`: one clear sentence and an exit status; never a panic.
+//! Errors of `sgs`: one clear sentence and an exit status, never a panic.
 
 use glam::DVec3;
 use serde_json::json;
@@ -73,7 +73,7 @@ fn scenes_that_cannot_be_trained_on_are_refused() {
     sgs(&["plan", &none]).refused(&["does not exist"]);
     assert!(!place.path("run").exists(), "a refused scene leaves no run");
 
-    // A camera of another size than its image.
+    // Camera whose size differs from that of its image.
     let scene = place.path("scene");
     let other = Image::new(31, 24, 3);
     let image = scene.join("images/002.png");
@@ -81,12 +81,12 @@ fn scenes_that_cannot_be_trained_on_are_refused() {
     write_png(&image, &other).unwrap();
     place.train(&[]).refused(&["002.png", "31×24", "32×24"]);
 
-    // An image whose header is valid and whose pixels are truncated.
+    // Image with a valid header and truncated pixels.
     std::fs::write(&image, &original[..original.len() / 2]).unwrap();
     place.train(&[]).refused(&["002.png", "cannot be read as PNG"]);
     std::fs::write(&image, &original).unwrap();
 
-    // A pose with a number that is valid JSON but not a position.
+    // Pose with a number that is valid JSON but not a valid position.
     let text = std::fs::read_to_string(scene.join("transforms.json")).unwrap();
     let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
     value["frames"][3]["transform_matrix"][0][3] = json!(1e300);
@@ -99,7 +99,7 @@ fn scenes_that_cannot_be_trained_on_are_refused() {
     place.train(&[]).refused(&["transforms.json", "frame 3", "rigid"]);
     std::fs::write(scene.join("transforms.json"), &text).unwrap();
 
-    // No training views left, by the split and by the default.
+    // No training view remains, by the split and by the default.
     let split = std::fs::read(scene.join("split.json")).unwrap();
     write_json(&scene.join("split.json"), &json!({"train": [], "test": ["000"]}));
     place.train(&[]).refused(&["no training view"]);
@@ -115,7 +115,7 @@ fn scenes_that_cannot_be_trained_on_are_refused() {
     place.train(&["--views", "0"]).refused(&["at least one training view"]);
     place.train(&["--scale", "1.5"]).refused(&["scale", "1.5"]);
 
-    // Points.
+    // Damaged point clouds.
     let points = std::fs::read_to_string(scene.join("points.ply")).unwrap();
     std::fs::write(scene.join("points.ply"), &points[..points.len() - 40]).unwrap();
     place.train(&[]).refused(&["points.ply", "vertex"]);
@@ -123,7 +123,7 @@ fn scenes_that_cannot_be_trained_on_are_refused() {
     place.train(&[]).refused(&["points.ply", "no property \"y\""]);
     std::fs::write(scene.join("points.ply"), &points).unwrap();
 
-    // No views at all.
+    // No frame has its image.
     std::fs::remove_dir_all(scene.join("images")).unwrap();
     place.train(&[]).refused(&["none of the 8 frames has its image", "000.png"]);
     assert!(!place.path("run").exists(), "refused images and points leave no run");
@@ -155,7 +155,7 @@ fn damaged_linear_images_are_refused() {
 fn invalid_settings_are_refused() {
     let place = Place::new(Room::default());
     let set = |pair: &str| place.train(&["--set", pair]);
-    set("geometry.rates.scale=0.1").refused(&["geometry.rates.scale", "did you mean \"geometry.rates.scales\"?"]);
+    set("geometry.rates.mean=0.1").refused(&["geometry.rates.mean", "did you mean \"geometry.rates.means\"?"]);
     set("stepz=3").refused(&["\"stepz\" is not a setting", "geometry.steps"]);
     set("geometry.steps=many").refused(&["geometry.steps is \"many\"", "whole number"]);
     set("geometry.steps=-3").refused(&["geometry.steps is -3"]);
@@ -300,7 +300,7 @@ fn wrong_usage_exits_with_2() {
     }
 }
 
-/// As in `sgs devices | head`, after `head` has seen enough.
+/// Closes the pipe early, as in `sgs devices | head`.
 #[test]
 fn closed_pipe_exits_silently() {
     let finished = sgs_with_closed_stdout(&["devices"]);
@@ -308,9 +308,9 @@ fn closed_pipe_exits_silently() {
     finished.assert_no_panic();
 }
 
-/// Every command's answer is one JSON value.
+/// `--json` writes the result of a command as one JSON value.
 ///
-/// It is written to standard output or to the named file.
+/// The value goes to standard output or to the named file.
 #[test]
 fn json_is_valid_and_complete() {
     let place = Place::new(Room { priors: true, truth: true, ..Room::default() });
@@ -345,7 +345,7 @@ fn json_is_valid_and_complete() {
     assert!(files.iter().all(|f| Path::new(f.as_str().unwrap()).is_file()));
 }
 
-/// A viewer gets the same splats from an exported run as from the run.
+/// An exported run renders bit-identically to the run.
 #[test]
 fn an_export_renders_as_the_run_does() {
     let place = Place::new(Room::default());
@@ -357,15 +357,15 @@ fn an_export_renders_as_the_run_does() {
         std::fs::read(place.path("out/003_rgb.exr")).unwrap()
     };
     let (a, b) = (rgb(&run), rgb(&place.text("b.ply")));
-    assert!(a == b, "the pictures differ");
+    assert!(a == b, "the images differ");
     let image = sgs_scene::read_exr(&place.path("out/003_rgb.exr")).unwrap().image;
     let mean: DVec3 = image.data.chunks_exact(3).map(|p| DVec3::new(p[0].into(), p[1].into(), p[2].into())).sum();
-    assert!(mean.length() > 1.0, "the picture is black");
+    assert!(mean.length() > 1.0, "the image is black");
 }
 
 /// A run resumes with the settings file that it was started with.
 ///
-/// Settings that the file leaves to measurement do not conflict with their measured values.
+/// Settings that the file leaves automatic do not conflict with the selected values.
 #[test]
 fn run_resumes_with_its_settings_file() {
     let place = Place::new(Room::default());

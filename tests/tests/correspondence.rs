@@ -1,7 +1,7 @@
-//! The region correspondence loss on a device against its reference.
+//! Region correspondence loss on a device against its reference.
 
 use sgs_passes::reference::correspondence as reference;
-use sgs_passes::reference::correspondence::{Gradient, Picture, Terms};
+use sgs_passes::reference::correspondence::{Gradient, MaskedImage, Terms};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::semantic::Head as ReferenceHead;
 use sgs_passes::scene::FEATURES;
@@ -15,14 +15,14 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
 
 /// Returns correlated random features of a view, and a mask.
 ///
-/// The mask holds about `share` of the pixels.
-fn random_features(size: [usize; 2], share: f64, seed: u32) -> ([usize; 2], Picture) {
+/// The mask covers about `share` of the pixels.
+fn random_features(size: [usize; 2], share: f64, seed: u32) -> ([usize; 2], MaskedImage) {
     let mut common = Pcg::new(77);
     let center: Vec<f64> = (0..FEATURES).map(|_| 2.0 * common.normal()).collect();
     let mut rng = Pcg::new(seed);
     let pixels = size[0] * size[1];
     let image = (0..pixels * FEATURES).map(|i| f64::from((center[i % FEATURES] + rng.normal()) as f32)).collect();
-    (size, Picture { image, mask: (0..pixels).map(|_| rng.uniform() < share).collect() })
+    (size, MaskedImage { image, mask: (0..pixels).map(|_| rng.uniform() < share).collect() })
 }
 
 fn tolerance(expected: &[f64]) -> Tolerance {
@@ -30,13 +30,13 @@ fn tolerance(expected: &[f64]) -> Tolerance {
     Tolerance::new(2e-5 * largest, 1e-4)
 }
 
-fn expected(h: &ReferenceHead, views: &[([usize; 2], Picture)]) -> (Terms, Gradient) {
-    let all: Vec<Picture> = views.iter().map(|(_, p)| p.clone()).collect();
+fn expected(h: &ReferenceHead, views: &[([usize; 2], MaskedImage)]) -> (Terms, Gradient) {
+    let all: Vec<MaskedImage> = views.iter().map(|(_, p)| p.clone()).collect();
     reference::correspondence(h, &all[0], &all[1..], WEIGHT, TEMPERATURE)
 }
 
 #[track_caller]
-fn check(gpu: &Gpu, what: &str, h: &ReferenceHead, views: &[([usize; 2], Picture)]) -> Found {
+fn check(gpu: &Gpu, what: &str, h: &ReferenceHead, views: &[([usize; 2], MaskedImage)]) -> Found {
     let found = run(gpu, h, views);
     let (terms, gradient) = expected(h, views);
     let t = Tolerance::new(2e-6, 5e-6);
@@ -45,7 +45,7 @@ fn check(gpu: &Gpu, what: &str, h: &ReferenceHead, views: &[([usize; 2], Picture
     let total = 0.5 + WEIGHT * (terms.distance + terms.class);
     assert_close(&format!("total of {what}"), &[total], &[found.stats.total], t);
     assert_eq!(found.stats.correspondence_pairs as usize, terms.pairs, "{what}");
-    // The training view's gradient was added to previous contents.
+    // The training view's gradient is added to previous contents, whose rounding counts.
     let coarse = Tolerance::new(tolerance(&gradient.train).absolute + 3e-8, 1e-4);
     assert_close(&format!("training view of {what}"), &gradient.train, &found.train, coarse);
     for (i, (e, f)) in gradient.pseudo.iter().zip(&found.pseudo).enumerate() {
@@ -117,9 +117,9 @@ fn correspondence_at_extremes() {
         let all = found.train.iter().chain(found.pseudo.iter().flatten()).chain(&found.decoder);
         assert!(all.into_iter().all(|g| g.is_finite()));
     }
-    // The same view twice: zero distance, and no direction.
+    // The same view twice has zero distance and no direction.
     let same = random_features([9, 9], 0.8, 5);
-    let found = check(&gpu, "the same picture", &h, &[same.clone(), same]);
+    let found = check(&gpu, "the same image", &h, &[same.clone(), same]);
     assert!(found.stats.correspondence == 0.0 && found.train.iter().all(|&g| g == 0.0));
 }
 
@@ -137,7 +137,9 @@ fn correspondence_is_deterministic() {
     assert!((0..3).all(|_| once() == first));
 }
 
-/// Checks that a lost pixel, a view left out of the mean, and a lost distance fail.
+/// Checks that the comparison fails for three planted errors.
+///
+/// The errors are a lost pixel, a view left out of the mean, and a lost distance.
 #[test]
 fn correspondence_checks_can_fail() {
     let h = head(7, 8);
@@ -157,7 +159,7 @@ fn correspondence_checks_can_fail() {
     let mut other = exact.clone();
     other.train.iter_mut().for_each(|g| *g *= 1.001);
     assert_eq!(differs(&other), [true, false, false]);
-    let all: Vec<Picture> = views.iter().map(|(_, p)| p.clone()).collect();
+    let all: Vec<MaskedImage> = views.iter().map(|(_, p)| p.clone()).collect();
     let summed = reference::correspondence(&h, &all[0], &all[1..], 2.0 * WEIGHT, TEMPERATURE).1;
     assert_eq!(differs(&summed), [true; 3]);
 }

@@ -1,7 +1,7 @@
-//! A data set's layout through the whole program.
+//! Training and evaluation on a data set in the layout of InteriorVerse.
 //!
-//! The exposure is chosen, recorded and stored. Invalid pixels count neither in training nor in metrics. Ground truth beside
-//! the images is used for evaluation.
+//! The exposure is chosen, recorded and retained. Invalid pixels count neither in training nor in metrics. Evaluation
+//! uses the ground truth beside the images.
 
 use sgs_scene::{
     GroundTruth, GroundTruthKind, Image, LoadOptions, NormalFrame, Scene, SceneOptions, write_exr, write_png,
@@ -10,12 +10,14 @@ use sgs_tests::Place;
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::{Room, transforms, write_json};
 
-/// Returns whether a pixel is invalid: a block that is saturated in one view and black in the next.
+/// Returns whether a pixel is invalid.
+///
+/// Invalid pixels form a block, which is saturated in one view and black in the next.
 fn invalid(pixel: usize) -> bool {
     pixel % 32 < 10 && pixel / 32 < 12
 }
 
-/// Writes the room in `scene` again, as InteriorVerse would, into `release`.
+/// Writes the room in `scene` to `release` in the layout of InteriorVerse.
 fn write_release(place: &Place) {
     let (scene, release) = (place.path("scene"), place.path("release"));
     std::fs::create_dir(&release).unwrap();
@@ -75,7 +77,8 @@ fn interiorverse_trains_and_is_measured() {
         (eval["mean"]["nvs"]["psnr"].as_f64().unwrap(), eval["mean"].clone())
     };
     train("masked", &[]).ok();
-    // The room was made 32 times as bright; a power of two corrects most of it, and the run records it.
+    // The images are 32 times as bright as the room. The recorded exposure is a power of two that corrects most of
+    // that.
     let exposure = exposure_of("masked");
     assert!((1.0 / 64.0..=1.0 / 4.0).contains(&exposure) && exposure.log2().fract() == 0.0, "{exposure}");
     let (masked, mean) = psnr("masked");
@@ -85,7 +88,7 @@ fn interiorverse_trains_and_is_measured() {
     let (all, _) = psnr("all");
     assert!(masked > all + 3.0, "{masked} dB and {all} dB");
 
-    // Resuming does not choose again.
+    // Resuming retains the recorded exposure.
     train("masked", &["--resume", "--set", "exposure=0"]).ok();
     assert_eq!(exposure_of("masked"), exposure);
 }

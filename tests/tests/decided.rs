@@ -1,8 +1,8 @@
 //! Automatic reductions of the intrinsic stage during training.
 //!
-//! Their times and sizes, and that interruptions change nothing.
+//! Tests when each reduction happens, what it removes, and that interruptions change nothing.
 
-use sgs_config::Settings;
+use sgs_config::{Parts, Settings};
 use sgs_passes::shade::visibility::FieldConfig;
 use sgs_run::{Visibility, VisibilityFile};
 use sgs_scene::{Scene, SceneOptions, Splats};
@@ -37,7 +37,9 @@ impl Bench {
         Intrinsic::new(self.gpu.device(), &self.scene, s, &self.splats).unwrap()
     }
 
-    /// Trains twenty steps with interruptions; returns device memory after each, bytes.
+    /// Trains 20 steps, with an interruption after each step in `stops`.
+    ///
+    /// Returns the observations, and the device memory in bytes after each step.
     fn train<T>(&self, s: &Settings, stops: &[u32], observe: impl Fn(&Intrinsic) -> T) -> (Course<T>, Vec<u64>) {
         let file = self.place.path("state");
         let mut training = self.training(s);
@@ -59,13 +61,12 @@ impl Bench {
 
 /// Returns settings that accept any loss of quality.
 ///
-/// A hundred decibels exceed any contribution: every enabled reduction goes as far as it can.
+/// The allowed loss of 100 dB exceeds any contribution, so every enabled reduction goes as far as it can.
 fn eager() -> Settings {
     let mut s = settings(20);
     let a = &mut s.intrinsic.automatic;
     (a.enabled, a.gain, a.ready, a.settled) = (true, 100.0, 100.0, 100.0);
-    (a.sizes, a.lights, a.lobes, a.environment, a.visibility) = (false, false, false, false, false);
-    (a.levels, a.texels, a.pace) = (false, false, false);
+    a.parts = Parts { metallic: true, ..Parts::NONE };
     s
 }
 
@@ -80,7 +81,7 @@ fn decision<T>(course: &Course<T>, what: &str) -> String {
 fn finest_field_levels_are_removed() {
     let bench = Bench::new();
     let mut s = eager();
-    s.intrinsic.automatic.levels = true;
+    s.intrinsic.automatic.parts.levels = true;
     s.intrinsic.visibility.levels = 5;
     let field = |t: &Intrinsic| match t.light().unwrap().visibility {
         Visibility::Learned(field) => *field,
@@ -93,8 +94,7 @@ fn finest_field_levels_are_removed() {
     assert!(levels[..9].iter().all(|c| *c == whole) && levels[9..].iter().all(|c| *c == whole.first_levels(1)));
     let decision = decision(&straight, "levels");
     assert!(
-        decision.contains("1 of 5 stay: without the others pictures lose")
-            && decision.contains("gradients have reached"),
+        decision.contains("1 of 5 stay: without the others images lose") && decision.contains("gradients have reached"),
         "{decision}"
     );
     assert!(used[19] < used[8], "{} bytes before, {} after", used[8], used[19]);
@@ -102,12 +102,12 @@ fn finest_field_levels_are_removed() {
     assert!(fields[9].tables != fields[19].tables && fields[9].mlp != fields[19].mlp);
     assert!(bench.train(&s, &[9, 10, 14], field).0 == straight, "being stopped has changed something");
 
-    // The first level in the run's file equals that of the whole field.
+    // The reduced field survives a round trip through its file.
     let path = bench.place.path("field");
     fields[19].save(&path).unwrap();
     assert!(VisibilityFile::load(&path).unwrap() == fields[19]);
     // With the reduction disabled, all levels are retained.
-    s.intrinsic.automatic.levels = false;
+    s.intrinsic.automatic.parts.levels = false;
     let disabled = bench.train(&s, &[12], field).0.seen;
     assert!(disabled[..9] == fields[..9] && disabled[19].config == whole);
 }
@@ -120,26 +120,29 @@ fn unneeded_environment_texels_are_removed() {
     let bench = Bench::new();
     let mut s = eager();
     s.intrinsic.environment.resolution = 32;
-    s.intrinsic.automatic.texels = true;
+    s.intrinsic.automatic.parts.texels = true;
     let texels = |t: &Intrinsic| t.light().unwrap().environment.unwrap();
     for (automatic_interval, every) in [(true, 1), (false, 3)] {
-        s.intrinsic.automatic.pace = automatic_interval;
+        s.intrinsic.automatic.parts.update_interval = automatic_interval;
         s.intrinsic.environment.every = every;
         let (straight, used) = bench.train(&s, &[], texels);
         let seen = &straight.seen;
         let sizes: Vec<u32> = seen.iter().map(|t| t.size).collect();
         assert_eq!(sizes, [[32; 9].as_slice(), &[16; 11]].concat());
         let decision = decision(&straight, "texels");
-        assert!(decision.contains("16 along an edge instead of 32 stay: pictures lose"), "{decision}");
+        assert!(
+            decision.contains("16 along an edge instead of 32 stay: with averaged texels images lose"),
+            "{decision}"
+        );
         assert!(used[19] < used[8], "{} bytes before, {} after", used[8], used[19]);
-        // The map is as bright as before, up to one step; and it is trained further.
+        // Removal changes the mean brightness by less than twice the change of a step. Training continues.
         let mean = |i: usize| seen[i].data.iter().sum::<f32>() / seen[i].data.len() as f32;
         assert!((mean(9) - mean(8)).abs() < 2.0 * (mean(8) - mean(7)).abs(), "{} {} {}", mean(7), mean(8), mean(9));
         assert!(seen[9] != seen[19]);
         let stopped = bench.train(&s, &[3, 9, 10, 13], texels).0;
         assert!(stopped == straight, "being stopped has changed something");
     }
-    // A state with all texels can be restored; a size that the settings do not allow is refused.
+    // A state with all texels can be restored. A size that the settings do not allow is refused.
     let file = bench.place.path("state");
     let mut training = bench.training(&s);
     training.train(5, |_| {}, || true).unwrap();
@@ -150,17 +153,17 @@ fn unneeded_environment_texels_are_removed() {
     assert!(texels(&training) == before);
     s.intrinsic.environment.resolution = 16;
     let error = bench.training(&s).restore(&file).err().unwrap().to_string();
-    assert!(error.ends_with("damaged: surroundings cannot have \"32\" texels along an edge."), "{error}");
+    assert!(error.ends_with("damaged: an environment map cannot have \"32\" texels along an edge."), "{error}");
 }
 
-/// The update interval of the environment map is chosen halfway.
+/// The update interval of the environment map is chosen halfway through training.
 ///
-/// It is stored in checkpoints and can be fixed.
+/// Checkpoints store the interval. A setting fixes it.
 #[test]
 fn environment_update_interval_grows_within_allowed_loss() {
     let bench = Bench::new();
     let mut s = eager();
-    s.intrinsic.automatic.pace = true;
+    s.intrinsic.automatic.parts.update_interval = true;
     let texels = |t: &Intrinsic| t.light().unwrap().environment.unwrap().data;
     let start = texels(&bench.training(&s));
     let moved = |seen: &[Vec<f32>]| -> Vec<u32> {
@@ -169,23 +172,23 @@ fn environment_update_interval_grows_within_allowed_loss() {
     };
     let straight = bench.train(&s, &[], texels).0;
     assert_eq!(moved(&straight.seen), (1..=10).chain([16]).collect::<Vec<_>>());
-    let decision = decision(&straight, "pace");
-    assert!(decision.contains("surroundings move once in 8 steps: as old as that they cost"), "{decision}");
+    let decision = decision(&straight, "update_interval");
+    assert!(decision.contains("the environment map is updated every 8 steps: at that age it costs"), "{decision}");
     let stopped = bench.train(&s, &[3, 9, 10, 12, 17], texels).0;
     assert!(stopped == straight, "being stopped has changed something");
     // While images still improve, no update interval grows.
     s.intrinsic.automatic.settled = 0.0;
     assert_eq!(moved(&bench.train(&s, &[], texels).0.seen).len(), 20);
     s.intrinsic.automatic.settled = 100.0;
-    // A smaller allowed loss gives shorter intervals; with none allowed, or a fixed interval, every step updates.
+    // A smaller allowed loss gives shorter intervals. With a fixed interval, every step updates.
     s.intrinsic.automatic.gain = 0.0;
     let strict = moved(&bench.train(&s, &[], texels).0.seen);
     assert!(strict.len() > 11, "{strict:?}");
-    (s.intrinsic.automatic.gain, s.intrinsic.automatic.pace) = (100.0, false);
+    (s.intrinsic.automatic.gain, s.intrinsic.automatic.parts.update_interval) = (100.0, false);
     assert_eq!(moved(&bench.train(&s, &[], texels).0.seen).len(), 20);
 
-    // A file with another value is refused.
-    s.intrinsic.automatic.pace = true;
+    // A checkpoint with an inconsistent interval is refused.
+    s.intrinsic.automatic.parts.update_interval = true;
     bench.train(&s, &[17], texels);
     let right = std::fs::read(bench.place.path("state")).unwrap();
     let at = right.windows(7).position(|w| w == b"8 10 10").expect("the file does not say it");
@@ -201,7 +204,7 @@ fn environment_update_interval_grows_within_allowed_loss() {
 
 /// Environment map, shadows and lobes can each be removed alone.
 ///
-/// Interruptions do not change a bit, and retained components are reported.
+/// Results after interruptions are bit-identical. Retained components are reported.
 #[test]
 fn components_are_removed_alone_and_retained_ones_reported() {
     let bench = Bench::new();
@@ -219,9 +222,9 @@ fn components_are_removed_alone_and_retained_ones_reported() {
         let mut s = eager();
         let a = &mut s.intrinsic.automatic;
         match part {
-            "environment" => a.environment = true,
-            "visibility" => a.visibility = true,
-            _ => a.lobes = true,
+            "environment" => a.parts.environment = true,
+            "visibility" => a.parts.visibility = true,
+            _ => a.parts.lobes = true,
         }
         let (straight, used) = bench.train(&s, &[], there);
         for (i, seen) in straight.seen.iter().enumerate() {
@@ -235,14 +238,14 @@ fn components_are_removed_alone_and_retained_ones_reported() {
         s.intrinsic.automatic.gain = 0.0;
         let strict = bench.train(&s, &[12], there).0;
         let retained: Vec<_> = strict.decided.iter().filter(|d| d.starts_with(part)).collect();
-        assert!(!retained.is_empty() && retained.iter().all(|d| d.contains(" dB (asked: 0)")), "{:?}", strict.decided);
-        // Merged lobes are retained too, but fewer.
+        assert!(!retained.is_empty() && retained.iter().all(|d| d.contains(" dB (limit: 0)")), "{:?}", strict.decided);
+        // Merged lobes also count as retained, but are fewer than before.
         let whole = |d: &&String| d.starts_with(&format!("{part} kept")) && !d.contains("merging the others costs");
         assert_eq!(retained.iter().all(whole), strict.seen[19] == before, "{retained:?}");
     }
 }
 
-/// Of two redundant components one is retained.
+/// One of two redundant components is retained.
 ///
 /// Later components are measured without those already removed.
 #[test]
@@ -250,20 +253,20 @@ fn components_are_measured_without_removed_ones() {
     let bench = Bench::new();
     let shadows = |environment: bool| {
         let mut s = eager();
-        (s.intrinsic.automatic.environment, s.intrinsic.automatic.visibility) = (environment, true);
+        (s.intrinsic.automatic.parts.environment, s.intrinsic.automatic.parts.visibility) = (environment, true);
         decision(&bench.train(&s, &[], |_| ()).0, "visibility left out after step 10")
     };
     assert_ne!(shadows(true), shadows(false));
     // If all lights are removed, the environment map is retained, whatever its contribution.
     let mut s = eager();
-    (s.intrinsic.automatic.lights, s.intrinsic.automatic.environment) = (true, true);
+    (s.intrinsic.automatic.parts.lights, s.intrinsic.automatic.parts.environment) = (true, true);
     let course = bench.train(&s, &[], |t| (t.light().unwrap().lights.is_some(), t.environment_size())).0;
     assert!(course.seen[..4].iter().all(|l| l.0) && course.seen[4..].iter().all(|l| *l == (false, Some(16))));
-    // Lights that are already off are absent when the environment map is measured.
+    // Removed lights are absent when the environment map is measured.
     s.intrinsic.automatic.gain = 2.0;
     let with = |lights: bool| {
         let mut s = s.clone();
-        s.intrinsic.automatic.lights = lights;
+        s.intrinsic.automatic.parts.lights = lights;
         bench.train(&s, &[], |_| ()).0.decided.into_iter().find(|d| d.starts_with("environment"))
     };
     assert_ne!(with(true), with(false));

@@ -1,4 +1,4 @@
-//! The decoder's step, label maps, and semantic priors of a scene on a device.
+//! Decoder update, label maps, and semantic priors of a scene on a device.
 
 use half::f16;
 use sgs_engine::graph::Graph;
@@ -11,7 +11,7 @@ use sgs_shaders::structs::{SemanticTarget, Step, Work};
 use sgs_tests::semantics::head;
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
-/// Pixels past the end of this view.
+/// Number of pixels past the end of the view.
 const SPARE: usize = 7;
 const CHANNELS: usize = 38;
 const FIRST: usize = 4;
@@ -26,7 +26,7 @@ fn the_decoder_follows_adam_and_a_flag_stops_it() {
     let n = EMBEDDING * AUGMENTED;
     let mut rng = Pcg::new(1);
     let start = Decoder::initial(8);
-    // Small enough for epsilon to matter.
+    // Gradients are small enough for Adam's epsilon to matter.
     let slope: Vec<f32> = (0..n).map(|_| (1e-7 * rng.normal()) as f32).collect();
     for flag in [0_u32, 4] {
         let mut g = Graph::new("decoder");
@@ -163,8 +163,7 @@ fn label_maps_match_reference() {
 
 /// Uploads semantic targets of a scene on disk.
 ///
-/// Maps have different sizes, one view has none, and some cells are unlabeled.
-/// An image's classes come at two sizes.
+/// Maps have different sizes, one view has none, and some cells are unlabeled. Images of four sizes are labeled.
 #[test]
 fn semantic_priors_of_a_scene_reach_the_device() {
     use sgs_engine::Location;
@@ -189,7 +188,7 @@ fn semantic_priors_of_a_scene_reach_the_device() {
     write("text_embeddings.npy", npy("<f4", "(3, 512)", bytemuck::cast_slice(&twice)));
     write("labels.json", br#"{"labels": ["background", "wall", "floor"]}"#.to_vec());
     let class = |c: usize| h.text[c * EMBEDDING..][..EMBEDDING].iter().map(|&t| f16::from_f64(t)).collect::<Vec<f16>>();
-    // View 1 is a test view, view 2 has no map.
+    // View 1 is a test view. View 2 has no map.
     let first =
         [class(2), class(0), vec![f16::ZERO; EMBEDDING], class(1), class(1), vec![f16::NAN; EMBEDDING]].concat();
     write("000.npy", npy("<f2", "(2, 3, 512)", bytemuck::cast_slice(&first)));
@@ -256,7 +255,7 @@ fn feature_mask_covers_samples_and_regions() {
     use sgs_passes::loss::{pack_mask, wanted_samples};
     use sgs_passes::splat::{Screen, wanted_words};
     let gpu = Gpu::new();
-    // Weight of pixel `at` in a sample of `n` along an axis of `pixels`; first and last samples align with the ends.
+    // Weight of pixel `at` in sample `i` of `n` along an axis of `pixels`. First and last samples align with the ends.
     let weight = |i: usize, n: usize, at: usize, pixels: usize| {
         let place = if n > 1 { i as f64 * (pixels - 1) as f64 / (n - 1) as f64 } else { 0.0 };
         (1.0 - (place - at as f64).abs()).max(0.0)

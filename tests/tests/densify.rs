@@ -20,7 +20,9 @@ const SETTINGS: Settings = Settings {
     seed: 77,
 };
 
-/// First number of SH band 1: encodes the index of the original Gaussian. Copies keep it.
+/// Group whose first number encodes the index of the original Gaussian.
+///
+/// Copies retain the number.
 const TAG: usize = Group::Sh1 as usize;
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -52,7 +54,7 @@ enum Fate {
 }
 
 impl Scene {
-    /// Builds Gaussians with unambiguous fates, followed by NaN.
+    /// Builds Gaussians with unambiguous fates. The rest of the capacity is NaN.
     fn new(fates: &[Fate], capacity: usize, seed: u32) -> Scene {
         let mut rng = Pcg::new(seed);
         let mut scene = Scene {
@@ -94,7 +96,7 @@ impl Scene {
                 _ => rng.range(0.0, 0.9e-4) * f64::from(seen),
             };
             let weight = if fate == Fate::Unseen { 0.5e-4 } else { rng.range(0.01, 10.0) };
-            // About as large as the screen gradient, in units of 1e-3.
+            // About as large as the screen gradient times 1e-3.
             let by_normal = 1e-3 * gradient * rng.range(0.5, 2.0);
             scene.statistics[4 * i..][..4].copy_from_slice(&[gradient as f32, seen, weight as f32, by_normal as f32]);
         }
@@ -140,7 +142,7 @@ impl Scene {
         &self.moments[g][2 * slot * width(g)..][..2 * width(g)]
     }
 
-    /// Returns the scene afterwards and the reported statistics.
+    /// Returns the densified scene and the reported statistics.
     fn run(&self, gpu: &Gpu, s: &Settings) -> (Scene, DensifyStats) {
         let mut g = Graph::new("densify");
         let parameters = std::array::from_fn(|i| g.external(Group::ALL[i].name(), 4 * self.parameters[i].len() as u64));
@@ -208,7 +210,7 @@ impl Scene {
         }
     }
 
-    /// Compares slot by slot with the reference; copies bit for bit.
+    /// Compares each slot with the reference. Copies must match bit for bit.
     fn check(&self, gpu: &Gpu, s: &Settings) -> (Scene, DensifyStats) {
         let (after, stats) = self.run(gpu, s);
         self.check_invariants(&after, &stats, s.cap);
@@ -222,7 +224,7 @@ impl Scene {
         for (slot, origin) in slots.into_iter().enumerate() {
             let (from, keeps_moments, half) = match origin {
                 Origin::Same(i) => (i, true, None),
-                Origin::Twin(i) => (i, false, None),
+                Origin::Duplicate(i) => (i, false, None),
                 Origin::Half(i, which) => (i, false, Some(which)),
             };
             for g in 0..9 {
@@ -242,7 +244,7 @@ impl Scene {
                 let candidate = self.candidate(from);
                 let (mean, log_scale) = reference::half(&candidate, from, which, s.seed);
                 let size = candidate.log_scale.iter().fold(f64::MIN, |a, &b| a.max(b)).exp();
-                // A logarithm, a root, a sine and a rotation of numbers up to 5.8 sizes.
+                // Rounding of a logarithm, a root, a sine and a rotation, at up to 5.8 standard deviations.
                 assert_close("mean", &mean, after.parameter(0, slot), Tolerance::new(1e-5 * size, 2e-7));
                 assert_close("log scale", &log_scale, after.parameter(1, slot), Tolerance::new(0.0, 2e-7));
             }
@@ -271,11 +273,11 @@ fn densify_matches_reference() {
     }
 }
 
-/// Large gradients by the normal refine Gaussians with small screen gradients.
+/// Large normal gradients refine Gaussians despite small screen gradients.
 ///
-/// This is the published statistic. Under the cap both count by the multiple of their threshold.
+/// This is the published statistic. Under the cap, both gradients rank by their multiples of their thresholds.
 #[test]
-fn gradients_by_normals_refine() {
+fn large_normal_gradients_refine_gaussians() {
     let gpu = Gpu::new();
     let by_normals = Settings { normal_threshold: 1e-7, ..SETTINGS };
     for (seed, (count, capacity)) in [(2, 2), (257, 300), (1000, 1000), (5000, 20000)].into_iter().enumerate() {
@@ -312,7 +314,7 @@ fn densify_of_one_kind_only() {
             assert_eq!((stats.after, stats.pruned, stats.cloned, stats.split), expected);
         }
     }
-    // All zero, and one finite gradient among many that are not.
+    // No Gaussians; then two valid Gaussians among many with NaN.
     let (after, _) = Scene::new(&[], 4, 1).check(&gpu, &SETTINGS);
     assert_eq!(after.count, 0);
     let mut fates = [Nan; 400];
@@ -338,7 +340,7 @@ fn splits_of_degenerate_quaternions_match_reference() {
 }
 
 #[test]
-fn densify_fills_the_cap_and_not_more() {
+fn densify_fills_the_cap_exactly() {
     let gpu = Gpu::new();
     let fates: Vec<Fate> = (0..2000).map(|i| [Fate::Clone, Fate::Split, Fate::Keep, Fate::Faint][i % 4]).collect();
     let scene = Scene::new(&fates, 4000, 9);
@@ -347,10 +349,10 @@ fn densify_fills_the_cap_and_not_more() {
         assert_eq!(after.count, cap.clamp(1500, 2500));
         assert_eq!(stats.refused as usize, 2500 - after.count);
     }
-    // The capacity is a cap as well.
+    // The capacity of the buffers is a cap as well.
     let (after, _) = Scene::new(&fates, 2100, 9).check(&gpu, &SETTINGS);
     assert_eq!(after.count, 2100);
-    // Equal gradients: ordered by index.
+    // Gaussians with equal gradients are ordered by index.
     let mut equal = Scene::new(&[Fate::Clone; 1000], 1100, 9);
     equal.statistics.as_chunks_mut::<4>().0.iter_mut().for_each(|s| *s = [0.5, 1.0, 1.0, 0.0]);
     let (after, _) = equal.check(&gpu, &SETTINGS);
@@ -379,7 +381,7 @@ fn split_halves_are_distributed_as_their_parent() {
     let mut scene = Scene::new(&[Fate::Split; 4000], 8000, 1);
     for i in 0..4000 {
         scene.parameters[Group::Means as usize][3 * i..][..3].copy_from_slice(&[1.0, 2.0, 3.0]);
-        // A quarter turn about z: the first axis lies along y.
+        // A quarter turn about z, so that the first axis lies along y.
         scene.parameters[Group::Rotations as usize][4 * i..][..4].copy_from_slice(&[2.0, 0.0, 0.0, 2.0]);
         let log = [0.1_f32.ln(), 0.01_f32.ln(), 0.02_f32.ln()];
         scene.parameters[Group::LogScales as usize][3 * i..][..3].copy_from_slice(&log);
@@ -419,7 +421,7 @@ fn densify_checks_can_fail() {
 }
 
 #[test]
-fn opacity_reset_cuts_and_forgets() {
+fn opacity_reset_clamps_opacities_and_clears_moments() {
     let gpu = Gpu::new();
     let (count, capacity) = (300, 400);
     let mut rng = Pcg::new(2);

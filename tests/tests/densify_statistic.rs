@@ -1,4 +1,4 @@
-//! The densification statistic: the losses whose gradients enter it.
+//! Losses whose gradients enter the densification statistic.
 
 use sgs_config::{Backward, DensifyStatistic, Settings};
 use sgs_passes::reference::rng::Pcg;
@@ -29,7 +29,9 @@ impl Bench {
         Bench { gpu: Gpu::new(), scene, splats, _place: place }
     }
 
-    /// Returns per Gaussian: screen gradient, count, weight, gradient by the raw normal.
+    /// Returns the gathered statistics of all Gaussians.
+    ///
+    /// The arrays hold screen gradients, counts, weights, and gradients by the raw normals.
     fn gather(&self, statistic: DensifyStatistic, change: impl Fn(&mut Settings)) -> [Vec<f32>; 4] {
         let mut s = Settings::default();
         s.geometry.steps = 1000;
@@ -64,9 +66,9 @@ fn near(name: &str, expected: &[f32], found: &[f32]) {
     assert_close(name, &expected, found, Tolerance::new(2e-5 * f64::from(most), 2e-3));
 }
 
-/// A statistic equals the total of a step with only the named losses.
+/// Each statistic equals the total of a step that has only its losses.
 ///
-/// All losses are on; every backward kernel is tested.
+/// The steps that gather the statistics have all losses. Every backward kernel is tested.
 #[test]
 fn a_statistic_holds_the_gradients_of_the_named_losses_alone() {
     let bench = Bench::new();
@@ -85,7 +87,7 @@ fn a_statistic_holds_the_gradients_of_the_named_losses_alone() {
             assert_eq!(found[1], all[1]);
             near("weights", &all[2], &found[2]);
         }
-        // Gradients by normals are gathered for the statistic that uses them.
+        // Only the statistic that uses gradients by normals gathers them.
         assert!(of_color[3].iter().all(|v| *v == 0.0) && of_geometry[3].iter().any(|v| *v > 0.0));
         let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).filter(|(a, b)| (*a - *b).abs() > 0.05 * a.abs()).count();
         assert!(apart(&all[0], &of_color[0]) > 20 && apart(&all[0], &of_geometry[0]) > 20);
@@ -103,7 +105,7 @@ fn semantic_gradients_enter_the_total_alone() {
         assert!(of(statistic, true) == of(statistic, false), "{statistic:?}");
     }
     assert!(of(DensifyStatistic::Total, true)[0] != of(DensifyStatistic::Total, false)[0]);
-    // Without normals and depth only colors are blended.
+    // Without normals and depth, kernels blend only colors.
     let colors = |statistic, semantics: bool| {
         bench.gather(statistic, |s| {
             photometric_alone(s);

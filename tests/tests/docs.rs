@@ -1,6 +1,6 @@
-//! The book agrees with the program: generated pages, links, anchors, and shell blocks that run.
+//! The book matches the program: generated pages, links, anchors, shell blocks.
 //!
-//! `SGS_WRITE_DOCS=1 cargo test --workspace --test docs` writes the generated pages again.
+//! `SGS_WRITE_DOCS=1 cargo test --workspace --test docs` regenerates the generated pages.
 
 use sgs_config::{PRESETS, Settings};
 use sgs_tests::cli::{program, sgs};
@@ -35,7 +35,7 @@ fn check_page(name: &str, text: &str) {
     );
 }
 
-/// The text of doc comments, one line per paragraph.
+/// Returns the text of doc comments, one line per paragraph.
 fn doc(attributes: &[syn::Attribute]) -> String {
     let mut text = String::new();
     for attribute in attributes.iter().filter(|a| a.path().is_ident("doc")) {
@@ -47,17 +47,19 @@ fn doc(attributes: &[syn::Attribute]) -> String {
             text.push(' ');
         }
     }
-    // A table cell holds no link to an item and no vertical bar.
+    // A table cell cannot hold a rustdoc link or an unescaped vertical bar.
     text.trim().replace('|', "\\|").replace("[`", "`").replace("`]", "`")
 }
 
-/// A struct of settings: documentation, and name, type and documentation of its fields.
+/// Struct of settings.
+///
+/// `fields` holds the name, type and documentation of each field.
 struct Group {
     doc: String,
     fields: Vec<(String, String, String)>,
 }
 
-/// The structs of the crates that define settings.
+/// Returns the structs of the crates that define settings, by name.
 fn groups() -> BTreeMap<String, Group> {
     let mut groups = BTreeMap::new();
     let folder = root().join("tools/config/src");
@@ -80,7 +82,9 @@ fn groups() -> BTreeMap<String, Group> {
     groups
 }
 
-/// Formats a value; a float that single precision holds gets no more digits than that needs.
+/// Formats a value.
+///
+/// A float that is exact in single precision gets only the digits that single precision needs.
 fn shortest(value: &toml::Value) -> String {
     match value {
         toml::Value::Float(number) if f64::from(*number as f32) == *number => format!("{:?}", *number as f32),
@@ -89,9 +93,9 @@ fn shortest(value: &toml::Value) -> String {
     }
 }
 
-/// Appends the settings of a table, and of the tables below it, to the page.
+/// Appends the settings of a table and of its nested tables to the page.
 ///
-/// `tables`: the defaults, then the settings of each preset.
+/// `tables` holds the defaults, then the settings of each preset.
 fn settings_of(
     groups: &BTreeMap<String, Group>,
     name: &str,
@@ -178,7 +182,7 @@ fn command_line_page_is_generated() {
     check_page("reference/cli.md", &page);
 }
 
-/// The Markdown files that people read.
+/// Returns the Markdown files of the documentation, sorted.
 fn pages() -> Vec<PathBuf> {
     fn walk(folder: &Path, into: &mut Vec<PathBuf>) {
         for entry in std::fs::read_dir(folder).expect("a folder") {
@@ -200,7 +204,7 @@ fn pages() -> Vec<PathBuf> {
     all
 }
 
-/// The lines of a page outside fenced blocks.
+/// Returns the lines of a page outside fenced blocks.
 fn prose(text: &str) -> String {
     let mut fenced = false;
     let mut lines = Vec::new();
@@ -214,7 +218,7 @@ fn prose(text: &str) -> String {
     lines.join("\n")
 }
 
-/// The targets of the inline links of a page.
+/// Returns the targets of the inline links of a page.
 fn links(text: &str) -> Vec<String> {
     let text = prose(text);
     let mut found = Vec::new();
@@ -227,7 +231,7 @@ fn links(text: &str) -> Vec<String> {
     found
 }
 
-/// The anchors of a page, as renderers of Markdown make them from headings.
+/// Returns the anchors of a page, as Markdown renderers derive them from headings.
 fn anchors(text: &str) -> BTreeSet<String> {
     let mut anchors = BTreeSet::new();
     for line in prose(text).lines().filter(|l| l.starts_with('#')) {
@@ -238,7 +242,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
     anchors
 }
 
-/// A path without `.` and `..`.
+/// Returns a path without `.` and `..`.
 fn plain(path: &Path) -> PathBuf {
     let mut out = PathBuf::new();
     for part in path.components() {
@@ -253,7 +257,7 @@ fn plain(path: &Path) -> PathBuf {
     out
 }
 
-/// The links of a page that lead nowhere.
+/// Returns the broken links of a page.
 fn broken(page: &Path, text: &str) -> Vec<String> {
     let mut broken = Vec::new();
     for link in links(text) {
@@ -304,7 +308,7 @@ fn summary_lists_every_page_once() {
     assert_eq!(unique, there);
 }
 
-/// The shell blocks of a page that are marked to run.
+/// Returns the shell blocks of a page that are marked to run.
 fn scripts(text: &str) -> Vec<String> {
     let mut found = Vec::new();
     let mut script: Option<String> = None;
@@ -325,7 +329,9 @@ fn scripts(text: &str) -> Vec<String> {
     found
 }
 
-/// Runs the blocks of every page, in order, in a folder of the page's own. A wrapper shortens trainings.
+/// Runs the shell blocks of every page, in order.
+///
+/// Each page has its own folder. A wrapper shortens trainings.
 #[test]
 fn shell_blocks_run() {
     let mut count = 0;
@@ -361,7 +367,7 @@ fn shell_blocks_run() {
     assert!(count >= 5, "{count} blocks");
 }
 
-/// The direct dependencies of the workspace, as its manifest lists them.
+/// Returns the direct dependencies that the workspace manifest lists.
 fn dependencies() -> BTreeSet<String> {
     let manifest: toml::Table = read(&root().join("Cargo.toml")).parse().expect("the manifest is TOML");
     let all = manifest["workspace"]["dependencies"].as_table().expect("a table");
@@ -381,7 +387,7 @@ fn every_dependency_has_a_reason() {
     assert_eq!(listed, dependencies());
 }
 
-/// Returns whether allowed licenses alone satisfy a license expression.
+/// Returns whether allowed licenses alone satisfy an SPDX license expression.
 fn allowed(expression: &str) -> bool {
     const ALLOWED: &[&str] =
         &["MIT", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "ISC", "Zlib", "0BSD", "Unlicense", "Unicode-3.0"];
@@ -390,7 +396,7 @@ fn allowed(expression: &str) -> bool {
     flat.split(" AND ").all(part)
 }
 
-/// Licenses of all packages of the lock file, as their manifests state them.
+/// Checks the licenses in the manifests of all resolved third-party packages.
 #[test]
 fn licenses_are_permissive() {
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
@@ -406,7 +412,7 @@ fn licenses_are_permissive() {
     let mut refused = Vec::new();
     for package in metadata["packages"].as_array().expect("packages") {
         let name = package["name"].as_str().expect("a name");
-        // Only tests link cbindgen.
+        // cbindgen is linked by tests only.
         if !nodes.contains(package["id"].as_str().expect("an id")) || package["source"].is_null() || name == "cbindgen"
         {
             continue;

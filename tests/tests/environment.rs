@@ -1,6 +1,6 @@
-//! The environment map on a device against its reference.
+//! Environment map on a device against its reference.
 //!
-//! Filters and their adjoints, light on surfaces, gradients, smoothness.
+//! Covers the filters and their adjoints, light on surfaces, gradients, and smoothness.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::Tuning;
@@ -8,8 +8,9 @@ use sgs_passes::reference::environment as reference;
 use sgs_passes::reference::environment::{Cube, Filter, Pixel};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::environment::{
-    Environment, EnvironmentSums, EnvironmentView, Kept, environment_background, environment_bwd, environment_clamp,
-    environment_filter, environment_filter_bwd, environment_filter_kept, environment_filter_kept_bwd,
+    Environment, EnvironmentSums, EnvironmentView, StoredFilter, environment_background, environment_bwd,
+    environment_clamp, environment_filter, environment_filter_bwd, environment_filter_stored,
+    environment_filter_stored_bwd,
 };
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_shaders::structs::Step;
@@ -54,7 +55,7 @@ fn training_leaves_no_texel_below_zero() {
     for every in [1, 2] {
         let mut s = settings(4);
         s.intrinsic.environment.every = every;
-        // Far too bright. Adam's first step has the length of the rate, whatever the gradient: more than any texel.
+        // The start is far too bright. Adam's first step has the length of the learning rate, which exceeds any texel.
         s.intrinsic.environment.start = 20.0;
         s.intrinsic.rates.environment = 1e3;
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
@@ -69,7 +70,7 @@ fn training_leaves_no_texel_below_zero() {
     }
 }
 
-/// Returns tunings of other subgroup sizes that this device can run.
+/// Returns the device's own tuning, and the same with workgroups of 64.
 fn tunings(gpu: &Gpu) -> Vec<Tuning> {
     let own = gpu.tuning();
     vec![own, Tuning { workgroup: 64, ..own }]
@@ -107,7 +108,7 @@ fn environment_light_and_gradients_match_reference() {
             let expected: Vec<f64> = pixels.iter().flat_map(|p| reference::shade_diffuse(&levels, p)).collect();
             assert_close("diffuse", &expected, &found.diffuse, Tolerance::new(1e-4, 1e-4));
 
-            // Materials: central differences of the reference.
+            // Expected material gradients are central differences of the reference.
             for (i, p) in pixels.iter().enumerate() {
                 let g = &gradient[3 * i..3 * i + 3];
                 let mut x = [p.albedo[0], p.albedo[1], p.albedo[2], p.roughness, p.metallic];
@@ -130,7 +131,7 @@ fn environment_light_and_gradients_match_reference() {
                 }
             }
 
-            // Texels: the reference's adjoint.
+            // Expected texel gradients come from the reference's adjoint.
             let by_level = level_gradients(&e, &pixels, &gradient);
             let mut expected = vec![0.0; texels.len()];
             for (g, level) in by_level.iter().zip(e.levels()) {
@@ -145,24 +146,24 @@ fn environment_light_and_gradients_match_reference() {
 
 /// Level gradients gathered over two steps are propagated to the texels together.
 #[test]
-fn gathered_gradients_are_the_mean() {
+fn gathered_gradients_equal_the_gradient_of_the_mean() {
     let gpu = Gpu::new();
     let (e, t) = (made(32), gpu.tuning());
     let (texels, pixels) = (room(&e, 3), surfaces(5));
     let count = pixels.len() as u64;
     let mut rng = Pcg::new(11);
-    // The second gradient is a thousand times as large: each has a scale of its own.
+    // The second gradient is a thousand times as large. Each has its own fixed-point scale.
     let gradients =
         [1.0, 1000.0].map(|f| (0..3 * pixels.len()).map(|_| (f * rng.normal()) as f32).collect::<Vec<f32>>());
     let mut g = Graph::new("gathered");
     let tables = e.declare(&mut g);
     let step = g.uniform("step", size_of::<Step>() as u64);
     let parameters = g.input("texels", 4 * u64::from(e.floats()));
-    let kept = Kept::declare(&mut g, &e, true);
+    let kept = StoredFilter::declare(&mut g, &e, true);
     let [points, normals] = ["points", "normals"].map(|n| g.input(n, 12 * count));
     let (coverage, materials) = (g.input("coverage", 4 * count), g.input("materials", 16 * count));
     let view = EnvironmentView { step, points, normals, coverage, materials, metallic: None, pixels: count };
-    environment_filter_kept(&mut g, &t, &e, &tables, parameters, &kept).unwrap();
+    environment_filter_stored(&mut g, &t, &e, &tables, parameters, &kept).unwrap();
     let mut given = vec![(kept.gathered, bytes(&vec![0.0_f32; 3 * e.filtered_texels() as usize]))];
     for (i, loss_gradient) in gradients.iter().enumerate() {
         g.set_prefix(format!("{i}."));
@@ -174,7 +175,7 @@ fn gathered_gradients_are_the_mean() {
     }
     g.set_prefix("");
     let by_texels = g.external("texel_gradient", 4 * u64::from(e.floats()));
-    environment_filter_kept_bwd(&mut g, &t, &e, &tables, &kept, None, by_texels).unwrap();
+    environment_filter_stored_bwd(&mut g, &t, &e, &tables, &kept, None, by_texels).unwrap();
     let mut values = Step::default();
     values.camera.size = [count as u32, 1];
     values.camera.position = CAMERA;
@@ -205,7 +206,8 @@ fn gathered_gradients_are_the_mean() {
 
 #[test]
 fn reference_texel_gradient_matches_difference() {
-    // Shading is linear in the texels: the difference along a direction is the product of gradient and direction.
+    // Shading is linear in the texels, so the difference along a direction is the dot product of gradient and
+    // direction.
     let e = made(16);
     let (texels, pixels) = (room(&e, 1), surfaces(2));
     let mut rng = Pcg::new(3);
@@ -222,7 +224,7 @@ fn reference_texel_gradient_matches_difference() {
         slope += part.iter().zip(&other).map(|(p, x)| p * f64::from(*x)).sum::<f64>();
     }
     let moved: Vec<f32> = texels.iter().zip(&other).map(|(x, d)| x + d).collect();
-    // Rounding of the sum.
+    // The texels are rounded to 32 bits, so the actual step differs from the direction.
     let step: Vec<f64> = moved.iter().zip(&texels).map(|(m, x)| f64::from(*m) - f64::from(*x)).collect();
     let rounding: f64 = step.iter().zip(&other).map(|(s, o)| (s - f64::from(*o)).abs()).sum();
     let difference = loss(&moved) - loss(&texels);
@@ -230,7 +232,7 @@ fn reference_texel_gradient_matches_difference() {
 }
 
 #[test]
-fn filter_and_adjoint_agree_and_large_cubes_are_filtered_rightly() {
+fn filter_matches_its_adjoint_and_the_reference() {
     let gpu = Gpu::new();
     for (size, backward) in [(16, true), (64, true), (512, false)] {
         let e = made(size);
@@ -247,7 +249,7 @@ fn filter_and_adjoint_agree_and_large_cubes_are_filtered_rightly() {
         let filtered = environment_filter(&mut g, &t, &e, &tables, texels).unwrap();
         g.copy("radiance", filtered.radiance, radiance).unwrap();
         g.copy("inverse_sums", filtered.inverse_sums, inverse_sums).unwrap();
-        // With 30 bits for a largest number just below 1 the unit is 2^-30.
+        // With 30 bits and a largest number just below 1, the fixed-point unit is 2^-30.
         let sums = EnvironmentSums { texel_sums, largest, bits: 30 };
         let gradient = g.external("gradient", 4 * u64::from(e.floats()));
         if backward {
@@ -265,7 +267,7 @@ fn filter_and_adjoint_agree_and_large_cubes_are_filtered_rightly() {
             let size_of = dot(&radiance, &radiance).sqrt() * dot(&y, &y).sqrt();
             assert!((forward - back).abs() < 1e-6 * size_of, "{size}: {forward} {back} of {size_of}");
         }
-        // Sampled texels, including corners of faces, against the reference's sums over all texels.
+        // Compare sampled texels, including corners of faces, with the reference's sums over all texels.
         let cube = Cube::from_floats(size as usize, &x);
         for level in e.levels() {
             let mip = reference::mip(&cube, level.size as usize);
@@ -331,7 +333,7 @@ fn white_is_white_and_nothing_is_created() {
             assert!((f64::from(c[0]) - (1.0 - p.metallic) - specular).abs() < 2e-3 * (1.0 - p.metallic) + 1e-5);
             assert!(specular <= 1.0005, "{p:?}");
         }
-        // The loss gradient is zero.
+        // A uniform map is smooth, and the loss gradient is zero.
         assert_eq!(found.smoothness, 0.0);
         assert!(found.texels.iter().all(|g| *g == 0.0));
         assert!(found.materials.iter().all(|g| *g == BEFORE));
@@ -373,7 +375,7 @@ fn extremes_stay_finite_and_right() {
         let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
         assert_close("texels", &expected, &found.texels, Tolerance::new(1e-6 * largest, 1e-4));
     }
-    // A pixel that is not finite affects its own materials only, not the environment map.
+    // A pixel with non-finite values affects its own materials only, not the environment map.
     let texels = room(&e, 14);
     let mut gradient: Vec<f32> = (0..3 * pixels.len()).map(|_| rng.normal() as f32).collect();
     let at = 3 * 7;
@@ -437,7 +439,7 @@ fn sums_do_not_depend_on_order_or_groups() {
     let reversed: Vec<f32> = gradient.chunks(3).rev().flatten().copied().collect();
     let given = Given { pixels: &backwards, gradient: &reversed, ..given };
     assert!(run(&gpu, &gpu.tuning(), &given).texel_sums == a.texel_sums);
-    // Sums do not depend on merging lanes first either; the pixels include a wall that shares its texels.
+    // Merging lanes first does not change the sums. The first 64 pixels form a wall and share their texels.
     let mut wall = backwards.clone();
     let (point, normal) = (wall[8].point, wall[8].normal);
     wall[..64].iter_mut().for_each(|p| (p.point, p.normal) = (point, normal));
@@ -475,7 +477,7 @@ fn smoothness_is_the_mean_over_the_map_with_its_gradient() {
         let is = f64::from(found.texels[i]);
         assert!((slope - is).abs() < 1e-4 * slope.abs() + 1e-5 * f64::from(largest), "{i}: {slope} {is}");
     }
-    // The finest cubes are measured at their own resolution, with gradients for every texel of the map.
+    // Smoothness of the finest cubes is measured at their own resolution. Every texel of the map gets a gradient.
     let e = made(512);
     let texels = room(&e, 22);
     let given = Given { e: &e, texels: &texels, ..given };

@@ -1,9 +1,10 @@
 //! Property tests of pixels under an environment map against the reference.
 //!
-//! All numbers are drawn log-uniformly. Filtered levels, light and material gradients are compared. Failures are shrunk.
-//! The numbers are the same every time; `SGS_TEST_CASES` sets their count.
+//! All numbers are drawn log-uniformly. Filtered levels, light and material gradients are compared. Failures are
+//! shrunk. Every run draws the same cases; `SGS_TEST_CASES` sets their number.
 //!
-//! Bounds of single precision are measured as in `shading_properties`: by the sensitivity of the reference to its inputs.
+//! Bounds of single precision are measured by the sensitivity of the reference to its inputs, as in
+//! `shading_properties`.
 
 use proptest::prelude::*;
 use sgs_passes::reference::environment as reference;
@@ -14,10 +15,10 @@ use sgs_tests::drawn::{Compared, runner, signed, spread};
 use sgs_tests::environment::{BEFORE, CAMERA, Given, made, narrow, run, unit};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
-/// Perturbation of directions: a few units in the last place.
+/// Perturbation of directions, a few units in the last place.
 const MOVE: f64 = 1e-6;
 
-/// Texels along a side.
+/// Texels along a side of a cube face.
 const SIZE: u32 = 16;
 
 #[derive(Clone, Debug)]
@@ -62,7 +63,9 @@ fn texels(e: &Environment, (bright, spot, share, seed): (f64, f64, f64, u32)) ->
     (0..e.floats()).map(texel).collect()
 }
 
-/// Computes the reference's light and material gradients of one pixel: 3 and 5 numbers.
+/// Computes the reference's light and material gradients of one pixel.
+///
+/// The first 3 numbers are the light, the other 5 the gradients by albedo, roughness and metallic.
 fn truth(e: &Environment, levels: &[Cube], drawn: &Drawn, camera: [f64; 3]) -> [f64; 8] {
     let shade = |p: &Pixel| reference::shade(levels, e.split_sum(), camera, p);
     let p = drawn.pixel;
@@ -71,7 +74,7 @@ fn truth(e: &Environment, levels: &[Cube], drawn: &Drawn, camera: [f64; 3]) -> [
     all[..3].copy_from_slice(&light);
     let x = [p.albedo[0], p.albedo[1], p.albedo[2], p.roughness, p.metallic];
     for k in 0..5 {
-        // Light is linear in albedo and in metallic.
+        // Light is linear in albedo and in metallic, so a large step is exact.
         let step = if k == 3 { 1e-6 * x[k] } else { 1e-3 };
         let at = |value: f64| -> f64 {
             let mut x = x;
@@ -127,7 +130,7 @@ fn check(
                 *slack += most(0) + most(1);
             }
         }
-        // Colors and the terms of each cancel.
+        // Colors may cancel, and so may the terms of each color.
         let white = Pixel { albedo: [1.0; 3], metallic: 0.5, ..*p };
         let white = reference::shade(&levels, e.split_sum(), camera, &white).iter().fold(0.0_f64, |m, x| m.max(*x));
         let brightest = texels.iter().fold(0.0_f64, |m, t| m.max(f64::from(*t)));
@@ -146,7 +149,7 @@ fn check(
                 ),
             };
             let is = if planted == Some(k) { 1.01 * is } else { is };
-            // Gradients are added to what was there.
+            // Material gradients are added to previous contents, whose rounding counts.
             let before = if k < 3 { 0.0 } else { 1e-7 };
             let t = slack + size + before + 1e-30;
             compared.see(expected[k], t);
@@ -165,7 +168,7 @@ fn environment_light_matches_reference() {
     compared.check(1000, 0.7);
 }
 
-/// Checks that an error of a hundredth in any number fails.
+/// Checks that the comparison detects an error of 1 % in any number.
 #[test]
 fn environment_checks_can_fail() {
     let (gpu, e) = (Gpu::new(), made(SIZE));

@@ -1,4 +1,4 @@
-//! Measurements of `sgs eval` for a run with materials: gains, relit sets, speed.
+//! Metrics of `sgs eval` for a run with materials: gains, relit sets, speed.
 
 use serde_json::{Value, json};
 use sgs_scene::{Image, linear_to_srgb, read_exr, write_exr};
@@ -86,7 +86,9 @@ fn the_albedo_gain_is_common_to_all_test_views() {
     assert!((mean - 0.5 * sum).abs() < 0.01, "{mean}, not {}", 0.5 * sum);
 }
 
-/// Each folder of `gt/relit` is reported: with metrics, or with the reason why there are none.
+/// Each folder of `gt/relit` is reported.
+///
+/// The report has metrics, or the reason why they are missing.
 #[test]
 fn every_relit_set_is_reported() {
     let place = place();
@@ -124,7 +126,7 @@ fn every_relit_set_is_reported() {
         let of = |name: &str| relit[name][key].as_f64().unwrap();
         assert!((of("mean") - of("lit")).abs() < 1e-9 && (of("mean_set") - of("lit")).abs() < 1e-9, "{relit:?}");
     }
-    // The ground truth is one gray, which no gain of the room matches.
+    // The ground truth is uniform gray: a gain raises PSNR, but cannot match it.
     assert!(relit["lit"]["psnr_gain"].as_f64().unwrap() > relit["lit"]["psnr"].as_f64().unwrap(), "{relit:?}");
     let fps = &metrics["mean"]["fps"];
     assert!(fps["nvs"].as_f64().unwrap() > 0.0 && fps["pbr"].as_f64().unwrap() > 0.0, "{fps}");

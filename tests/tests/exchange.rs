@@ -1,7 +1,7 @@
 //! Files exchanged with other programs: round trips, other readers, damage.
 //!
-//! The other readers are the crates `ply-rs-bw` and `gltf`, and for glTF the program `assimp` where it is
-//! installed (Debian's assimp-utils, which continuous integration has).
+//! The other readers are the crates `ply-rs-bw` and `gltf`, and for glTF the program `assimp` where it is installed.
+//! Continuous integration has it, from Debian's assimp-utils.
 
 use glam::{DVec3, Vec3};
 use ply_rs_bw::parser::Parser;
@@ -13,7 +13,7 @@ use sgs_run::{read_exchange, read_lights, read_splats, write_exchange, write_lig
 use sgs_scene::{ALBEDO_RANGE, Camera, GltfScene, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats, read_exr, write_exr};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs, sgs_after};
-use sgs_tests::foreign::{lamps, sample};
+use sgs_tests::foreign::{lights as foreign_lights, sample};
 use sgs_tests::rooms::{Room, transforms, write_json};
 use sgs_tests::runs::{Parts, fabricate};
 use std::path::Path;
@@ -23,7 +23,7 @@ use std::process::Command;
 fn place() -> Place {
     let place = Place::new(Room::default());
     sample(30).write_ply(&place.path("a.ply")).unwrap();
-    write_lights(&place.path("a.lights.json"), &lamps()).unwrap();
+    write_lights(&place.path("a.lights.json"), &foreign_lights()).unwrap();
     let sky = sgs_scene::Image::from_data(8, 4, 3, (0..96).map(|i| i as f32 / 96.0).collect()).unwrap();
     write_exr(&place.path("a.environment.exr"), &sky, &["R", "G", "B"]).unwrap();
     place
@@ -55,7 +55,7 @@ fn every_format_round_trips() {
         assert_eq!((answer["gaussians"].as_u64(), answer["lights"].as_u64()), (Some(30), Some(3)));
         assert_eq!(answer["left_out"], json!([]));
         export(&place, name, "c.ply", &[]).ok();
-        // Every bit is restored: Gaussians, lights with all their lobes, environment map.
+        // Gaussians, lights with all their lobes, and the environment map are restored bit for bit.
         for what in ["ply", "lights.json", "environment.exr"] {
             assert!(place.read(&format!("a.{what}")) == place.read(&format!("c.{what}")), "{format}: {what}");
         }
@@ -102,7 +102,7 @@ fn edits_of_other_programs_override_stored_attributes() {
 }
 
 #[test]
-fn another_reader_of_ply_finds_every_number() {
+fn ply_crate_reads_every_value() {
     let place = place();
     let splats = sample(30);
     for dialect in PlyDialect::ALL {
@@ -132,12 +132,12 @@ fn another_reader_of_ply_finds_every_number() {
 }
 
 #[test]
-fn another_reader_of_gltf_finds_what_the_extensions_say() {
+fn gltf_crate_reads_the_values_of_extensions() {
     let place = place();
     export(&place, "a.ply", "o.glb", &[]).ok();
     let splats = sample(30);
     let bytes = place.read("o.glb");
-    // The crate knows no attributes with the names of extensions; it reads their accessors like any other.
+    // The crate has no API for attributes of extensions, so the test reads their accessors.
     let gltf = gltf::Gltf::from_slice_without_validation(&bytes).unwrap();
     let blob = gltf.blob.as_deref().unwrap();
     let raw: Value = serde_json::from_slice(&gltf::binary::Glb::from_slice(&bytes).unwrap().json).unwrap();
@@ -169,7 +169,7 @@ fn another_reader_of_gltf_finds_what_the_extensions_say() {
     assert_eq!(wide, 4);
     for (q, stored) in rotations.as_chunks::<4>().0.iter().zip(&splats.rotations) {
         let length = stored.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
-        // xyzw there, wxyz here.
+        // glTF stores quaternions as xyzw, splats as wxyz.
         [(0, 1), (1, 2), (2, 3), (3, 0)].iter().for_each(|(a, b)| near(q[*a], f64::from(stored[*b]) / length));
     }
     let (_, coefficient) = of("KHR_gaussian_splatting:SH_DEGREE_3_COEF_6");
@@ -183,10 +183,10 @@ fn another_reader_of_gltf_finds_what_the_extensions_say() {
     let lights: Vec<_> = gltf.lights().unwrap().collect();
     assert_eq!(lights.len(), 3);
     let nodes: Vec<_> = gltf.nodes().filter(|n| n.light().is_some()).collect();
-    for (i, (node, light)) in nodes.iter().zip(&lamps().lights).enumerate() {
+    for (i, (node, light)) in nodes.iter().zip(&foreign_lights().lights).enumerate() {
         assert_eq!(node.transform().decomposed().0, light.position);
         assert!(matches!(lights[i].kind(), gltf::khr_lights_punctual::Kind::Point));
-        // The mean over directions, summed over the sphere.
+        // Mean of a lobe over all directions, by the midpoint rule.
         let steps = 20_000;
         let mean = |s: f64| {
             let cos = |k: usize| (k as f64 + 0.5) / f64::from(steps) * 2.0 - 1.0;
@@ -248,7 +248,7 @@ fn foreign() -> Value {
         "scene": 0,
         "scenes": [{"nodes": [0, 2, 3]}],
         "nodes": [
-            // A quarter turn about z, twice as large, moved.
+            // Node 0 rotates by a quarter turn about z and scales by 2. Node 1 translates.
             {"rotation": [0, 0, 0.5_f64.sqrt(), 0.5_f64.sqrt()], "scale": [2, 2, 2], "children": [1]},
             {"mesh": 0, "translation": [0, 0, 1]},
             {"translation": [1, 2, 3], "extensions": {"KHR_lights_punctual": {"light": 0}}},
@@ -298,13 +298,13 @@ fn foreign_gltf_is_read_in_place() {
 }
 
 #[test]
-fn bad_files_get_one_sentence() {
+fn invalid_gltf_is_refused_with_one_sentence() {
     let place = place();
     let refused = |change: &dyn Fn(&mut Value), words: &[&str]| {
         let mut document = foreign();
         change(&mut document);
         std::fs::write(place.path("f.gltf"), document.to_string()).unwrap();
-        // In an address space of 4 GB, including the program's own libraries, whatever sizes the file declares.
+        // 4 GB of address space suffice, including the program's own libraries, whatever sizes the file declares.
         let (from, to) = (place.text("f.gltf"), place.text("g.ply"));
         sgs_after("ulimit -v 4000000", &["export", &from, "-o", &to]).refused(words);
         assert!(!place.path("g.ply").exists());
@@ -405,14 +405,14 @@ fn camera(place: &Place) -> Camera {
 }
 
 #[test]
-fn lights_of_files_light_facing_surfaces() {
+fn lights_from_files_illuminate_facing_surfaces() {
     let place = place();
     std::fs::remove_file(place.path("a.environment.exr")).unwrap();
     let (from, cameras) = (place.text("a.ply"), place.text("scene/transforms.json"));
     let to = place.text("o");
     let a = ["render", &from, "--cameras", &cameras, "-o", &to, "--format", "exr"];
     sgs(&[&a[..], &["--channels", "alpha,normal,depth,direct,visibility"]].concat()).ok();
-    let lamps = lamps();
+    let light_table = foreign_lights();
     let mut views = [0, 0];
     let [mut checked, mut bright] = [0, 0];
     for camera in Camera::read_transforms(Path::new(&cameras)).unwrap() {
@@ -425,13 +425,13 @@ fn lights_of_files_light_facing_surfaces() {
             let view = DVec3::new(pixel(x, camera.cx, camera.fx), pixel(y, camera.cy, camera.fy), z);
             let place = camera.rotation.transpose() * (view - camera.translation);
             let normal = Vec3::from(*n).as_dvec3().normalize();
-            let facing = lamps.lights.iter().map(|l| {
+            let facing = light_table.lights.iter().map(|l| {
                 let to = Vec3::from(l.position).as_dvec3() - place;
                 to.normalize().dot(normal)
             });
             let facing = facing.fold(-1.0, f64::max);
             let lit = direct.data[3 * p] > 0.0;
-            // Points behind the light's horizon are unlit; points before it get the light that the rays transmit.
+            // Surfaces that face away from all lights are unlit. Others are lit where their visibility is above zero.
             if facing < -0.01 {
                 assert!(!lit, "{} {x} {y}: {facing}", camera.name);
             } else if facing > 0.01 {
@@ -443,7 +443,7 @@ fn lights_of_files_light_facing_surfaces() {
         let lit = direct.data.iter().any(|v| *v > 0.0);
         views[usize::from(lit)] += 1;
     }
-    // Views of backs alone are among them.
+    // Some views see only surfaces that face away from the lights.
     assert!(views[0] > 0 && views[1] > 0, "{views:?}");
     assert!(checked > 6000 && bright > 30, "{checked} {bright}");
 }
@@ -463,11 +463,11 @@ proptest! {
         let name = if kind < 6 { "a.ply" } else if kind == 6 { "a.glb" } else { "a.gltf" };
         let path = folder.path().join(name);
         let splats = sample(3);
-        write_exchange(&path, &splats, PlyDialect::ALL.get(kind).copied(), Some(&lamps()), None).unwrap();
+        write_exchange(&path, &splats, PlyDialect::ALL.get(kind).copied(), Some(&foreign_lights()), None).unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
         let whole = bytes.len();
         bytes.truncate((whole as f64 * keep) as usize);
-        // At the beginning, where sizes are declared, or anywhere.
+        // Damage the beginning, where sizes are declared, or any place.
         let reach = if early { bytes.len().min(1200) } else { bytes.len() };
         if reach > 0 {
             changes.iter().for_each(|(at, value)| bytes[at.index(reach)] = *value);

@@ -1,37 +1,38 @@
 //! Extreme inputs of rendering and training, one line and one test each.
 //!
-//! docs/how/extremes.md lists them. Every line is rendered and compared with the double-precision reference where that is
-//! not doubtful. The extreme Gaussians must be visible there. Then it is trained for three steps: losses stay finite, and so
-//! do parameters that were finite; no gradient is skipped for not being finite.
+//! docs/how/extremes.md lists the lines. Each line is rendered and compared with the double-precision reference at
+//! pixels that are not doubtful. The extreme Gaussians must be visible there. Then three training steps run. Losses
+//! stay finite, finite parameters stay finite, and no non-finite gradient is skipped.
 
 use glam::{DMat3, DVec2, DVec3};
 use sgs_passes::reference::blend::{Blended, render};
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_tests::Gpu;
 use sgs_tests::scenes::{self, Rng};
-use sgs_tests::whole::{BACKGROUND, channels_of, degree, picture, steps_of};
+use sgs_tests::whole::{BACKGROUND, channels_of, degree, rendered, steps_of};
 
 /// Largest difference from the reference, relative to values above one.
 const LARGEST: f64 = 5e-6;
 
 /// Largest relative error of depths, their squares, and colors beyond ten.
 ///
-/// These multiply the rounding of small weights.
+/// Such values multiply the rounding errors of small weights.
 const LARGEST_SHARE: f64 = 2e-5;
 
 /// Smallest change of a color that makes a Gaussian visible.
 const SEEN: f64 = 1e-3;
 
-/// Scene, view, and properties of the line.
+/// Scene, view and expected properties of a line.
 struct Line {
     gaussians: Gaussians,
     camera: Camera,
-    /// Visibility of the last Gaussians, which the line tests, each by itself.
+    /// Expected visibility of each of the last Gaussians, which the line tests.
     ///
-    /// Checked where the reference is not doubtful. Invisible ones must change nothing and stay unchanged. Lines about other
-    /// properties need any visible Gaussian, unless they have none.
+    /// Checked at pixels where the reference is not doubtful. Invisible Gaussians must not change the image, and
+    /// training must not change them. Lines about other properties leave this empty. Any Gaussian must be visible
+    /// there.
     seen: Vec<bool>,
-    /// Pixels that are compared. The reference evaluates every splat at every pixel.
+    /// Pixels that are compared. The reference evaluates each splat at each pixel.
     compared: Compared,
     /// Factor on the usual bound of the difference from the reference.
     slack: f64,
@@ -41,7 +42,7 @@ struct Line {
 enum Compared {
     /// Pixels where the reference is not doubtful, at least half of them.
     Sure,
-    /// All pixels: depths and thresholds of the line leave nothing to rounding.
+    /// All pixels, since rounding decides no depth order or threshold of the line.
     Everywhere,
 }
 
@@ -49,7 +50,9 @@ fn line(gaussians: Gaussians) -> Line {
     Line { gaussians, camera: straight([48, 32], 60.0), seen: vec![], compared: Compared::Sure, slack: 1.0 }
 }
 
-/// Returns a camera at the origin that looks along z, with a width in degrees.
+/// Returns a camera at the origin that looks along z.
+///
+/// `width` is the horizontal field of view in degrees.
 fn straight(size: [u32; 2], width: f64) -> Camera {
     let [w, h] = size.map(f64::from);
     let focal = 0.5 * w / (0.5 * width.to_radians()).tan();
@@ -91,7 +94,7 @@ fn one(mean: [f64; 3], log_scale: [f64; 3], rotation: [f64; 4], logit: f64) -> G
     g
 }
 
-/// Builds one Gaussian: mean, log-scales, quaternion, opacity logit.
+/// Mean, log-scales, quaternion and opacity logit of one Gaussian.
 type One = ([f64; 3], [f64; 3], [f64; 4], f64);
 
 /// Adds visible and invisible Gaussians to ordinary ones.
@@ -103,7 +106,7 @@ fn among(seen: &[One], unseen: &[One]) -> Line {
     Line { seen: [vec![true; seen.len()], vec![false; unseen.len()]].concat(), ..line(g) }
 }
 
-/// Returns all Gaussians but one.
+/// Returns all Gaussians except number `i`.
 fn without(g: &Gaussians, i: usize) -> Gaussians {
     let mut g = g.clone();
     let count = g.len();
@@ -115,10 +118,10 @@ fn without(g: &Gaussians, i: usize) -> Gaussians {
     g
 }
 
-/// Places a power of two of faint splats in a small image.
+/// Places `count` faint splats in a small image.
 ///
-/// Each is at the center of a pixel and shows there and at its four neighbors. Tens of thousands are needed to saturate
-/// the image, and no threshold is near. `depth` maps the index of a splat to its depth.
+/// Each lies at the center of a pixel and is visible there and at the four neighbors. Tens of thousands saturate the
+/// image. No splat is near a threshold. `depth` maps the index of a splat to its depth.
 fn crowd(count: usize, depth: impl Fn(usize) -> f64) -> Line {
     let mut g = Gaussians::default();
     let mut r = Rng::new(3);
@@ -133,7 +136,9 @@ fn crowd(count: usize, depth: impl Fn(usize) -> f64) -> Line {
     Line { camera, compared: Compared::Everywhere, ..line(g) }
 }
 
-/// Returns depths unrelated to the index: all different, also in single precision.
+/// Returns a depth that is unrelated to the index.
+///
+/// All depths differ, also in single precision.
 fn shuffled(i: usize) -> f64 {
     4.0 + (i * 0x9e37_79b1 % (1 << 20)) as f64 / f64::from(1 << 20)
 }
@@ -142,14 +147,14 @@ fn truth(gaussians: &Gaussians, camera: &Camera, depth: bool) -> Blended {
     render(gaussians, camera, degree(gaussians) as usize, depth, BACKGROUND)
 }
 
-/// Returns the same Gaussians with normals.
+/// Returns the Gaussians with random normals.
 fn with_normals(mut g: Gaussians) -> Gaussians {
     let mut r = Rng::new(7);
     g.normals = (0..3 * g.len()).map(|_| single(r.between(-1.0, 1.0))).collect();
     g
 }
 
-/// Checks that the tested Gaussians are visible at pixels that are not doubtful.
+/// Checks the expected visibility at pixels that are not doubtful.
 fn look(line: &Line, truth_: &Blended) {
     let Line { gaussians: g, camera, seen, compared, .. } = line;
     let sure = |p: usize| *compared == Compared::Everywhere || !truth_.doubtful[p];
@@ -178,7 +183,7 @@ fn compare(image: &[f32], truth: &Blended, compared: Compared, slack: f64) {
     }
 }
 
-/// Compares colors alone, then with normals and depths.
+/// Compares and trains colors alone, then colors with normals and depths.
 fn check(line: &Line) {
     let gpu = Gpu::new();
     look(line, &truth(&line.gaussians, &line.camera, false));
@@ -189,7 +194,7 @@ fn check(line: &Line) {
 fn check_channels(gpu: &Gpu, line: &Line, gaussians: &Gaussians, depth: bool) {
     let Line { camera, seen, compared, slack, .. } = line;
     let (image, transmittance) = channels_of(gpu, gaussians, camera, depth).unwrap();
-    assert!(image.iter().chain(&transmittance).all(|v| v.is_finite()), "the picture is not finite");
+    assert!(image.iter().chain(&transmittance).all(|v| v.is_finite()), "the image is not finite");
     assert!(transmittance.iter().all(|t| (0.0..=1.0).contains(t)), "a transmittance is no share");
     compare(&image, &truth(gaussians, camera, depth), *compared, *slack);
     let before = scenes::data(gaussians);
@@ -261,37 +266,37 @@ lines! {
         }
         Line { seen: vec![true; 4], ..line(g) }
     };
-    image_of_1_by_1: "a picture of 1 x 1", Line { camera: straight([1, 1], 60.0), ..line(ordinary()) };
-    image_of_17_by_3: "a picture of 17 x 3", Line { camera: straight([17, 3], 60.0), ..line(ordinary()) };
-    image_of_8192_by_1: "a picture of 8192 x 1", Line { camera: straight([8192, 1], 60.0), ..line(ordinary()) };
-    image_of_1_by_8192: "a picture of 1 x 8192", Line {
+    image_of_1_by_1: "an image of 1 x 1", Line { camera: straight([1, 1], 60.0), ..line(ordinary()) };
+    image_of_17_by_3: "an image of 17 x 3", Line { camera: straight([17, 3], 60.0), ..line(ordinary()) };
+    image_of_8192_by_1: "an image of 8192 x 1", Line { camera: straight([8192, 1], 60.0), ..line(ordinary()) };
+    image_of_1_by_8192: "an image of 1 x 8192", Line {
         camera: Camera { focal: DVec2::splat(5000.0), ..straight([1, 8192], 60.0) }, ..line(ordinary()) };
     a_view_of_one_degree: "a field of view of 1 degree", Line { camera: straight([48, 32], 1.0), ..line(ordinary()) };
     a_view_of_170_degrees: "a field of view of 170 degrees", Line { camera: straight([48, 32], 170.0), ..line(ordinary()) };
-    a_center_far_outside: "a principal point outside of the picture", {
+    a_center_far_outside: "a principal point outside of the image", {
         let mut camera = straight([48, 32], 60.0);
         camera.center = DVec2::new(-100.0, 300.0);
-        // Moved into that camera's view.
+        // Move the Gaussians into the camera's view.
         let away = (DVec2::new(24.0, 16.0) - camera.center) / camera.focal;
         let mut g = ordinary();
         for mean in g.means.chunks_exact_mut(3) {
             (mean[0], mean[1]) = (single(mean[0] + away.x * mean[2]), single(mean[1] + away.y * mean[2]));
         }
-        // A splat's image position is a difference of hundreds of pixels.
+        // Rounding is larger, since image positions are differences of hundreds of pixels.
         Line { camera, slack: 4.0, ..line(g) }
     };
 }
 
 /// An image of 4096 x 4096 exceeds the smallest guaranteed Vulkan binding.
 ///
-/// Rendering succeeds, or fails with one sentence and renders the largest image that fits.
+/// Rendering succeeds or fails with one sentence. If it fails, the largest image that fits still renders.
 #[test]
 fn image_of_4096_by_4096() {
     let gpu = Gpu::new();
     let g = ordinary();
     let tried = |side: u32| {
         let camera = straight([side; 2], 60.0);
-        picture(&gpu, &g, &camera).map(|(image, _)| {
+        rendered(&gpu, &g, &camera).map(|(image, _)| {
             let truth = render(&g, &camera, 0, false, BACKGROUND);
             let sure: Vec<usize> = (0..truth.doubtful.len()).filter(|p| !truth.doubtful[*p]).step_by(97).collect();
             assert!(sure.len() > truth.doubtful.len() / 200, "sure of {}", sure.len());
@@ -306,14 +311,14 @@ fn image_of_4096_by_4096() {
     assert!(text.len() < 300 && text.contains("bytes"), "{text}");
     let most = (gpu.device().info().max_storage_range / 12).isqrt() as u32;
     tried(most).unwrap();
-    assert!(picture(&gpu, &g, &straight([most + 1; 2], 60.0)).is_err());
+    assert!(rendered(&gpu, &g, &straight([most + 1; 2], 60.0)).is_err());
 }
 
-/// The documentation lists every line of this file.
+/// docs/how/extremes.md lists every line of this file.
 #[test]
 fn the_documentation_lists_every_line() {
     let text = include_str!("../../docs/how/extremes.md");
-    let others = [("image_of_4096_by_4096", "a picture of 4096 x 4096")];
+    let others = [("image_of_4096_by_4096", "an image of 4096 x 4096")];
     let (text, _) = text.split_once("## Hazards").expect("hazards come behind");
     let rows: Vec<&str> = text.lines().filter(|l| l.contains("| `extremes::")).collect();
     for (name, what) in LINES.iter().chain(&others) {
@@ -323,7 +328,7 @@ fn the_documentation_lists_every_line() {
     assert_eq!(rows.len(), LINES.len() + others.len(), "docs/how/extremes.md has a line too many");
 }
 
-/// Training tests: file, test, property.
+/// Training tests by file, test and property.
 const TRAININGS: &[(&str, &str, &str)] = &[
     (
         "divergence",
@@ -346,7 +351,7 @@ const TRAININGS: &[(&str, &str, &str)] = &[
     ("long", "materials_with_every_loss", "600 steps of materials with every loss on; 100 000 with `SGS_TEST_LONG=1`"),
 ];
 
-/// The documentation lists every training; their tests are in other files.
+/// docs/how/extremes.md lists every training. The tests are in other files.
 #[test]
 fn the_documentation_lists_every_training() {
     let text = include_str!("../../docs/how/extremes.md");
@@ -360,10 +365,10 @@ fn the_documentation_lists_every_training() {
     assert_eq!(rows, TRAININGS.len(), "docs/how/extremes.md has a training too many");
 }
 
-/// Hazard, its treatment, and its tests: files with their functions.
+/// Hazard, its treatment, and the files and functions of its tests.
 type Hazard = (&'static str, &'static str, &'static [(&'static str, &'static str)]);
 
-/// Hazards of the method.
+/// Numerical hazards of the method.
 const HAZARDS: &[Hazard] = &[
     (
         "roughness near zero",
@@ -510,7 +515,7 @@ const HAZARDS: &[Hazard] = &[
         "taken to its faces; the box follows from splats and cameras",
         &[
             ("visibility", "values_are_finite_at_the_edges"),
-            ("tools/train/src/intrinsic/data", "the_box_holds_splats_and_cameras"),
+            ("tools/train/src/intrinsic/data", "scene_box_contains_splats_and_cameras"),
         ],
     ),
     ("densification of what nobody has seen", "a mean over one at least", &[("densify", "densify_of_one_kind_only")]),
@@ -552,14 +557,13 @@ const HAZARDS: &[Hazard] = &[
     ),
 ];
 
-/// The documentation lists every hazard.
+/// docs/how/extremes.md lists every hazard.
 ///
-/// A test is a function of a file of this folder, or of another by its path.
+/// A test is a function in a file of this folder, or in a file given by its path.
 #[test]
 fn the_documentation_lists_every_hazard() {
     let text = include_str!("../../docs/how/extremes.md");
-    let (_, section) =
-        text.split_once("| hazard | what is done | test |\n|---|---|---|\n").expect("a table of hazards");
+    let (_, section) = text.split_once("| hazard | remedy | test |\n|---|---|---|\n").expect("a table of hazards");
     let rows: Vec<&str> = section.lines().take_while(|l| l.starts_with('|')).collect();
     assert_eq!(rows.len(), HAZARDS.len(), "hazards in docs/how/extremes.md");
     for ((hazard, done, tests), row) in HAZARDS.iter().zip(rows) {
@@ -581,7 +585,7 @@ fn the_documentation_lists_every_hazard() {
 
 /// Many faint Gaussians saturate an image, and their order is visible.
 ///
-/// Tens of thousands are needed.
+/// Saturation needs tens of thousands.
 #[test]
 fn many_faint_gaussians_blend_in_order() {
     let of = |count: usize, depth: &dyn Fn(usize) -> f64| {
@@ -599,7 +603,7 @@ fn many_faint_gaussians_blend_in_order() {
 #[should_panic(expected = "is off by")]
 fn wrong_image_is_detected() {
     let Line { mut gaussians, camera, .. } = line(ordinary());
-    let (image, _) = picture(&Gpu::new(), &gaussians, &camera).unwrap();
+    let (image, _) = rendered(&Gpu::new(), &gaussians, &camera).unwrap();
     gaussians.means[0] += 0.05;
     compare(&image, &truth(&gaussians, &camera, false), Compared::Sure, 1.0);
 }

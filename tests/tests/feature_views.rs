@@ -1,4 +1,6 @@
-//! Gradients of two views in one Adam step: features in both, geometry by both.
+//! Gradients of two views in one Adam step.
+//!
+//! Features are rendered in both views, and geometry receives gradients from both.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Adam, AdamUnseen, EPSILON, Rate, adam, adam_unseen};
@@ -15,7 +17,7 @@ use sgs_tests::scenes::{self, Rng};
 use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference};
 
 const WIDE: usize = SEMANTIC_FEATURES as usize;
-/// Parameter groups that the features of other views move.
+/// Parameter groups that feature gradients of other views move.
 const MOVED: [Group; 4] = [Group::Means, Group::LogScales, Group::Rotations, Group::OpacityLogits];
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -24,7 +26,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
 
 /// The summed feature gradient of both views matches differences of the losses.
 ///
-/// The passes that add are tested.
+/// The tested passes add to existing gradients.
 #[test]
 fn feature_gradients_of_two_views_match_reference() {
     let gpu = Gpu::new();
@@ -70,7 +72,7 @@ fn feature_gradients_of_two_views_match_reference() {
                 })
             };
             let (coarse, fine) = (at(2e-6), at(5e-7));
-            // A blending threshold lies between.
+            // Both differences disagree if a blending threshold lies between.
             if (coarse - fine).abs() > 1e-3 * (1.0 + fine.abs()) {
                 skipped += 1;
                 continue;
@@ -109,7 +111,7 @@ struct Case {
     scene: Gaussians,
     training: View,
     other: View,
-    /// Gradient of the training view's image.
+    /// Loss gradient of the training view's image.
     image: Vec<f32>,
     moments: Vec<Vec<[f32; 2]>>,
     dense: bool,
@@ -120,11 +122,11 @@ struct Case {
 struct Left {
     parameters: Vec<Vec<f32>>,
     moments: Vec<Vec<[f32; 2]>>,
-    /// Of the training view alone.
+    /// Gradients of the training view alone.
     training: Vec<Vec<f32>>,
     extra: Vec<f32>,
     semantics: Vec<f32>,
-    /// Skipped by the fused update, by the update of the rest, by that of features.
+    /// Numbers of gradients skipped by the three updates: fused, unseen Gaussians, features.
     skipped: [u32; 3],
 }
 
@@ -148,12 +150,12 @@ const MODEL: Model = Model { sh_degree: 1, normals: true, semantics: true };
 impl Case {
     fn new(dense: bool) -> Case {
         let mut scene = scenes::with_semantics(scenes::ordinary(110, 1, true, 31), 32);
-        // Every fourth lies behind both cameras.
+        // Every fourth Gaussian lies behind both cameras.
         scene.means.chunks_exact_mut(3).step_by(4).for_each(|m| m[2] = -m[2]);
         let training = View::new([24, 18], 0.0, 3);
         let other = View::new([17, 21], -0.4, 4);
         let mut r = Rng::new(5);
-        // The left half of the training view has zero gradients: Gaussians only there are visible without a gradient.
+        // The left half of the training view has zero gradients. Gaussians visible only there have none.
         let silent = |pixel: usize| pixel % 24 < 12;
         let image = (0..24 * 18 * 6).map(|i| if silent(i / 6) { 0.0 } else { r.between(-1.0, 1.0) as f32 }).collect();
         let mut case = Case { scene, training, other, image, moments: Vec::new(), dense, flag: 0 };
@@ -168,7 +170,7 @@ impl Case {
                     [m, m * m + v * v]
                 })
                 .collect();
-            // Some never had a gradient.
+            // Some parameters never had a gradient.
             moments.iter_mut().step_by(7).for_each(|m| *m = [0.0; 2]);
             case.moments.push(moments);
         }
@@ -197,7 +199,7 @@ impl Case {
 
         let train = declare(gpu, &mut g, &self.training, &handles, flags, values);
         features_bwd(&mut g, &t, &train.visible, &train.features, semantics).unwrap();
-        // Projected once more for color and normals.
+        // Project again for colors and normals.
         let channels = Channels { colors: true, normals: true, depth: false };
         let visible = project(&mut g, &t, &train.screen, &handles, channels).unwrap();
         let pixels = train.screen.pixels();
@@ -291,10 +293,11 @@ impl Case {
         }
     }
 
-    /// Compares with Adam on the sum of the gradients.
+    /// Compares the step with Adam on the sum of the gradients.
     ///
-    /// Returns the numbers of Gaussians moved by both views, by the training view alone, by the other alone though the
-    /// training view sees them, by the other alone, and by neither. Without `whole` the expectation lacks the other view.
+    /// Returns five numbers of Gaussians. The first two are moved by both views and by the training view alone. The next
+    /// two are moved by the other view alone, with the training view seeing or not seeing them. The last are not moved.
+    /// Without `whole`, the expected gradients lack the other view.
     fn check(&self, left: &Left, whole: bool) -> [usize; 5] {
         let n = self.scene.len();
         let data = scenes::data(&self.scene);
@@ -332,7 +335,7 @@ impl Case {
                 };
                 let skipped = match group {
                     Group::Semantics => !gradient.is_finite(),
-                    // Unseen Gaussians are skipped group by group; without a gradient a group's moments just decay.
+                    // Unseen Gaussians are skipped group by group. Without a gradient, a group's moments only decay.
                     _ if !seen[i] && !MOVED.contains(&group) => false,
                     _ => geometry.iter().any(|x| bad(row(*x, i))) || bad(extra(i)),
                 };
@@ -362,7 +365,7 @@ impl Case {
         classes
     }
 
-    /// Returns the Gaussians that the training view sees, by the reference.
+    /// Returns which Gaussians the training view sees, by the reference.
     fn seen(&self) -> Vec<bool> {
         let mut seen = vec![false; self.scene.len()];
         let visible = sgs_passes::reference::project::project(&self.scene, &self.training.camera, 1, false);
@@ -392,7 +395,7 @@ fn step_values() -> Step {
 }
 
 #[test]
-fn a_step_of_two_views_is_adam_on_the_sum_of_their_gradients() {
+fn two_view_step_matches_adam_on_summed_gradients() {
     let gpu = Gpu::new();
     for dense in [false, true] {
         let case = Case::new(dense);
@@ -422,9 +425,9 @@ fn a_raised_flag_leaves_a_step_of_two_views_without_effect() {
     }
 }
 
-/// Gradients that are not finite in either view move nothing and are counted.
+/// Non-finite gradients of either view move nothing and are counted.
 ///
-/// All groups of the affected Gaussians stay as they are.
+/// All groups of the affected Gaussians stay unchanged.
 #[test]
 fn gradients_that_are_not_finite_move_nothing_and_are_counted() {
     let gpu = Gpu::new();

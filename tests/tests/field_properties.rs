@@ -1,10 +1,10 @@
 //! Property tests of visibility fields against the double-precision reference.
 //!
 //! All sizes are drawn log-uniformly. Visibility of lights and gradients of tables, layers and positions are compared.
-//! Failures are shrunk. The numbers are the same every time; `SGS_TEST_CASES` sets their count.
+//! Failures are shrunk. Every run draws the same cases; `SGS_TEST_CASES` sets their number.
 //!
-//! Bounds of single precision are measured: by the sensitivity of the reference to perturbations of tables and weights by a
-//! few units in the last place, and by the size of the summands.
+//! Bounds of single precision are measured. They follow from the magnitudes of the summands, and from the sensitivity of
+//! the reference to perturbations of tables and weights by a few units in the last place.
 
 use proptest::prelude::*;
 use sgs_passes::reference::rng::Pcg;
@@ -23,7 +23,7 @@ const SLIP: f32 = 1e-7;
 /// Number of perturbed fields.
 const DRAWS: u32 = 4;
 
-/// Margin of a rectified sum, relative to its terms. Below it, rounding may decide about the gradient.
+/// Margin of a ReLU input, relative to its terms. Below it, rounding may decide about the gradient.
 const MARGIN: f64 = 1e-5;
 
 /// Draws a coordinate of a point or a light, as a share of the box.
@@ -49,7 +49,7 @@ struct Drawn {
     size: [f64; 3],
     points: Vec<[f64; 3]>,
     lights: Vec<[f64; 3]>,
-    /// Distance of a point near the first light, in boxes.
+    /// Distance of a point near the first light, as a share of the box.
     near: Option<f64>,
     loss_scale: f64,
     half: bool,
@@ -58,7 +58,7 @@ struct Drawn {
 
 prop_compose! {
     fn drawn()(
-        // Each is a kernel of its own.
+        // Each number of levels has its own kernel.
         levels in prop::sample::select(vec![1_u32, 5, 16]),
         log2_table in 8..10_u32,
         coarsest in 2..17_u32,
@@ -106,7 +106,7 @@ impl Drawn {
             *w = (f64::from(*w) * self.layers[layer]) as f32;
         }
         let low = [0, 1, 2].map(|k| (self.center[k] - 0.5 * self.size[k]) as f32);
-        // Boxes are never thinner than the precision of positions.
+        // Boxes are never thinner than rounding of positions allows.
         let high = [0, 1, 2].map(|k| (f64::from(low[k]) + self.size[k].max(1e-3 * self.center[k].abs())) as f32);
         let at = |way: &[f64; 3]| [0, 1, 2].map(|k| (f64::from(low[k]) + way[k] * f64::from(high[k] - low[k])) as f32);
         case.points = self.points.iter().map(at).collect();
@@ -134,7 +134,7 @@ impl Drawn {
     }
 }
 
-/// Returns the field with random perturbations.
+/// Returns a randomly perturbed copy of the field.
 fn moved(field: &reference::Field, rng: &mut Pcg) -> reference::Field {
     let mut other = field.clone();
     for x in other.tables.iter_mut().chain(&mut other.mlp) {
@@ -157,7 +157,7 @@ fn check_values(gpu: &Gpu, case: &Case, planted: f64) -> Result<(), TestCaseErro
             let shaded = case.coverage[i] >= 1e-3;
             let v = if shaded { field.visibility(point, light) } else { 0.0 };
             let off = |other: &reference::Field| (other.visibility(point, light) - v).abs();
-            // Near zero or one, the exponent loses digits.
+            // Near zero or one, the exponential loses digits.
             let slack = if shaded { 4.0 * others.iter().map(off).fold(0.0, f64::max) } else { 0.0 };
             let t = slack + 4e-7 * v * (1.0 + (1.0 - v) * v.max(1e-300).ln().abs()) + 1e-37;
             for found in &found {
@@ -186,7 +186,7 @@ fn check_gradients(
     let mut case = case.clone();
     let field = case.reference();
     let lights: Vec<[f64; 3]> = case.lights.iter().map(|l| Case::wide(*l)).collect();
-    // Pixels that depend on rounding, or whose slopes exceed single precision, are not shaded.
+    // Pixels whose gradients depend on rounding or exceed single precision get no coverage.
     for (i, point) in case.points.iter().enumerate() {
         let sure = |l: &[f64; 3]| {
             let (margin, logit) = field.margin(Case::wide(*point), *l);
@@ -200,7 +200,7 @@ fn check_gradients(
     let mut rng = Pcg::new(2);
     let fields: Vec<reference::Field> = (0..DRAWS).map(|_| moved(&field, &mut rng)).collect();
     let mut sum = row(&field.zeros(lights.len()));
-    // Sizes of the summands, and bounds of their errors.
+    // Magnitudes of the summands, and bounds of their errors.
     let (mut size, mut off) = (sum.clone(), sum.clone());
     for i in (0..case.points.len()).filter(|i| case.coverage[*i] >= 1e-3) {
         let point = Case::wide(case.points[i]);
@@ -231,7 +231,7 @@ fn check_gradients(
     let is: Vec<f32> = [found.mlp.as_slice(), &found.tables, &found.lights].concat();
     prop_assert_eq!(is.len(), sum.len());
     let tables = found.mlp.len()..found.mlp.len() + found.tables.len();
-    // Sums are of integers, each of which is rounded.
+    // Table gradients are sums of integers, and each summand is rounded.
     let quantum = 8.0 * (case.points.len() as f64) / f64::from(found.scale);
     let largest = sum.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     for (k, x) in is.iter().enumerate() {
@@ -266,7 +266,7 @@ fn field_gradients_match_reference() {
     assert!(numbers > 500 * cases, "{numbers} of {cases} fields");
 }
 
-/// Checks that errors fail: of a thousandth in values, of a hundredth in gradients.
+/// Checks that planted errors of 0.1 % in values and 1 % in gradients fail.
 ///
 /// The largest gradient of each kind is scaled.
 #[test]

@@ -1,6 +1,6 @@
 //! Surfaces and the sparse weight matrix of a view against the reference.
 //!
-//! Materials are blended through it, with their gradients.
+//! The matrix also blends materials and propagates their gradients.
 
 use sgs_passes::reference::blend::{Blended as ReferenceBlended, render};
 use sgs_passes::reference::gbuffer::{
@@ -12,7 +12,7 @@ use sgs_tests::{Gpu, scenes};
 
 /// Checks all results of `run` against the reference.
 ///
-/// `metals` enables metallic; `reach` bounds raw materials.
+/// `metals` enables metallic. `reach` bounds raw materials. `most_doubtful` bounds the share of doubtful pixels.
 fn check(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: f64, most_doubtful: f64) {
     for bits in [32, 16] {
         let case = Case::new(scene.clone(), *camera, metals, reach);
@@ -20,7 +20,7 @@ fn check(gpu: &Gpu, scene: &Gaussians, camera: &Camera, metals: bool, reach: f64
     }
 }
 
-/// Checks a case with its number of weight bits.
+/// Checks a case at its number of weight bits.
 fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
     let found = run(gpu, case);
     assert_eq!(found.flags, 0);
@@ -61,7 +61,7 @@ fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
         for c in 0..3 {
             assert!((f64::from(found.points[p][c]) - point[c]).abs() < 2e-4 * scale, "point of pixel {p}");
             let normal = surfaces.normals[p].to_array();
-            // Opposing normals may nearly cancel; then the direction is arbitrary.
+            // Opposing normals may nearly cancel. Their direction is then mostly rounding.
             let at = &truth.image[p * 8 + 3..p * 8 + 6];
             let length = at.iter().map(|v| v * v).sum::<f64>().sqrt() / surfaces.coverage[p];
             assert!(
@@ -76,7 +76,7 @@ fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
         }
     }
     assert!((doubtful as f64) <= most_doubtful * pixels as f64, "{doubtful} of {pixels} pixels are doubtful");
-    // The transpose holds the same entries, column by column and by ascending pixels.
+    // The transpose holds the same entries, column by column.
     let mut by_column: Vec<Vec<(u32, f32)>> = vec![Vec::new(); n];
     for p in 0..pixels {
         for e in found.row(p) {
@@ -87,11 +87,11 @@ fn check_in(gpu: &Gpu, case: &Case, most_doubtful: f64) {
     for (i, column) in by_column.iter().enumerate() {
         let range = found.column_starts[i] as usize..found.column_starts[i + 1] as usize;
         let mut transposed: Vec<(u32, f32)> = range.clone().map(|e| (found.rows[e], found.row_weights[e])).collect();
-        // Rows of a tile come before those of the next pixel row: sorting is stable, so entries keep their order.
+        // Entries of a column come tile by tile, so sort them by pixel.
         transposed.sort_by_key(|e| e.0);
         assert_eq!(&transposed, column, "column {i}");
     }
-    // Gradients: exact sums over the device's own columns, and slopes by differences of the activation.
+    // Expected gradients are exact sums over the device's columns. Slopes are finite differences of the activation.
     let albedo_range = raw.albedo_range;
     let slope = |raw: f64, which: usize| {
         let h = 1e-5 * raw.abs().max(1.0);
@@ -135,9 +135,10 @@ fn gbuffer_and_materials_match_reference() {
     }
 }
 
-/// Weights in 16 bits are those of 32, rounded along their rows.
+/// Weights in 16 bits are the 32-bit weights, rounded with error diffusion.
 ///
-/// Each is within one part of 65535, rows keep their sum to half a part, and the columns hold the same.
+/// Each weight passes its rounding error to the next of its row. Weights are within 1/65535, and sums of rows within
+/// half of that. The columns hold the same weights.
 #[test]
 fn weights_in_16_bits_are_rounded_along_their_rows() {
     let gpu = Gpu::new();
@@ -158,7 +159,7 @@ fn weights_in_16_bits_are_rounded_along_their_rows() {
             let wanted = wide.weights[e] * 65535.0 + carried;
             let parts = (narrow.weights[e] * 65535.0).round();
             assert_eq!(narrow.weights[e], parts * (1.0 / 65535.0), "entry {e}");
-            // A device may round midpoints a little differently.
+            // Rounding of midpoints may differ between devices.
             assert!((wanted - parts).abs() < 0.51, "entry {e}: {wanted} became {parts}");
             carried = wanted - parts;
             largest = largest.max(f64::from((wide.weights[e] - narrow.weights[e]).abs()));

@@ -1,4 +1,4 @@
-//! The normal and depth losses on a device against their reference.
+//! Normal and depth losses on a device against their reference.
 
 use sgs_passes::Tuning;
 use sgs_passes::loss::octahedral_encode;
@@ -13,7 +13,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// Builds a half-trained scene: all opacities, normals that mostly agree.
+/// Builds a half-trained scene with all opacities and mostly agreeing normals.
 fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
     let mut rng = Pcg::new(seed);
     let mut s = Scene {
@@ -33,7 +33,7 @@ fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
         let direction = [(0.2 * x).sin() + 0.2 * rng.normal(), (0.15 * y).cos(), -0.7 + 0.2 * rng.normal()];
         let norm = direction.iter().map(|d| d * d).sum::<f64>().sqrt();
         let z = 2.0 + 0.5 * (0.1 * x + 0.07 * y).sin() + 0.05 * rng.normal();
-        // Rounding can make variances negative; values stay away from the threshold of the gradient.
+        // Rounding can make variances negative. Values stay away from the threshold of the gradient.
         let variance = if rng.uniform() < 0.2 { -1e-3 } else { rng.range(0.05, 0.2).powi(2) };
         if let (Some(normals), Some(depths), Some(priors)) = (&mut s.normals, &mut s.depths, &mut s.priors) {
             normals.push(direction.map(|d| narrow(length * d / norm)));
@@ -53,13 +53,15 @@ fn flat<const N: usize>(v: &[[f64; N]]) -> Vec<f64> {
 
 /// Returns the tolerance of gradients.
 ///
-/// Absolute: a share of the loss gradient of a pixel, or a smaller share of the largest gradient.
+/// The absolute tolerance is a share of the loss gradient of a pixel, or a smaller share of the largest gradient.
 fn tolerance(expected: &[f64], absolute: f64, relative: f64) -> Tolerance {
     let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
     Tolerance::new(absolute.max(1e-5 * largest), relative)
 }
 
-/// Compares all results at the device's own sizes and at a GPU's; returns the last.
+/// Compares all results at the device's subgroup size and at 64.
+///
+/// Returns the results at 64.
 fn check(gpu: &Gpu, s: &Scene, largest: [u32; 2]) -> Found {
     let wide = Tuning { subgroup_size: 64, ..gpu.tuning() };
     let [own, found] = [gpu.tuning(), wide].map(|tuning| run(gpu, tuning, s, largest, &WEIGHTS));
@@ -70,7 +72,7 @@ fn check(gpu: &Gpu, s: &Scene, largest: [u32; 2]) -> Found {
     let what = |name| format!("{name} at {}x{}", s.width, s.height);
     for found in [&own, &found] {
         assert_close(&what("normals"), &normals, &found.normals, tolerance(&normals, 1e-5 / n, 1e-4));
-        // The variance is a difference of squares: its error is 1e-6 of 2.5e-3 or more.
+        // The variance, at least 2.5e-3, is a difference of squares. Its absolute error is about 1e-6.
         assert_close(&what("depths"), &depths, &found.depths, tolerance(&depths, 2e-3 / n, 1e-3));
         assert_close(&what("transmittance"), &by_t, &found.transmittance, tolerance(&by_t, 5e-3 / n, 1e-3));
         check_terms(&terms, &found.stats);
@@ -128,11 +130,11 @@ fn geometry_loss_at_extremes() {
         }
         let found = check(&gpu, &s, [width as u32, height as u32]);
         let all = found.normals.iter().chain(&found.depths).chain(&found.transmittance);
-        // At most a thousand times the loss gradient of a pixel, times the depth and its square.
+        // Gradients are at most 1000 times the loss gradient of a pixel, times the depth and its square.
         let bound = 1e3 * 10.0 * 30.0 / n as f32;
         assert!(all.into_iter().all(|g| g.abs() < bound), "opacity {opacity}");
     }
-    // Zero normals and missing priors: only the floor of the variance in the loss, and no gradient.
+    // With zero normals and missing priors, the loss is only the floor of the variance, and no gradient remains.
     let s = Scene {
         normals: Some(vec![[0.0; 3]; n]),
         depths: Some(vec![[0.0; 2]; n]),
@@ -142,7 +144,7 @@ fn geometry_loss_at_extremes() {
     };
     let found = check(&gpu, &s, [width as u32, height as u32]);
     assert!(found.normals.iter().chain(&found.depths).chain(&found.transmittance).all(|&g| g == 0.0));
-    // With priors the gradient of a zero normal has a direction: a thousand times the loss gradient of a pixel.
+    // With priors, the gradient of a zero normal is 1000 times the loss gradient of a pixel.
     let magnitude = |g: &[f32]| g.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt() * n as f64 / 1e3;
     let priors = vec![octahedral_encode([0.6, -0.3, -0.7]); n];
     let mut s = Scene { priors: Some(priors), ..s };
@@ -227,7 +229,7 @@ fn geometry_loss_is_deterministic() {
     assert!((0..3).all(|_| once() == first));
 }
 
-/// Checks that a lost border, a lost prior, or a weight off by a percent fails.
+/// Checks that a lost border, a lost prior, or a weight that is 1 % off fails.
 #[test]
 fn geometry_loss_checks_can_fail() {
     let s = random_scene(24, 18, 17);

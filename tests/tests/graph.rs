@@ -1,4 +1,4 @@
-//! The executor on a real device: fills, kernels, copies, replay.
+//! Executor on a real device: fills, kernels, copies, replay.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::kernel::{groups, stage};
@@ -6,7 +6,7 @@ use sgs_shaders::fill;
 use sgs_tests::Gpu;
 
 #[test]
-fn fill_kernel_writes_its_words_and_no_more() {
+fn fill_kernel_writes_only_its_words() {
     let gpu = Gpu::new();
     let mut g = Graph::new("fill");
     let out = g.external("out", 4 * 1000);

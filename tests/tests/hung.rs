@@ -1,6 +1,6 @@
 //! Work that exceeds its time limit.
 //!
-//! The error arrives in time and names the work. Resources in use are neither freed nor leaked.
+//! The error arrives in time and names the work. Resources in use are not freed early, and none leak.
 
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
@@ -9,7 +9,9 @@ use sgs_tests::busy;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Groups of a pass: lavapipe ends every loop after 65 535 rounds, so long work needs many groups.
+/// Number of workgroups of a pass.
+///
+/// Lavapipe ends every loop after 65 535 iterations, so long work needs many workgroups.
 const GROUPS: u32 = 384;
 
 const BYTES: u64 = 4 * (busy::LANES * GROUPS) as u64;
@@ -21,7 +23,7 @@ fn open(options: DeviceOptions) -> Device {
     Device::open(&DeviceOptions { select, validation: true, ..options }).unwrap()
 }
 
-/// Builds two passes over one buffer, with the number of rounds in a uniform.
+/// Builds two passes over one buffer. A uniform holds the number of rounds.
 fn two_passes(device: &Device, timestamps: bool) -> (Executor, Buffer, DeviceBuffer) {
     let mut graph = Graph::new("busy work");
     let settings = graph.uniform("settings", 4);
@@ -39,7 +41,7 @@ fn two_passes(device: &Device, timestamps: bool) -> (Executor, Buffer, DeviceBuf
     (exec, settings, memory)
 }
 
-/// Returns the rounds that keep this device busy for about a second a pass.
+/// Returns the number of rounds that keep this device busy for about 1 s per pass.
 fn a_second(device: &Device) -> u32 {
     if device.info().kind == "cpu" {
         return 65_535;
@@ -58,7 +60,7 @@ fn a_second(device: &Device) -> u32 {
     }
 }
 
-/// Fails unless validation was silent and a closed device leaves nothing behind.
+/// Closes a device. Fails if validation reported a message or an object leaked.
 #[track_caller]
 fn close(device: Device) {
     let (messages, objects) = (device.messages().clone(), device.objects().clone());
@@ -69,7 +71,7 @@ fn close(device: Device) {
 }
 
 #[test]
-fn a_wait_gives_up_in_time_and_what_is_in_use_is_kept() {
+fn wait_times_out_and_resources_in_use_are_retained() {
     let device = open(DeviceOptions { timeout: LIMIT, ..Default::default() });
     let rounds = a_second(&device);
     let (mut exec, settings, memory) = two_passes(&device, true);
@@ -85,16 +87,16 @@ fn a_wait_gives_up_in_time_and_what_is_in_use_is_kept() {
     assert!(text.starts_with("Work submitted as \"busy work\" did not finish within 0.05 s"), "{text}");
     let Error::Timeout { limit: LIMIT, pass, .. } = error else { panic!("{error}") };
     if device.info().kind != "cpu" {
-        // lavapipe cannot report it without waiting.
+        // Lavapipe cannot report the pass without waiting.
         assert!(pass.is_some_and(|p| p == "first" || p == "second"), "{text}");
     }
-    // A wait with its own limit works as well, on the device and on the executor.
+    // A wait on the device or on the executor can have its own limit.
     let short = Duration::from_millis(1);
     assert!(matches!(exec.finish_within(short), Err(Error::Timeout { limit, .. }) if limit == short));
     let last = device.last_ticket();
     assert!(matches!(device.wait_within(last, "look", short), Err(Error::Timeout { .. })));
 
-    // The owners are dropped while the work runs: resources in use are freed when the work is done.
+    // The owners are dropped while the work runs. Resources in use are freed when the work is done.
     let copy = memory.clone();
     drop(memory);
     drop(exec);
@@ -117,7 +119,7 @@ fn a_device_closes_when_the_work_ends() {
     let (mut exec, settings, memory) = two_passes(&device, false);
     exec.submit(&[(settings, &rounds.to_ne_bytes())]).unwrap();
     assert!(matches!(exec.finish(), Err(Error::Timeout { pass: None, .. })));
-    // A transfer behind the work times out too, and its staging memory is retained.
+    // A transfer queued after the work times out too, and its staging memory is retained.
     let error = device.upload(&memory, 0, &[1; 64]).unwrap_err();
     assert!(matches!(&error, Error::Timeout { what, .. } if what == "copy"), "{error}");
     drop((exec, memory));
@@ -132,7 +134,7 @@ fn work_goes_on_after_a_timeout() {
     let (mut exec, settings, memory) = two_passes(&device, true);
     exec.submit(&[(settings, &rounds.to_ne_bytes())]).unwrap();
     exec.submit(&[(settings, &1u32.to_ne_bytes())]).unwrap();
-    // Both slots are in flight: the third replay has to wait for the first.
+    // Both slots are in flight, so the third replay waits for the first.
     assert!(matches!(exec.submit(&[(settings, &1u32.to_ne_bytes())]), Err(Error::Timeout { .. })));
     exec.finish_within(Duration::from_secs(60)).unwrap();
     exec.submit(&[(settings, &1u32.to_ne_bytes())]).unwrap();

@@ -4,7 +4,7 @@ use sgs_engine::{Error, ImageFormat};
 use sgs_tests::Gpu;
 
 #[test]
-fn texels_come_back_in_every_format() {
+fn texels_round_trip_in_every_format() {
     let gpu = Gpu::new();
     for format in ImageFormat::ALL {
         let image = gpu.device().image("texels", [13, 7], format).unwrap();

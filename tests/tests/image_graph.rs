@@ -1,5 +1,7 @@
-//! Images in graphs on a real device: kernels and copies between images and buffers, layouts on entry and exit,
-//! transients that share an image, refusals.
+//! Images in graphs on a real device.
+//!
+//! Covers kernels, copies between images and buffers, layouts on entry and exit, transients that share an image, and
+//! errors.
 
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph, Image, ImageState};
@@ -13,7 +15,7 @@ const SIZE: [u32; 2] = [21, 10];
 const TEXELS: usize = 210;
 const BYTES: u64 = 16 * TEXELS as u64;
 
-/// Declares a pass of the probe.
+/// Declares a pass of the probe kernel.
 fn probe(g: &mut Graph, name: &str, addend: Image, sum: Image, shown: Image, scale: f32) {
     let push = image_probe::Push { size: SIZE, scale };
     let pass = stage_with(g, name, &image_probe::KERNEL, [], bytemuck::bytes_of(&push));
@@ -31,10 +33,10 @@ fn floats(bytes: &[u8]) -> Vec<f32> {
 }
 
 #[test]
-fn reflection_sees_what_is_done_to_texels() {
-    let found: Vec<_> = image_probe::KERNEL.bindings.iter().map(|b| (b.name, b.access, b.kind)).collect();
-    let float = BindingKind::Image(sgs_shaders::ImageFormat::Rgba32Float);
-    let bytes = BindingKind::Image(sgs_shaders::ImageFormat::Rgba8Unorm);
+fn reflection_finds_the_access_to_texels() {
+    let found: Vec<_> = image_probe::KERNEL.bindings.iter().map(|b| (b.name.as_ref(), b.access, b.kind)).collect();
+    let float = BindingKind::Image(ImageFormat::Rgba32Float);
+    let bytes = BindingKind::Image(ImageFormat::Rgba8Unorm);
     let expected =
         [("addend", Access::Read, float), ("sum", Access::ReadWrite, float), ("displayed", Access::Write, bytes)];
     assert_eq!(found, expected);
@@ -42,7 +44,7 @@ fn reflection_sees_what_is_done_to_texels() {
 
 /// Adds an uploaded image twice to a transient image.
 ///
-/// It uses two transients that can share an image, and leaves an image of bytes in the state `exit`.
+/// The graph uses two transients that can share an image. It leaves an 8-bit image in the state `exit`.
 fn build(exit: ImageState) -> (Graph, [Image; 2], sgs_engine::graph::Buffer) {
     let mut g = Graph::new("images");
     let source = g.input("source", BYTES);
@@ -100,11 +102,11 @@ fn kernels_and_copies_on_images() {
 }
 
 #[test]
-fn images_are_left_in_every_state() {
+fn images_are_left_in_the_declared_state() {
     let gpu = Gpu::new();
     let states = [ImageState::TransferSource, ImageState::TransferTarget, ImageState::General];
     for exit in states {
-        // A second plan takes over from the first in the state that this leaves.
+        // A second plan reads the image in the state in which the first leaves it.
         let (g, handles, out) = build(exit);
         let mut exec = executor(&gpu, g);
         let images = bind(&gpu, &mut exec, handles);

@@ -1,6 +1,6 @@
 //! Runs under interruptions, kills, full disks and damaged checkpoints.
 //!
-//! The result equals that of an undisturbed run, and no earlier checkpoint is lost.
+//! Results equal those of an undisturbed run, and no earlier checkpoint is lost.
 
 use sgs_tests::Place;
 use sgs_tests::cli::{sgs, sgs_after, signal, start, until, wait};
@@ -10,14 +10,14 @@ use std::process::Command;
 use std::time::Duration;
 
 #[test]
-fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
+fn interrupted_and_killed_runs_match_an_undisturbed_run() {
     let place = Place::new(Room::default());
     let steps = 110;
     sgs(&place.arguments("straight", steps, &[])).ok();
     let steps_logged = place.logged("straight");
     assert_eq!(steps_logged, std::iter::once(1).chain((1..=11).map(|i| 10 * i)).collect::<Vec<_>>());
 
-    // Interrupted twice, as with Ctrl-C.
+    // Interrupt twice, as with Ctrl-C.
     let mut child = start(&place.arguments("interrupted", steps, &[]));
     assert!(until(&mut child, || place.logged("interrupted").last() >= Some(&30)), "it was too fast to interrupt");
     signal(&child, "INT");
@@ -34,7 +34,7 @@ fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
     place.resume("interrupted").ok();
     place.assert_same("straight", "interrupted");
 
-    // Killed repeatedly, at any point.
+    // Kill repeatedly, at any point.
     let mut child = start(&place.arguments("killed", steps, &[]));
     for step in [10, 40, 70] {
         let there = until(&mut child, || place.logged("killed").last() >= Some(&step));
@@ -51,14 +51,16 @@ fn interrupted_and_killed_runs_end_as_if_nothing_had_happened() {
     };
     assert!(left("killed").is_empty() && left("killed/checkpoint").is_empty(), "half-written files are left");
 
-    // A finished run has nothing to resume, and stays as it is.
+    // A finished run has nothing to resume and stays unchanged.
     place.resume("killed").ok();
     place.assert_same("straight", "killed");
 }
 
-/// Stops and continues a run, as with Ctrl-Z and `fg`. Clocks continue, and no wait may report a lost device.
+/// Suspends and continues a run, as with Ctrl-Z and `fg`.
+///
+/// Clocks continue meanwhile, and no wait may report a lost device.
 #[test]
-fn a_stopped_run_goes_on() {
+fn suspended_run_continues() {
     let place = Place::new(Room::default());
     sgs(&place.arguments("straight", 60, &[])).ok();
     let mut child = start(&place.arguments("stopped", 60, &["--timeout", "3"]));
@@ -77,7 +79,7 @@ fn a_stopped_run_goes_on() {
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// Mounts it; `None` if mounting is not permitted.
+    /// Mounts a file system of `size` at `at`. Returns `None` if mounting is not permitted.
     fn mount(at: &Path, size: &str) -> Option<SmallDisk> {
         std::fs::create_dir_all(at).unwrap();
         let mounted =
@@ -104,7 +106,7 @@ fn a_full_disk_leaves_the_earlier_checkpoint() {
     let place = Place::new(Room::default());
     sgs(&place.arguments("straight", 30, &FIXED)).ok();
     let checkpoint = place.read("straight/checkpoint/geometry.safetensors").len();
-    // Capacity for one checkpoint and the small files, not for a second checkpoint.
+    // The disk fits one checkpoint and the small files, but not a second checkpoint.
     let Some(disk) = SmallDisk::mount(&place.path("full"), &format!("{}k", checkpoint * 3 / 2 / 1024 + 16)) else {
         println!("skipped: mounting is not permitted");
         return;
@@ -115,7 +117,7 @@ fn a_full_disk_leaves_the_earlier_checkpoint() {
     let sentence = failed.stderr.lines().last().unwrap();
     assert!(sentence.starts_with("sgs: ") && sentence.contains("No space left"), "{failed:?}");
     let earlier = place.read("full/checkpoint/geometry.safetensors");
-    // Resuming continues from it, and fails the same way while the disk is full.
+    // Resuming continues from that checkpoint and fails the same way while the disk is full.
     let again = place.resume("full");
     assert_eq!(again.status, Some(1), "{again:?}");
     again.assert_no_panic();
@@ -141,7 +143,7 @@ fn a_kill_in_the_middle_of_a_save_leaves_the_earlier_checkpoint() {
     let killed = sgs_after("ulimit -f 16", &resume);
     assert_ne!(killed.status, Some(0), "{killed:?}");
     assert!(place.read(file) == earlier, "the checkpoint has changed");
-    // The same as an error instead of a signal.
+    // Exceed the limit again, with an error instead of a signal.
     let refused = sgs_after("trap '' XFSZ; ulimit -f 16", &resume);
     refused.assert_no_panic();
     assert_eq!(refused.status, Some(1), "{refused:?}");
@@ -155,7 +157,7 @@ fn a_kill_in_the_middle_of_a_save_leaves_the_earlier_checkpoint() {
 fn damaged_checkpoints_are_refused() {
     let place = Place::new(Room::default());
     sgs(&place.arguments("run", 14, &FIXED)).ok();
-    // Stopped before its last files.
+    // The run stops before it writes its last files.
     std::fs::remove_file(place.path("run/training.json")).unwrap();
     let path = place.path("run/checkpoint/geometry.safetensors");
     let whole = std::fs::read(&path).unwrap();

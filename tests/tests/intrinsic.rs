@@ -1,6 +1,6 @@
-//! The whole intrinsic stage: learning and determinism.
+//! Learning and determinism of the intrinsic stage.
 //!
-//! The result depends on scene, splats, settings and seed alone.
+//! Results depend only on scene, splats, settings and seed.
 
 use sgs_config::VisibilityKind;
 use sgs_passes::Accuracy;
@@ -54,25 +54,25 @@ fn intrinsic_stage_learns_and_ignores_cache_size_and_interruptions() {
     let (first, last) = (mean(0..6), mean(18..24));
     assert!(last[0] < 0.8 * first[0] && last[1] < first[1] && last[2] < 0.95 * first[2], "from {first:?} to {last:?}");
     assert!(losses.iter().all(|l| l.4.albedo_msg > 0.0 && l.4.albedo_edge > 0.0));
-    // Every third step compares albedo with pseudo-views, every third under other lights.
+    // Every third step compares albedo with pseudo-views. From step 4 on, every third compares it under other lights.
     for (step, .., materials) in &losses {
         let cross = step.is_multiple_of(3);
         assert!(cross == (materials.cross_view > 0.0) || materials.cross_pairs == 0, "step {step}: {materials:?}");
         assert!((step % 3 == 1 && *step >= 4) == (materials.own_count > 0), "step {step}: {materials:?}");
     }
     assert!(losses.iter().any(|l| l.4.cross_view > 0.0), "no pseudo-view was compared");
-    // Geometry is unchanged; materials are new.
+    // Geometry is unchanged. Materials are added.
     assert_eq!((&trained.means, &trained.sh, &trained.normals), (&splats.means, &splats.sh, &splats.normals));
     let albedo = trained.albedo.as_ref().unwrap();
     assert!(albedo.iter().flatten().all(|v| v.is_finite()) && albedo.iter().flatten().any(|v| v.abs() > 0.05));
     assert!(trained.metallic.is_some());
-    // Recomputed in each step, and interrupted: the same bits.
+    // Results are bit-identical if surfaces are recomputed in each step, and after interruptions.
     for (bytes, resumed_at) in [(1, None), (0, Some(7)), (1, Some(16))] {
         let (other, other_lights, report) = train(bytes, resumed_at);
         assert_eq!(report, losses, "{bytes} bytes, resumed at {resumed_at:?}");
         assert!(other == trained && other_lights == lights, "{bytes} bytes, resumed at {resumed_at:?}");
     }
-    // With 16-bit storage: deterministic, and close to 32 bits.
+    // 16-bit storage is deterministic and close to 32 bits.
     let short = Accuracy { table_bits: 16, weight_bits: 16, ..Accuracy::EXACT };
     let (trained, lights, report) = train_at(short, 0, None);
     let apart = report.iter().zip(&losses).map(|(a, b)| (f32::from_bits(a.1) / f32::from_bits(b.1) - 1.0).abs());
@@ -83,7 +83,7 @@ fn intrinsic_stage_learns_and_ignores_cache_size_and_interruptions() {
 }
 
 #[test]
-fn the_command_leaves_what_shades_and_measures() {
+fn train_command_writes_a_run_that_shades_and_evaluates() {
     let (place, _) = place();
     let arguments = |run: &str, more: &[&str]| -> Vec<String> {
         let mut a: Vec<String> = ["train", &place.text("scene"), "-o", &place.text(run)].map(str::to_owned).to_vec();
@@ -106,22 +106,22 @@ fn the_command_leaves_what_shades_and_measures() {
         assert!(place.path("a").join(file).is_file(), "{file} is missing");
     }
     assert_eq!(read_lights(&place.path("a/lights.json")).unwrap().lights.len(), 8);
-    // The same with two commands.
+    // Two commands, one per stage, give the same result.
     sgs(&arguments("b", &[])).ok();
     assert!(!place.path("b/lights.json").exists());
     sgs(&arguments("b", &["--stage", "intrinsic"])).ok();
     for file in ["scene.ply", "lights.json", "environment.exr"] {
         assert!(place.read(&format!("a/{file}")) == place.read(&format!("b/{file}")), "{file} differs");
     }
-    // Metadata of these files has no order.
+    // Metadata of these files is unordered, so compare their contents.
     let field = |run: &str| VisibilityFile::load(&place.path(run).join("visibility.safetensors")).unwrap();
     assert!(field("a") == field("b"));
-    // Geometry from another file.
+    // Train materials on the geometry of another file.
     let start = place.text("a/scene.ply");
     sgs(&arguments("c", &["--stage", "intrinsic", "--start", &start])).ok();
     assert!(place.read("a/lights.json") == place.read("c/lights.json"));
     sgs(&arguments("d", &["--start", &start])).refused(&["--start", "--stage intrinsic"]);
-    // Its output is measured and shades.
+    // The run can be evaluated and shaded.
     sgs(&["eval", &place.text("a")]).ok();
     let metrics: serde_json::Value = serde_json::from_slice(&place.read("a/metrics.json")).unwrap();
     assert!(metrics["test"]["mean"]["pbr"]["psnr"].as_f64().unwrap() > 5.0, "{metrics}");
@@ -143,7 +143,7 @@ fn the_command_leaves_what_shades_and_measures() {
         assert!((a - d - e).abs() <= 1e-5 * a.abs().max(1.0));
     }
 
-    // Direct light without rendering the geometry again: the same result, whatever gains and views came before.
+    // Direct light without rendering the geometry again gives the same result, whatever gains and views came before.
     let gains: Vec<f32> = lights.unwrap().lights.iter().map(|l| l.gain).collect();
     let alone: Vec<f32> = gains.iter().enumerate().map(|(i, g)| if i % 3 == 1 { 2.0 * g } else { 0.0 }).collect();
     let scene = shaded_scene(gpu.device(), &splats, lights, environment, &light.visibility).unwrap();
@@ -160,9 +160,9 @@ fn the_command_leaves_what_shades_and_measures() {
     assert!(quick.shade(&opened.views[0].camera).unwrap().visibility().is_none());
 }
 
-/// Bounds the memory of a step beside the scene.
+/// Bounds the memory of a step, without the scene.
 ///
-/// The published method needs some 90 GB at these sizes.
+/// The published method needs about 90 GB at these sizes.
 #[test]
 fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     use sgs_passes::pipeline::{IntrinsicOptions, IntrinsicRates, IntrinsicSizes, IntrinsicStep};
@@ -209,9 +209,8 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         relight: false,
         own_prior: false,
         relight_roughness: 0.0,
-        returning: false,
         rates,
-        picture: false,
+        image: false,
         timestamps: false,
         frames_in_flight: 2,
     };
@@ -238,7 +237,9 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     assert!(traced <= without + room + (8 << 20), "{traced} bytes, {without} without shadows");
 }
 
-/// Culling at zero changes nothing; otherwise it skips only lights within the bound.
+/// Culling with an error bound of zero changes nothing.
+///
+/// With a positive bound, culling skips contributions.
 #[test]
 fn culling_stays_within_its_error() {
     let (place, _) = place();
@@ -261,7 +262,7 @@ fn culling_stays_within_its_error() {
         assert!(first(kind, 1e-9) == exact, "{kind:?}: what reaches everywhere was left out");
         let short = first(kind, 0.5);
         assert!(short.1 != exact.1 && short.0.is_finite(), "{kind:?}: nothing was left out");
-        // Culled contributions move no light: a light of no pixel keeps its lobes.
+        // Culling skips contributions and removes no light.
         assert!(short.1.lights.len() == exact.1.lights.len());
     }
     let mut s = settings(1);
@@ -318,14 +319,16 @@ fn environment_update_interval_and_half_size_images() {
     assert_eq!(error, "intrinsic.environment.every is 0, but must be 1 to 64.");
 }
 
-/// Albedo stays within the range of the settings, including the published one. Initial values are kept.
+/// Albedo stays within the range of the settings, including the published range.
+///
+/// Initial values within the range are retained.
 #[test]
 fn albedo_stays_in_its_range() {
     let (place, _) = place();
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut splats = geometry(&gpu, &scene);
-    // From almost black to almost white.
+    // Initial albedo ranges from almost black to almost white.
     splats.albedo = Some((0..splats.len()).map(|i| [-6.0, 0.0, -4.0 + 0.01 * (i % 800) as f32]).collect());
     let train = |range: [f32; 2], start: &Splats, steps: u32| {
         let mut s = settings(8);
@@ -345,7 +348,7 @@ fn albedo_stays_in_its_range() {
     assert!(values(&published).iter().all(|v| *v > 0.0899), "an albedo is darker than 0.09");
     let narrow = train([0.3, 0.6], &ours, 8);
     assert!(values(&narrow).iter().all(|v| (0.2999..0.6001).contains(v)), "an albedo is out of its range");
-    // Without training, values within the range are those of the start.
+    // Without training, values within the range equal the initial values.
     for (before, after) in values(&ours).iter().zip(values(&train([0.05, 0.99], &ours, 0))) {
         assert!((before.clamp(0.0502, 0.9898) - after).abs() < 2e-4, "{before} {after}");
     }

@@ -1,6 +1,6 @@
-//! The log of the intrinsic stage names each loss that runs.
+//! Log of the intrinsic stage.
 //!
-//! Warnings name each loss that has a weight and does not run.
+//! Log lines name each loss that runs. Warnings name each loss that has a weight and does not run.
 
 use serde_json::Value;
 use sgs_config::{OwnPrior, Settings};
@@ -13,7 +13,7 @@ use sgs_tests::{Gpu, Place};
 use sgs_train::{Intrinsic, IntrinsicLog};
 use std::collections::BTreeSet;
 
-/// Keys of every line, for any losses.
+/// Keys that every log line has, for any losses.
 const ALWAYS: [&str; 6] = ["stage", "step", "shaded", "l1", "ssim", "skipped"];
 /// Losses that need neither priors nor regions.
 const FREE: [&str; 6] =
@@ -40,7 +40,7 @@ fn arguments(place: &Place, command: &[&str], more: &[&str]) -> Vec<String> {
     all
 }
 
-/// Returns the last line of the intrinsic stage.
+/// Returns the last log line of the intrinsic stage.
 fn last(place: &Place) -> Value {
     let text = String::from_utf8(place.read("run/log.jsonl")).unwrap();
     let mut lines = text.lines().map(|l| serde_json::from_str::<Value>(l).unwrap());
@@ -121,7 +121,7 @@ fn room_with_masks(place: &Place) {
 
 /// The log does not depend on interruptions of the training.
 #[test]
-fn logs_outlive_an_interruption() {
+fn interruption_does_not_change_the_log() {
     let (place, _) = place();
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();

@@ -1,7 +1,7 @@
-//! The device tests again on lavapipe with 16 lanes.
+//! Device tests on lavapipe with 16 lanes.
 //!
-//! Wide subgroups take other paths than the default 8 lanes. By default a subset runs, one program after the other.
-//! `SGS_TEST_LANES=all` runs every program that needs a device, which takes half an hour on two cores.
+//! Wide subgroups take other paths than the default 8 lanes. By default, a subset of the tests runs, one program after
+//! the other. `SGS_TEST_LANES=all` runs every program that needs a device, which takes half an hour on two cores.
 
 use sgs_tests::Gpu;
 use sgs_tests::cli::sgs_with;
@@ -12,10 +12,12 @@ use std::time::SystemTime;
 /// Width of lavapipe's vectors in bits, 32 for each lane. At 1024 it crashes.
 const WIDTH: &str = "512";
 
-/// Programs and tests that run by default: those whose sizes or strides depend on the subgroup.
+/// Programs and tests that run by default.
+///
+/// Their sizes or strides depend on the subgroup.
 const DEFAULT: &[(&str, &[&str])] = &[("subgroups", &[]), ("visible_bits", &[]), ("splat", &[]), ("long_tiles", &[])];
 
-/// Programs that need no device, or start devices of their own.
+/// Programs that need no device or open their own devices.
 const WITHOUT_DEVICE: &[&str] = &["lanes", "layers", "presets"];
 
 /// Returns the environment variables of a run at 16 lanes.
@@ -36,7 +38,7 @@ fn applies() -> bool {
     applies
 }
 
-/// Returns the newest build of a test program; builds it if missing.
+/// Returns the newest build of a test program. Builds the program if missing.
 fn program(name: &str) -> PathBuf {
     let this = std::env::current_exe().unwrap();
     let folder = this.parent().unwrap();
@@ -59,7 +61,7 @@ fn program(name: &str) -> PathBuf {
     })
 }
 
-/// Runs tests of a program at 16 lanes; returns the end of its output if they failed.
+/// Runs tests of a program at 16 lanes. If they fail, the error is the end of the output.
 fn run(name: &str, filters: &[&str]) -> Result<(), String> {
     let mut command = Command::new(program(name));
     command.args(filters).envs(variables()).env_remove("SGS_TEST_LANES");
@@ -82,7 +84,7 @@ fn programs() -> Vec<String> {
     names
 }
 
-/// Helper of [`lavapipe_has_16_lanes`], which runs it.
+/// Prints the number of lanes. [`lavapipe_has_16_lanes`] runs this helper.
 #[test]
 #[ignore = "says how many lanes there are"]
 fn says_lanes() {
@@ -115,7 +117,7 @@ fn device_tests_pass_at_16_lanes() {
 }
 
 #[test]
-fn devices_are_listed_with_what_was_tested() {
+fn devices_command_lists_tested_devices_and_lanes() {
     if !applies() {
         return;
     }

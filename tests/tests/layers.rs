@@ -1,17 +1,20 @@
-//! Crate layers: engine ← passes ← tools; Vulkan and `unsafe` in the engine alone.
+//! Crate layers: engine ← passes ← tools; Vulkan and `unsafe` in the engine only.
 //!
-//! Shaders are used by passes alone.
-//! The checks read `cargo metadata` and the sources; each has a control that must be caught.
+//! Only passes use shaders. The checks read `cargo metadata` and the sources. Each check has a planted violation that
+//! it must catch.
 
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Folders and what their crates may depend on. `tools/*` stands for all crates in `tools`.
+/// Folders, and the folders that their crates may depend on.
+///
+/// `tools/*` stands for all crates in `tools`.
 const ALLOWED: &[(&str, &[&str])] = &[
-    ("engine", &[]),
-    ("shaders-glsl/compiler", &[]),
-    ("shaders-glsl", &["shaders-glsl/compiler"]),
+    ("shaders-glsl/abi", &[]),
+    ("engine", &["shaders-glsl/abi"]),
+    ("shaders-glsl/compiler", &["shaders-glsl/abi"]),
+    ("shaders-glsl", &["shaders-glsl/abi", "shaders-glsl/compiler"]),
     ("passes", &["engine", "shaders-glsl"]),
     ("tools/scene", &[]),
     ("tools/synth", &["tools/scene"]),
@@ -37,7 +40,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 
 /// Crates that only some folders may name, in a manifest or in code.
 ///
-/// The embedding tests have a host with its own device, written as any application would write it.
+/// The embedding tests contain a host application with its own Vulkan device.
 const RESERVED: &[(&str, &[&str])] = &[
     ("ash", &["engine", "tests/embedding"]),
     ("ash-window", &["engine"]),
@@ -48,7 +51,7 @@ const RESERVED: &[(&str, &[&str])] = &[
 
 /// Places where `unsafe` is allowed.
 ///
-/// The engine, the C interface, an allocator that counts, a function that the compiler's counters call, and the test host.
+/// The engine, the C interface, the test host, a counting allocator, and a function that the compiler's counters call.
 const UNSAFE: &[&str] =
     &["engine", "tools/capi", "tests/embedding", "tests/fuzz/src/count.rs", "tests/fuzz/src/hook.rs"];
 
@@ -66,7 +69,7 @@ fn metadata() -> Value {
     serde_json::from_slice(&output.stdout).expect("cargo metadata is JSON")
 }
 
-/// Returns the entry of `ALLOWED` for a path: the longest one that is its prefix.
+/// Returns the folder of `ALLOWED` that is the longest prefix of a path.
 fn folder(path: &str) -> Option<&'static str> {
     let within = |f: &str| path == f || path.strip_prefix(f).is_some_and(|rest| rest.starts_with('/'));
     ALLOWED.iter().map(|(f, _)| *f).filter(|f| within(f)).max_by_key(|f| f.len())
@@ -76,7 +79,7 @@ fn relative(root: &str, path: &str) -> String {
     path.strip_prefix(root).map_or(path, |p| p.trim_start_matches('/')).to_owned()
 }
 
-/// Lists forbidden edges of a workspace, one sentence each.
+/// Lists forbidden dependencies of a workspace, one sentence each.
 fn wrong_edges(metadata: &Value) -> Vec<String> {
     let root = metadata["workspace_root"].as_str().expect("a workspace");
     let mut wrong = Vec::new();
@@ -89,7 +92,7 @@ fn wrong_edges(metadata: &Value) -> Vec<String> {
             continue;
         };
         let allowed = ALLOWED.iter().find(|(f, _)| *f == floor).map_or(&[][..], |(_, a)| a);
-        // Build and test dependencies count like any others.
+        // Build and test dependencies count as well.
         for dependency in package["dependencies"].as_array().expect("dependencies") {
             let needs = dependency["name"].as_str().unwrap_or_default();
             if let Some((_, owners)) = RESERVED.iter().find(|(n, owners)| *n == needs && !owners.contains(&floor)) {
@@ -139,7 +142,7 @@ fn words(source: &str) -> Vec<String> {
             }
             i += 1;
         } else if at(i) == '\'' && (at(i + 1) == '\\' || at(i + 2) == '\'') {
-            // A character; a lifetime has no closing quote this close.
+            // A character literal. A lifetime has no closing quote that close.
             i += if at(i + 1) == '\\' { 3 } else { 2 };
             while i < c.len() && c[i] != '\'' {
                 i += 1;
@@ -153,7 +156,7 @@ fn words(source: &str) -> Vec<String> {
             let word: String = c[start..i].iter().collect();
             let hashes = (i..).take_while(|&j| at(j) == '#').count();
             if matches!(word.as_str(), "r" | "br" | "cr") && at(i + hashes) == '"' {
-                // A raw string ends at a quote with as many hashes.
+                // A raw string ends at a quote with the same number of hashes.
                 i += hashes + 1;
                 while i < c.len() && !(c[i] == '"' && (1..=hashes).all(|k| at(i + k) == '#')) {
                     i += 1;
@@ -227,7 +230,7 @@ fn unsafe_and_vulkan_stay_in_the_engine() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Returns the metadata after package `name` gains a dependency.
+/// Returns the forbidden dependencies after package `name` gains a dependency.
 fn planted(name: &str, dependency: Value) -> Vec<String> {
     let mut metadata = metadata();
     let packages = metadata["packages"].as_array_mut().expect("packages");
@@ -266,7 +269,7 @@ fn planted_edges_are_caught() {
 }
 
 #[test]
-fn crates_on_no_floor_are_caught() {
+fn crates_outside_the_layers_are_caught() {
     let mut metadata = metadata();
     let root = metadata["workspace_root"].as_str().expect("a root").to_owned();
     let stray =

@@ -14,13 +14,15 @@ fn make(out: &Path, layout: SynthLayout) -> Scene {
     Scene::open(out, &SceneOptions::default()).unwrap()
 }
 
-/// Returns the largest difference of two images.
+/// Returns the largest difference between two images.
 fn apart(a: &Image, b: &Image) -> f32 {
     assert_eq!((a.width, a.height, a.channels), (b.width, b.height, b.channels));
     a.data.iter().zip(&b.data).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
-/// Returns the same with values beyond white clipped, at pixels that count.
+/// Returns the largest difference of values clipped at white, at valid pixels.
+///
+/// A pixel is valid if `counts` is above 0.5.
 fn clipped_apart(a: &Image, b: &Image, counts: &Image) -> f32 {
     let clip = |image: &Image| {
         let value = |(i, v): (usize, &f32)| if counts.data[i / 3] > 0.5 { v.min(1.0) } else { 0.0 };
@@ -29,7 +31,9 @@ fn clipped_apart(a: &Image, b: &Image, counts: &Image) -> f32 {
     apart(&clip(a), &clip(b))
 }
 
-/// Compares a scene with its nerfstudio layout view by view; `names` maps the names.
+/// Compares a scene with its nerfstudio layout view by view.
+///
+/// `test` is the prefix of the name of the test view.
 fn assert_same(scene: &Scene, other: &Scene, test: &str) {
     assert_eq!((scene.split.train.len(), scene.split.test.len()), (4, 1));
     assert_eq!(
@@ -57,7 +61,7 @@ fn assert_same(scene: &Scene, other: &Scene, test: &str) {
             let load =
                 |truth: &GroundTruth, view| truth.load(kind, view).unwrap().unwrap_or_else(|| panic!("{kind:?}"));
             let (ours, theirs) = (load(&truth, i), load(&theirs, j));
-            // 8 bits of a normal, of half the length, leave 1/127.
+            // An 8-bit step of a normal component is 1/127, more for normals of half the length.
             let tolerance = if kind == GroundTruthKind::Normal { 0.02 } else { 0.004 };
             let worst = if ours.channels == 3 { clipped_apart(&ours, &theirs, &mask) } else { apart(&ours, &theirs) };
             assert!(worst < tolerance, "{name}: {kind:?} differs by {worst}");
@@ -68,7 +72,7 @@ fn assert_same(scene: &Scene, other: &Scene, test: &str) {
             assert_eq!((ours.is_some(), theirs.is_some()), (j == 4, j == 4), "{name} of {set}");
             if let (Some(ours), Some(theirs)) = (ours, theirs) {
                 let all = Image { channels: 1, data: vec![1.0; mask.data.len()], ..mask.clone() };
-                // A step of 8 bits near white is 0.009 of linear light.
+                // An 8-bit sRGB step near white is 0.009 in linear light.
                 assert!(clipped_apart(&ours, &theirs, &all) < 0.01, "{name} of {set}");
             }
         }

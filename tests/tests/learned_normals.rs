@@ -1,6 +1,7 @@
 //! Normals learned through shading: gradients against the reference.
 //!
-//! Lights are unoccluded, dimmed by a visibility field, or occluded by Gaussians. Perturbed normals are restored.
+//! Lights are unoccluded, attenuated by a visibility field, or occluded by Gaussians. Training restores perturbed
+//! normals.
 
 use sgs_config::{Settings, VisibilityKind};
 use sgs_engine::graph::{Buffer, Graph};
@@ -18,14 +19,14 @@ use sgs_train::{Geometry, Intrinsic};
 
 const MODEL: LightModel = LightModel { lights: 4, lobes: 3, axes: Axes::Free };
 
-/// View whose normals come from a few Gaussians.
+/// View whose normals are blended from a few Gaussians.
 struct Seen {
     case: Lit,
-    /// By pixel: Gaussians and their weights.
+    /// Gaussians and their weights, by pixel.
     rows: Vec<Vec<(usize, f64)>>,
-    /// Of any length.
+    /// Normals of the Gaussians, of any length.
     normals: Vec<V3>,
-    /// Of the weights.
+    /// Bits of a stored weight.
     weight_bits: u32,
 }
 
@@ -45,19 +46,19 @@ impl Seen {
             row.iter_mut().for_each(|e| e.1 = narrow(e.1 / sum));
             rows.push(row);
         }
-        // Empty pixels have no row.
+        // One pixel is empty and has no row.
         case.pixels[size[0] / 2].coverage = 0.0;
         rows[size[0] / 2].clear();
         Seen { case, rows, normals, weight_bits: 32 }
     }
 
-    /// Rounds the weights to 16 bits and stores them in 16 bits.
+    /// Rounds the weights to 16 bits and selects 16-bit storage.
     fn in_16_bits(mut self) -> Seen {
         self.rows.iter_mut().flatten().for_each(|e| e.1 = (e.1 * 65535.0).round() / 65535.0);
         Seen { weight_bits: 16, ..self }
     }
 
-    /// Returns the pixels with normals blended from those of the Gaussians.
+    /// Returns the pixels with normals blended from `normals`.
     fn pixels(&self, normals: &[V3]) -> Vec<reference::Pixel> {
         let mut pixels = self.case.pixels.clone();
         for (pixel, row) in pixels.iter_mut().zip(&self.rows) {
@@ -91,7 +92,7 @@ impl Seen {
         found
     }
 
-    /// Declares the matrix in a graph, with its contents.
+    /// Declares the weight matrix in a graph and adds its contents to `inputs`.
     fn weights(&self, g: &mut Graph, inputs: &mut Vec<(Buffer, Vec<u8>)>) -> Weights {
         let count = self.rows.iter().map(Vec::len).sum::<usize>();
         let mut put = |name: &str, data: Vec<u8>| {
@@ -100,7 +101,7 @@ impl Seen {
             buffer
         };
         let words = |v: &[u32]| bytemuck::cast_slice(v).to_vec();
-        // Contents are exact in 16 bits.
+        // The weights are exact in 16 bits.
         let floats = |v: &[f32]| match self.weight_bits {
             16 => {
                 let parts = |w: &f32| (w * 65535.0).round() as u32;
@@ -173,7 +174,7 @@ fn tolerance(expected: &[f64]) -> Tolerance {
 }
 
 #[test]
-fn gradients_are_differences_of_the_reference() {
+fn normal_gradients_match_differences_of_the_reference() {
     let gpu = Gpu::new();
     let cases = [(1, [7, 5], 5), (2, [17, 9], 40), (3, [31, 4], 1)].map(|(seed, size, n)| Seen::random(size, n, seed));
     for seen in cases.into_iter().chain([Seen::random([17, 9], 40, 2).in_16_bits()]) {
@@ -186,7 +187,7 @@ fn gradients_are_differences_of_the_reference() {
         assert!(expected.iter().any(|e| e.abs() > 1e-3));
         assert_close("gradient of normals", &expected, &gradient, tolerance(&expected));
         assert!(seen.run(&gpu) == [direct, gradient], "not the same every time");
-        // The comparison fails for a lost weight and for a missing length.
+        // The comparison detects errors of 1 % in every fifth number.
         let scaled: Vec<f32> =
             expected.iter().enumerate().map(|(i, x)| (x * if i % 5 == 0 { 1.01 } else { 1.0 }) as f32).collect();
         assert!(worst(&expected, &scaled, tolerance(&expected)).is_some_and(|w| w.3 > 1.0));
@@ -195,7 +196,7 @@ fn gradients_are_differences_of_the_reference() {
 
 /// Gradients stay finite for canceling, zero, huge and tiny normals.
 ///
-/// They are zero without a direction.
+/// Zero, tiny and canceling normals have zero gradients.
 #[test]
 fn extremes_are_finite() {
     let gpu = Gpu::new();
@@ -220,13 +221,13 @@ fn settings(steps: u32) -> Settings {
     i.steps = steps;
     i.environment.enabled = false;
     (i.lights.grid, i.lights.start, i.visibility.kind) = (2, 200.0, VisibilityKind::None);
-    (i.rates.albedo, i.rates.roughness, i.rates.lights, i.rates.normals) = (0.0, 0.0, 0.0, 0.02);
+    (i.rates.materials, i.rates.lights, i.rates.normals) = (0.0, 0.0, 0.02);
     (i.losses.albedo_smooth, i.losses.roughness_smooth, i.losses.light_position, i.losses.light_value) =
         (0.0, 0.0, 0.0, 0.0);
     s
 }
 
-/// Computes the mean angle between pixel normals of the training views, degrees.
+/// Computes the mean angle between pixel normals of the training views, in degrees.
 fn apart(gpu: &Gpu, scene: &Scene, a: &sgs_scene::Splats, b: &sgs_scene::Splats) -> f64 {
     let (mut sum, mut count) = (0.0, 0.0);
     let mut shading = [a, b].map(|s| {
@@ -247,7 +248,7 @@ fn apart(gpu: &Gpu, scene: &Scene, a: &sgs_scene::Splats, b: &sgs_scene::Splats)
 ///
 /// Photographs are the stage's own renders of true normals under the initial lights. Only normals are trained.
 #[test]
-fn bent_normals_are_pulled_back() {
+fn training_restores_perturbed_normals() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let gpu = Gpu::new();
     let options = SceneOptions::default();
@@ -266,11 +267,11 @@ fn bent_normals_are_pulled_back() {
         let rendered: Image = displayed(&shading.shade(&view.camera).unwrap().radiance([0.0; 3]));
         let mean = rendered.data.iter().sum::<f32>() / rendered.data.len() as f32;
         println!("{}: mean {mean}", view.camera.name);
-        assert!((0.2..0.8).contains(&mean), "pictures are too dark or too bright: {mean}");
+        assert!((0.2..0.8).contains(&mean), "images are too dark or too bright: {mean}");
         write_png(&view.image_path, &rendered).unwrap();
     }
     let scene = Scene::open(&place.path("scene"), &options).unwrap();
-    // Half of them lean one way, half another.
+    // Half of the normals lean one way, half another.
     let mut bent = right.clone();
     for (i, n) in bent.normals.as_mut().unwrap().iter_mut().enumerate() {
         let lean = if i % 2 == 0 { [0.0, 0.5, 0.3] } else { [0.4, 0.1, -0.4] };

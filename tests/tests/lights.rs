@@ -6,20 +6,22 @@ use sgs_passes::shade::lights::{Axes, LightModel, Perturbation, Shape};
 use sgs_tests::lit::{BEFORE, Found, Lit, run, run_culled};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
-/// Shapes of other devices; small, so that CPUs compile them quickly.
+/// Returns dispatch shapes of other devices.
+///
+/// They are small, so that CPUs compile them quickly.
 fn shapes(gpu: &Gpu) -> [Shape; 2] {
     let own = Shape::for_device(gpu.tuning());
     [Shape { per_lane: 2, spread: false, ..own }, Shape { per_lane: 3, spread: true, ..own }]
 }
 
-/// Computes the root of the mean square.
+/// Computes the root mean square.
 fn scale(x: &[f64]) -> f64 {
     (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
 }
 
 /// Checks radiance and material gradients of a case against the reference.
 ///
-/// Errors are at most `relative` of a value, or a hundredth of that of the usual value.
+/// Errors are at most `relative` times a value, or 1 % of `relative` times the root mean square of all values.
 fn check_pixels(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], relative: f64) {
     let lights = case.lights();
     let [diffuse, specular] = reference::lights(&case.pixels, &lights, case.camera, case.normalizer());
@@ -30,10 +32,12 @@ fn check_pixels(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], rela
     for &shape in shapes {
         let found = run(gpu, shape, case, largest, None);
         let tolerance = |x: &[f64]| Tolerance::new(1e-2 * relative * scale(x) + 1e-30, relative);
-        // Without a normal, differences include lights that a step in any direction would face; the kernel has none.
+        // Without a normal, the reference's differences include every light that a step faces. The kernel's gradient is
+        // zero.
         let bent = |(i, g): (usize, &f64)| if case.pixels[i / 3].normal == [0.0; 3] { 0.0 } else { *g };
         let normals: Vec<f64> = normals.iter().enumerate().map(bent).collect();
-        // At the center of the sharpest highlight the error is the rounding of the half vector, 1e-7, over its width, 1e-3.
+        // At the center of the sharpest highlight, the relative error is the rounding of the half vector over its
+        // width: 1e-7 over 1e-3.
         let t = Tolerance::new(1e-4 * scale(&normals) + 1e-20, 1e-3);
         assert_close("gradient of normals", &normals, &found.normals, t);
         assert_close("radiance", &whole, &found.direct, tolerance(&whole));
@@ -54,7 +58,7 @@ fn check_pixels(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], rela
 
 /// Checks light gradients against differences of the reference.
 ///
-/// `relative` as in [`check_pixels`], for each kind of number by itself.
+/// `relative` is that of [`check_pixels`], applied to each kind of parameter separately.
 fn check_lights(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], relative: f64) {
     let expected = reference::lights_bwd(&case.raw, &case.pixels, case.camera, case.normalizer(), &case.gradient);
     let row = case.raw.model.row() as usize;
@@ -73,7 +77,7 @@ fn check_lights(gpu: &Gpu, shapes: &[Shape], case: &Lit, largest: [u32; 2], rela
 #[track_caller]
 fn check_added(what: &str, expected: &[f64], found: &[f32], t: Tolerance) {
     let after: Vec<f64> = expected.iter().map(|e| e + f64::from(BEFORE)).collect();
-    // The previous contents have rounding of their own.
+    // Rounding of the previous contents adds to the error.
     let size = expected.iter().fold(f64::from(BEFORE), |m, e| m.max(e.abs()));
     assert_close(what, &after, found, Tolerance::new(t.absolute + 1e-7 * size, t.relative));
 }
@@ -106,7 +110,7 @@ fn lights_of_any_number_of_lobes() {
     }
 }
 
-/// Values for one pixel and one light: hard configurations.
+/// Hard configuration of pixels and lights.
 struct Hard {
     name: &'static str,
     change: fn(&mut Lit),
@@ -215,7 +219,7 @@ fn lights_at_extremes() {
     for (i, hard) in HARD.iter().enumerate() {
         let mut case = Lit::random([9, 4], SMALL, true, 40 + i as u32);
         (hard.change)(&mut case);
-        // Coverage is rounded to 32 bits.
+        // Coverage and roughness are rounded to 32 bits.
         case.pixels.iter_mut().for_each(|p| p.coverage = sgs_tests::lit::narrow(p.coverage));
         case.pixels.iter_mut().for_each(|p| p.material.roughness = sgs_tests::lit::narrow(p.material.roughness));
         eprintln!("{}", hard.name);
@@ -224,7 +228,7 @@ fn lights_at_extremes() {
     }
 }
 
-/// The camera behind a surface, opposite the light: the half vector is zero, and tiny beside it.
+/// Camera and light are opposite, so the half vector is zero or tiny.
 #[test]
 fn a_light_opposite_the_camera_is_finite() {
     let gpu = Gpu::new();
@@ -239,9 +243,9 @@ fn a_light_opposite_the_camera_is_finite() {
     }
 }
 
-/// Pixels without a surface are black with zero gradients, whatever they hold.
+/// Pixels without a surface are black with zero gradients, whatever they store.
 ///
-/// A light at the position of a pixel's point is tested too.
+/// Also tests a light at the position of a pixel's point.
 #[test]
 fn lights_skip_pixels_without_surface() {
     let gpu = Gpu::new();
@@ -261,7 +265,7 @@ fn lights_skip_pixels_without_surface() {
     case.raw.positions[..3].copy_from_slice(&case.pixels[2].point);
     let found = run(&gpu, shapes(&gpu)[0], &case, [11, 3], None);
     assert!(found.positions.iter().chain(&found.lobes).all(|x| x.is_finite()));
-    // Where the camera is at the point, the view direction is undefined.
+    // The view direction is undefined where the camera is at the point, so those pixels have no surface below.
     let mut seen = case.clone();
     seen.pixels.iter_mut().skip(1).step_by(3).for_each(|p| p.coverage = 0.0);
     check_lights(&gpu, &shapes(&gpu), &seen, [11, 3], 1e-3);
@@ -276,7 +280,7 @@ fn lights_skip_pixels_without_surface() {
 }
 
 #[test]
-fn lights_that_are_off_cost_nothing_and_send_nothing() {
+fn disabled_lights_match_reference() {
     let gpu = Gpu::new();
     for on in [&[][..], &[2], &[0, 4], &[0, 1, 2, 3, 4]] {
         let mut case = Lit::random([17, 3], SMALL, false, 5);
@@ -324,7 +328,7 @@ fn lights_are_deterministic() {
     assert!((0..3).all(|_| once() == first));
 }
 
-/// Checks that an error of a thousandth or a missing light fails the checks.
+/// Checks that an error of 0.1 % or a missing light fails the checks.
 #[test]
 fn checks_of_lights_can_fail() {
     let case = Lit::random([9, 4], SMALL, true, 21);
@@ -350,15 +354,15 @@ fn checks_of_lights_can_fail() {
     assert!(excess(&sum(&other)) > 1.0);
 }
 
-/// Culling of faint lights stays within its bound.
+/// Culling of faint lights stays within its error bound.
 ///
-/// Lights that are culled everywhere have no gradient. With a bound of zero, nothing changes.
+/// Lights that are culled everywhere have zero gradients. A bound of zero changes nothing.
 #[test]
 fn culling_keeps_within_its_bound() {
     let gpu = Gpu::new();
     let model = LightModel { lights: 30, lobes: 4, axes: Axes::Free };
     let mut case = Lit::random([48, 9], model, false, 15);
-    // Pixels of a row are close together and lights far apart: some reach all pixels, some none.
+    // Pixels of a row are close together and lights far apart. Some lights reach all pixels, some none.
     for (i, p) in case.pixels.iter_mut().enumerate() {
         p.point = [i % 48, i / 48, i % 5].map(|x| sgs_tests::lit::narrow(0.1 * x as f64));
         p.material.roughness = 1.0;
@@ -383,7 +387,8 @@ fn culling_keeps_within_its_bound() {
                     let d = f64::from(full.direct[3 * i + c]) - f64::from(less.direct[3 * i + c]);
                     let shine = f64::from(missing) * case.normalizer() / std::f64::consts::TAU;
                     assert!(d <= bound + shine + 1e-6);
-                    // The albedo gradient is the loss gradient times the irradiance over pi, so a white albedo sets the bound.
+                    // The albedo gradient is the loss gradient times the irradiance over pi, so a white albedo sets the
+                    // bound.
                     let at = |f: &Found| f64::from(f.materials[4 * i + c]);
                     let white = f64::from(missing) * case.normalizer() / std::f64::consts::PI;
                     let loss_gradient = case.gradient[3 * i + c].abs();
@@ -395,7 +400,8 @@ fn culling_keeps_within_its_bound() {
                     by_albedo = by_albedo.max(off);
                 }
             }
-            // Log-amplitude gradients, summed: at most the loss gradient of each pixel times the light that it lacks.
+            // The sum of log-amplitude gradients changes by at most the loss gradient of each pixel times its missing
+            // light.
             let amplitudes = |f: &Found| -> Vec<f64> {
                 f.lobes.chunks(row).map(|r| r[row - 3..].iter().map(|x| f64::from(*x)).sum()).collect()
             };
@@ -407,7 +413,7 @@ fn culling_keeps_within_its_bound() {
             assert!(off > 0.0 && by_albedo > 0.0, "{missing}: gradients are the same");
             let dark = |f: &Found| f.positions.chunks(3).filter(|g| g.iter().all(|x| *x == 0.0)).count();
             assert!(dark(&less) > dark(&full), "{missing} leaves out {} lights", dark(&less));
-            // The bound is not loose: at most some hundred times the error here.
+            // The bound is tight: less than 1000 times the largest error.
             assert!(most > 1e-3, "{missing}: {most}");
         }
         assert_eq!(full.direct, run_culled(&gpu, shape, &case, [48, 9], None, 0.0).direct);

@@ -11,9 +11,9 @@ use sgs_tests::{Gpu, Tolerance, assert_close};
 
 const SMALL: LightModel = LightModel { lights: 5, lobes: 12, axes: Axes::Grid };
 
-/// Both losses and both gradients match differences of the reference.
+/// Losses match the reference, and gradients match its differences.
 ///
-/// Lights that are off have neither.
+/// Disabled lights have neither losses nor gradients.
 #[test]
 fn light_regularizers_match_reference() {
     let gpu = Gpu::new();
@@ -27,7 +27,7 @@ fn light_regularizers_match_reference() {
         case.pixels.iter_mut().step_by(3).for_each(|p| (p.coverage, p.point) = (0.0, [f64::NAN; 3]));
         case.raw.gains[1] = 0.0;
         case.raw.lobes[5] = 16.0;
-        // A light at a point, and one that is too near for a gradient.
+        // One light lies at a surface point, another too near to one for a gradient.
         case.raw.positions[..3].copy_from_slice(&case.pixels[1].point);
         case.raw.positions[6..9].copy_from_slice(&case.pixels[2].point.map(|x| sgs_tests::lit::narrow(x + 0.01)));
         if far {
@@ -74,7 +74,7 @@ fn light_regularizers_match_reference() {
                     .collect()
             };
             let (places, lobes) = (slopes(|r| &mut r.positions), slopes(|r| &mut r.lobes));
-            // Differences of a sum dominated by one bright light have that light's rounding.
+            // One bright light dominates the sum, so differences have that light's rounding.
             let floor = 1e-9 * (1.0 + total(&case.raw));
             assert_close("places", &places, &out.get::<f32>(into.positions), Tolerance::new(floor, 1e-3));
             assert_close("lobes", &lobes, &out.get::<f32>(into.lobes), Tolerance::new(floor, 1e-3));
@@ -87,7 +87,7 @@ fn faint_lights_are_pruned() {
     let gpu = Gpu::new();
     for model in [LightModel { lights: 300, lobes: 2, axes: Axes::Free }, SMALL] {
         let mut case = Lit::random([2, 2], model, false, 6);
-        // The brightest of all is off, and does not count.
+        // The brightest light is disabled and does not count.
         let row = model.row() as usize;
         case.raw.lobes[row - 1] = 9.0;
         case.raw.gains[0] = 0.0;

@@ -1,4 +1,6 @@
-//! Limits of buffers and kernels: excess is refused before any allocation.
+//! Limits of buffers and kernels.
+//!
+//! Requests beyond a limit are refused before any allocation.
 
 use sgs_config::Settings;
 use sgs_engine::device::Limits;
@@ -17,7 +19,7 @@ fn open(limits: Limits) -> Device {
     Device::open(&DeviceOptions { select, validation: true, limits, ..Default::default() }).unwrap()
 }
 
-/// Fails unless nothing was allocated and validation was silent.
+/// Fails if anything was allocated or validation reported a message.
 fn assert_untouched(device: &Device) {
     assert_eq!((device.memory_use(), device.activity().made), ((0, 0), 0));
     assert_eq!(device.messages().take(), Vec::<String>::new());
@@ -85,7 +87,7 @@ fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = Settings::default();
     s.geometry.steps = 2;
-    // Six training views of 32 by 24 pixels.
+    // Bytes of six training views of 32 x 24 pixels.
     let photographs = 4 * 6 * 32 * 24;
     for limits in [
         Limits { buffer: photographs - 1, ..Default::default() },
@@ -107,7 +109,7 @@ fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
     let error = Intrinsic::new(&device, &scene, &s, &splats).err().unwrap();
     assert!(error.to_string().starts_with("The photographs need 18432 bytes in one buffer"), "{error}");
     assert_untouched(&device);
-    // The intermediate buffers of a step come next.
+    // After the photographs, the intermediate buffers of a step are checked.
     let device = open(Limits { buffer: photographs, ..Default::default() });
     let error = Geometry::new(&device, &scene, &s, None).err().unwrap().to_string();
     assert!(error.starts_with("The intermediate results of a step need "), "{error}");

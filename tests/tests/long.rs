@@ -1,8 +1,8 @@
 //! Long trainings of a tiny room with every loss on.
 //!
-//! Numbers stay finite, losses do not increase, memory does not grow.
+//! Values stay finite, losses do not increase, and memory does not grow.
 //!
-//! `SGS_TEST_LONG=1` asks for 100 000 steps of each stage, `SGS_TEST_LONG=N` for N.
+//! `SGS_TEST_LONG=1` requests 100 000 steps of each stage, `SGS_TEST_LONG=N` requests N.
 
 use sgs_config::{Metallic, Settings};
 use sgs_scene::{Scene, SceneOptions};
@@ -12,7 +12,9 @@ use sgs_tests::{Gpu, Place};
 use sgs_train::{Geometry, Intrinsic, Progress};
 use std::sync::{Mutex, PoisonError};
 
-/// Returns the steps of a stage: `usual`, or those of `SGS_TEST_LONG`.
+/// Returns the number of steps of a stage.
+///
+/// The number is `usual`, unless `SGS_TEST_LONG` sets another.
 fn steps(usual: u32) -> u32 {
     match std::env::var("SGS_TEST_LONG").ok().and_then(|n| n.parse().ok()) {
         None => usual,
@@ -46,20 +48,24 @@ fn settings() -> Settings {
     s
 }
 
-/// Lock for one training at a time: both use this process's memory.
+/// Lock for one training at a time, since both tests measure this process's memory.
 static ALONE: Mutex<()> = Mutex::new(());
 
-/// Returns the resident bytes of this process.
+/// Returns the resident memory of this process, in bytes.
 fn resident() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = text.lines().find(|l| l.starts_with("VmRSS:"))?;
     line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib << 10)
 }
 
-/// Number of losses that must not increase, the first of a course.
+/// Number of losses that must not increase.
+///
+/// These are the first losses of a course.
 const HELD: usize = 4;
 
-/// Record of a long training: mean losses of its tenths, memory at the middle and the end.
+/// Record of a long training.
+///
+/// Holds the losses of each tenth of the steps, and the resident memory at the middle and the end.
 #[derive(Default)]
 struct Course {
     steps: u32,
@@ -74,7 +80,7 @@ impl Course {
         let tenth = ((step - 1) as u64 * 10 / u64::from(self.steps)) as usize;
         self.counts[tenth] += 1;
         self.sums[tenth].iter_mut().zip(losses).for_each(|(s, l)| *s += f64::from(*l));
-        // In the second half the device's compiler is done, and the number of Gaussians is at its cap.
+        // By the middle, the driver has compiled all kernels, and the number of Gaussians is at its cap.
         if step == self.steps / 2 || step == self.steps {
             self.resident[usize::from(step == self.steps)] = resident();
         }
@@ -82,7 +88,7 @@ impl Course {
 
     /// Fails if losses or memory grew, or a loss was zero in a tenth.
     ///
-    /// `names` are those of the recorded losses.
+    /// `names` are the names of the recorded losses.
     fn check(&self, what: &str, names: &[&str], device: &sgs_engine::Device) {
         let mean = |tenth: usize| self.sums[tenth].map(|s| s / f64::from(self.counts[tenth]));
         for tenth in 0..10 {
@@ -141,7 +147,7 @@ fn materials_with_every_loss() {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings();
     (s.geometry.steps, s.intrinsic.steps) = (100, steps(600));
-    // Reports have no numbers of these.
+    // Reports do not include these losses.
     let l = &s.intrinsic.losses;
     let unreported = [l.environment_smooth, l.light_position, l.light_value, l.visibility_jitter];
     assert!(unreported.iter().all(|weight| *weight > 0.0), "{unreported:?}");

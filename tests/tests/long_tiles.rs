@@ -1,6 +1,6 @@
-//! Tiles with more entries than usual: no entry may be lost.
+//! Tiles with more entries than usual, of which none may be lost.
 //!
-//! Drivers have limits of their own: llvmpipe silently leaves loops after 65535 iterations, summed over all loops of an
+//! Drivers have limits of their own. Llvmpipe silently leaves loops after 65535 iterations, summed over all loops of an
 //! invocation.
 
 use glam::{DMat3, DVec2, DVec3};
@@ -22,9 +22,9 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// Builds faint specks all over one small image.
+/// Builds faint splats all over one small image.
 ///
-/// No pixel saturates, so every entry counts. With `wall`, none behind the wall counts.
+/// Without `wall`, no pixel saturates, so every entry contributes. With `wall`, no entry behind the wall contributes.
 fn specks(count: usize, wall: bool) -> Gaussians {
     let mut r = Rng::new(1);
     let mut g = Gaussians::default();
@@ -42,7 +42,7 @@ fn specks(count: usize, wall: bool) -> Gaussians {
 }
 
 fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, dense: bool) {
-    // One of each is enough.
+    // Each case tests one backward kernel.
     let which = if dense { BackwardKernel::Pixel } else { BackwardKernel::Splat };
     let t = gpu.tuning();
     let scene = specks(count, wall);
@@ -103,13 +103,13 @@ fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, dense: bool) {
     assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
     let found = out.get::<u32>(total)[0] as usize;
     assert!(found > count / 4, "{found} entries");
-    // Every color is gray and every feature one, so image, features and gradient sums are sums of weights.
+    // All colors are gray and all features are one, so image, features and gradient sums are sums of weights.
     let transmittance = out.get::<f32>(blended.transmittance);
     let range = if wall { 1e-4..0.011 } else { 2e-4..0.99 };
     assert!(transmittance.iter().all(|t| range.contains(t)), "{transmittance:?}");
     let covered: Vec<f64> = transmittance.iter().map(|t| 1.0 - f64::from(*t)).collect();
     let gray: Vec<f64> = covered.iter().flat_map(|c| [c / 2.0; 3]).collect();
-    assert_close("picture", &gray, &out.get::<f32>(image), Tolerance::new(1e-4, 1e-3));
+    assert_close("image", &gray, &out.get::<f32>(image), Tolerance::new(1e-4, 1e-3));
     let wide: Vec<f64> = covered.iter().flat_map(|c| [*c; WIDE as usize]).collect();
     assert_close("features", &wide, &out.get::<f32>(features), Tolerance::new(1e-4, 1e-3));
     let weight: f64 = covered.iter().sum();
@@ -138,7 +138,7 @@ fn no_entry_of_a_long_tile_is_lost() {
     }
 }
 
-/// Entries after a full tile still get their zeros.
+/// Entries behind a saturated wall are still written.
 #[test]
 fn entries_behind_a_wall_are_written() {
     let gpu = Gpu::new();

@@ -1,4 +1,4 @@
-//! The photometric losses on a device against references and differences.
+//! Photometric losses on a device against the reference and its differences.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::Tuning;
@@ -10,16 +10,16 @@ use sgs_shaders::structs::Step;
 use sgs_tests::photographs::{OFFSET, SPARE, WEIGHTS, bytes, padded, run_photometric, step};
 use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference};
 
-/// Returns the device's own sizes and those of a GPU.
+/// Returns the device's own tuning, and the same with a subgroup size of 64.
 ///
-/// Any device gives the same result with the latter.
+/// Both must match the reference on every device.
 fn tunings(gpu: &Gpu) -> [Tuning; 2] {
     [gpu.tuning(), Tuning { subgroup_size: 64, ..gpu.tuning() }]
 }
 
 fn random_case(shape: Shape, seed: u32) -> (Vec<f32>, Vec<u32>) {
     let mut rng = Pcg::new(seed);
-    // A photograph with large and small structure, and a render that is near it in places.
+    // The photograph has large and small structure. The render is near it in places.
     let targets: Vec<u32> = (0..shape.pixels())
         .map(|p| {
             let (x, y) = ((p % shape.width) as f64, (p / shape.width) as f64);
@@ -49,10 +49,10 @@ fn check_photometric(gpu: &Gpu, shape: Shape, largest: [u32; 2], image: &[f32], 
     for tuning in tunings(gpu) {
         let (gradient, stats) = run_photometric(gpu, tuning, shape, largest, image, targets);
         let found: Vec<f32> = first.iter().map(|&i| gradient[i]).collect();
-        // Relative to the gradient of L1, which is WEIGHTS[0] / n.
+        // The absolute tolerance is relative to the gradient of L1, which is WEIGHTS[0] / n.
         assert_close(&what, &expected, &found, Tolerance::new(2e-4 / n, 2e-4));
         assert_close("L1", &[loss.l1], &[stats.l1], Tolerance::new(1e-7, 2e-6));
-        // A variance is a difference of squares: its remainder relative to C2 falls with the square of the values.
+        // A variance is a difference of squares. Its rounding error relative to C2 grows with the square of the values.
         let square = image.iter().map(|&x| f64::from(x * x)).fold(1.0, f64::max);
         let tolerance = Tolerance::new(3e-6 * square, 1e-5);
         assert_close("SSIM", &[loss.ssim], &[stats.ssim], tolerance);
@@ -86,7 +86,7 @@ fn photometric_of_a_view_smaller_than_the_largest() {
     check_photometric(&gpu, shape, [64, 70], &image, &targets);
 }
 
-/// Uses more tiles than a grid has workgroups along x, in one row.
+/// Uses more tiles in one row than a grid allows workgroups along x.
 #[test]
 fn photometric_of_a_folded_grid() {
     let gpu = Gpu::new();
@@ -98,7 +98,7 @@ fn photometric_of_a_folded_grid() {
     let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, largest, &vec![0.25; 3 * n], &targets);
     let l1 = (0..n).map(|p| if target(p) == u32::MAX { 0.75 } else { 0.25 }).sum::<f64>() / n as f64;
     assert_close("L1", &[l1], &[stats.l1], Tolerance::new(0.0, 1e-5));
-    // The image is periodic, so the gradient is.
+    // The image is periodic, so the gradient is periodic too.
     for p in 1010..n - 1010 {
         let (a, b) = (gradient[3 * p], gradient[3 * (p - 1000)]);
         assert!((a - b).abs() <= 1e-4 * a.abs() && a != 0.0, "{p}: {a} {b}");
@@ -115,7 +115,8 @@ fn photometric_at_extremes() {
     for (value, target) in cases {
         check_photometric(&gpu, shape, [30, 21], &vec![value; 3 * n], &vec![target | 0xff00_0000; n]);
     }
-    // Equal, but inexact in 32 bits: the sign of L1 is arbitrary there, and SSIM's term must vanish.
+    // Image and target are equal, but inexact in 32 bits. The sign of L1 is arbitrary there; the term of SSIM must
+    // vanish.
     let target = 0xff80_4020_u32;
     let image: Vec<f32> = (0..3 * n).map(|i| reference::unpack(target, i % 3) as f32).collect();
     let (gradient, stats) = run_photometric(&gpu, gpu.tuning(), shape, [30, 21], &image, &vec![target; n]);
@@ -129,7 +130,7 @@ fn photometric_at_extremes() {
 
 /// SSIM stays at most one where rounding of squares exceeds the variances.
 ///
-/// Its gradients do not exceed those of L1.
+/// Gradients of SSIM do not exceed those of L1.
 #[test]
 fn photometric_of_overbright_images() {
     let gpu = Gpu::new();
@@ -146,9 +147,9 @@ fn photometric_of_overbright_images() {
     }
 }
 
-/// Pixels with alpha 0 count neither themselves nor for their neighbors.
+/// Pixels with alpha 0 affect neither the loss nor their neighbors.
 #[test]
-fn photometric_leaves_out_what_does_not_count() {
+fn photometric_skips_masked_pixels() {
     let gpu = Gpu::new();
     let shape = Shape { width: 45, height: 33, channels: 3 };
     let (mut image, mut targets) = random_case(shape, 5);
@@ -199,9 +200,9 @@ fn photometric_gradient_is_the_finite_difference_of_the_reference() {
 
 /// The in-place gradient equals the separate one, bit for bit.
 ///
-/// Nothing past the view is touched, and every pixel has its debt.
+/// Nothing past the view is written. The debt of a pixel is the dot product of its color and its gradient.
 #[test]
-fn photometric_in_place_is_the_same_gradient_and_its_debt() {
+fn photometric_in_place_matches_separate_gradient_and_debt() {
     let gpu = Gpu::new();
     for (shape, largest) in [([26, 19], [26, 19]), ([1, 1], [3, 2]), ([67, 35], [70, 40])]
         .map(|([w, h], largest)| (Shape { width: w, height: h, channels: 3 }, largest))
@@ -256,7 +257,7 @@ fn photometric_is_deterministic() {
     assert!((0..3).all(|_| run() == first));
 }
 
-/// Checks that a gradient off by a thousandth, or in one pixel, fails.
+/// Checks that a gradient that is 0.1 % off, or wrong in one pixel, fails.
 #[test]
 fn photometric_checks_can_fail() {
     let shape = Shape { width: 26, height: 19, channels: 3 };

@@ -1,10 +1,10 @@
 //! Property tests of losses against their double-precision references.
 //!
-//! Image values are drawn log-uniformly: colors, normals and depths, materials. Failures are shrunk. The numbers are the
-//! same every time; `SGS_TEST_CASES` sets their count.
+//! Image values are drawn log-uniformly: colors, normals and depths, materials. Failures are shrunk. Every run draws
+//! the same cases; `SGS_TEST_CASES` sets their number.
 //!
-//! Bounds of single precision are measured: by the sensitivity of the references to perturbations of inputs, or of window
-//! means, by a few units in the last place.
+//! Bounds of single precision are measured: by the sensitivity of the references to perturbations of inputs, or of
+//! window means, by a few units in the last place.
 
 use proptest::prelude::*;
 use sgs_passes::loss::octahedral_encode;
@@ -15,22 +15,25 @@ use sgs_passes::reference::photometric::Shape;
 use sgs_passes::reference::rng::Pcg;
 use sgs_tests::Gpu;
 use sgs_tests::drawn::{Compared, log_uniform, powers, runner, spread};
-use sgs_tests::materials::{self, Asked, Painted};
+use sgs_tests::materials::{self, Painted, Requested};
 use sgs_tests::photographs::{WEIGHTS, run_photometric};
 use sgs_tests::surfaces::{self, narrow};
 
-/// Relative perturbation of inputs, and the number of draws.
+/// Relative perturbation of inputs.
 const MOVE: f64 = 4e-7;
+/// Number of perturbed evaluations.
 const DRAWS: usize = 4;
 
-/// Rendered image: size, distance from its photograph, constant share, masked pixels.
+/// Rendered image and its photograph.
+///
+/// `holes` is the share of masked pixels.
 #[derive(Clone, Debug)]
 struct Colors {
     size: [usize; 2],
     channels: usize,
-    /// Powers of ten that bound the differences to the photograph.
+    /// Exponents of ten that bound the differences from the photograph.
     off: [f64; 2],
-    /// Image of one color, times noise.
+    /// Value and relative noise of an image of one color.
     flat: Option<(f64, f64)>,
     holes: f64,
     seed: u32,
@@ -79,7 +82,7 @@ impl Colors {
     }
 }
 
-/// Compares colors with gradients times `planted`.
+/// Compares the losses of colors; scales the device's gradients by `planted`.
 fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64, compared: &Compared) -> Result<(), TestCaseError> {
     let (shape, (image, targets)) = (drawn.shape(), drawn.inputs());
     let wide: Vec<f64> = image.iter().map(|&x| f64::from(x)).collect();
@@ -96,7 +99,7 @@ fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64, compared: &Compared) ->
     }
     let (found, stats) = run_photometric(gpu, gpu.tuning(), shape, drawn.size.map(|n| n as u32), &image, &targets);
     let n = 3.0 * shape.pixels() as f64;
-    // If squares are so large that variances are mostly rounding, draws estimate the size of errors only.
+    // If squares are so large that variances are mostly rounding, draws estimate only the magnitude of errors.
     let largest = wide.iter().fold(1.0_f64, |m, x| m.max(x.abs()));
     let blind = (MOVE * largest * largest / 9e-4).min(1.0);
     for i in (0..expected.len()).filter(|i| i % shape.channels < 3) {
@@ -108,7 +111,7 @@ fn check_colors(gpu: &Gpu, drawn: &Colors, planted: f64, compared: &Compared) ->
     let losses = color::photometric(&wide, &targets, shape);
     let l1 = f64::from(stats.l1);
     prop_assert!((l1 - losses.l1).abs() <= 1e-5 * losses.l1 + 1e-7, "L1 is {} and not {}", l1, losses.l1);
-    // Bound of the derivatives by windowed means, times the errors of these means.
+    // The error of SSIM is bounded by its derivatives by windowed means, times the errors of these means.
     let ssim = f64::from(stats.ssim);
     let t = 3e-6 * largest * largest + off.iter().sum::<f64>() * n / weights[1];
     prop_assert!(ssim.abs() <= 1.0 + 1e-5, "SSIM is {}", ssim);
@@ -124,7 +127,9 @@ fn color_losses_match_reference() {
     compared.check(20_000, 0.6);
 }
 
-/// Blended values of a view: log-uniform opacities, depths, spreads and lengths of normals.
+/// Blended values of a view.
+///
+/// Opacities, depths, spreads and lengths of normals are log-uniform.
 #[derive(Clone, Debug)]
 struct Surfaces {
     size: [usize; 2],
@@ -132,7 +137,7 @@ struct Surfaces {
     depths: bool,
     priors: bool,
     weights: [f64; 4],
-    /// Powers of ten.
+    /// Exponents of ten that bound the opacities; likewise for the next three fields.
     opacity: [f64; 2],
     depth: [f64; 2],
     spread: [f64; 2],
@@ -200,7 +205,9 @@ fn row(g: &surface::Gradient) -> Vec<f64> {
     [g.normals.as_flattened(), g.depths.as_flattened(), &g.transmittance].concat()
 }
 
-/// Returns the scene with perturbed numbers; transmittances are perturbed by a share of one.
+/// Returns the scene with perturbed values.
+///
+/// Transmittances are perturbed relative to the opacity.
 fn moved(s: &Scene, rng: &mut Pcg) -> Scene {
     let mut other = s.clone();
     for x in other.normals.iter_mut().flatten().flatten().chain(other.depths.iter_mut().flatten().flatten()) {
@@ -212,7 +219,9 @@ fn moved(s: &Scene, rng: &mut Pcg) -> Scene {
     other
 }
 
-/// Compares surfaces; the `planted`-th gradient is scaled by 1.01, if set.
+/// Compares the losses of surfaces.
+///
+/// Scales the `planted`-th gradient by 1.01, if set.
 fn check_surfaces(
     gpu: &Gpu,
     drawn: &Surfaces,
@@ -249,14 +258,16 @@ fn surface_losses_match_reference() {
     compared.check(60_000, 0.9);
 }
 
-/// Views of materials: log-uniform distances of albedo and roughness from their priors, and the losses.
+/// Views of materials, and the requested losses.
+///
+/// Distances of albedo and roughness from their priors are log-uniform.
 #[derive(Clone, Debug)]
 struct Materials {
     sizes: Vec<[usize; 2]>,
     off: [f64; 2],
-    /// Share of an image that is one color.
+    /// Share of an image that has one color.
     flat: f64,
-    asked: Asked,
+    requested: Requested,
     seed: u32,
 }
 
@@ -271,8 +282,8 @@ prop_compose! {
         seed in 0..1_000_000_u32,
     ) -> Materials {
         let none = !msg && !cross && !own && estimates == 0;
-        let asked = Asked { edge: edge || none, msg, roughness, masked, estimates, cross, own };
-        Materials { sizes, off, flat, asked, seed }
+        let requested = Requested { edge: edge || none, msg, roughness, masked, estimates, cross, own };
+        Materials { sizes, off, flat, requested, seed }
     }
 }
 
@@ -293,12 +304,12 @@ impl Materials {
     }
 }
 
-/// Compares materials with gradients times `planted`.
+/// Compares the losses of materials; scales the device's gradients by `planted`.
 fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64, compared: &Compared) -> Result<(), TestCaseError> {
     let views = drawn.views();
-    let found = materials::run(gpu, gpu.tuning(), &views, drawn.asked);
+    let found = materials::run(gpu, gpu.tuning(), &views, drawn.requested);
     let row = |e: &materials::Expected| [e.albedo.concat(), e.roughness.clone()].concat();
-    let expected = materials::expected(&views, drawn.asked);
+    let expected = materials::expected(&views, drawn.requested);
     let (all, is) = (row(&expected), [found.albedo.concat(), found.roughness].concat());
     prop_assert_eq!(all.len(), is.len());
     let mut rng = Pcg::new(3);
@@ -306,17 +317,17 @@ fn check_materials(gpu: &Gpu, drawn: &Materials, planted: f64, compared: &Compar
     for draw in 0..DRAWS {
         let mut other = views.clone();
         for v in &mut other {
-            // Coarse levels average out per-pixel errors, so whole blocks are perturbed together, too.
+            // Coarse levels average out per-pixel errors, so some draws perturb whole blocks together.
             let width = v.size[0];
             let block = |p: usize| (p % width / (5 << (2 * draw)) + p / width / (5 << (2 * draw))) % 2;
             let mut by = |p: usize| MOVE * if draw < 2 { 2.0 * block(p) as f64 - 1.0 } else { rng.range(-1.0, 1.0) };
             v.albedo.iter_mut().enumerate().for_each(|(i, x)| *x *= 1.0 + by(i / 3));
             v.roughness.iter_mut().enumerate().for_each(|(p, x)| *x *= 1.0 + by(p));
         }
-        let other = row(&materials::expected(&other, drawn.asked));
+        let other = row(&materials::expected(&other, drawn.requested));
         off.iter_mut().zip(other.iter().zip(&all)).for_each(|(o, (a, b))| *o = o.max((a - b).abs()));
     }
-    // Each gradient is a sum of some hundred terms as large as the largest.
+    // Each gradient sums some hundred terms, each up to the largest gradient.
     let largest = all.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     for (i, x) in is.iter().enumerate() {
         let x = f64::from(*x) * planted;
@@ -338,7 +349,7 @@ fn material_losses_match_reference() {
     compared.check(50_000, 0.7);
 }
 
-/// Checks that an error of a hundredth fails.
+/// Checks that an error of 1 % fails.
 #[test]
 fn checks_of_losses_can_fail() {
     let (gpu, compared) = (Gpu::new(), Compared::default());
@@ -356,8 +367,8 @@ fn checks_of_losses_can_fail() {
         length: [-1.0, 0.0],
         seed: 3,
     };
-    let all = Asked { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true, own: true };
-    let painted = Materials { sizes: vec![[20, 30], [17, 9]], off: [-2.0, 0.0], flat: 0.2, asked: all, seed: 4 };
+    let all = Requested { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true, own: true };
+    let painted = Materials { sizes: vec![[20, 30], [17, 9]], off: [-2.0, 0.0], flat: 0.2, requested: all, seed: 4 };
     assert!(
         check_materials(&gpu, &painted, 1.0, &compared).is_ok()
             && check_materials(&gpu, &painted, 1.01, &compared).is_err()

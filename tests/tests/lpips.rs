@@ -1,6 +1,7 @@
-//! LPIPS against the package of that name, with the same synthetic weights.
+//! LPIPS against the `lpips` package, with the same synthetic weights.
 //!
-//! `make_lpips.py` in `tests/data/metrics` wrote the expected values. The command line is tested too: metrics and refusals.
+//! `make_lpips.py` in `tests/data/metrics` wrote the expected values. Also tests metrics and errors of the command
+//! line.
 
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
@@ -13,7 +14,7 @@ use sgs_tests::rooms::Room;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// Number of a convolution, outputs, inputs, width.
+/// Index of a convolution, outputs, inputs, kernel width.
 type Shape = (usize, usize, usize, usize);
 
 const VGG: [Shape; 13] = [
@@ -44,7 +45,7 @@ fn uniform(tensor: u32, count: usize) -> impl Iterator<Item = f64> {
     })
 }
 
-/// Tensors by name: shape and numbers.
+/// Names, shapes and values of tensors.
 type Tensors = Vec<(String, Vec<usize>, Vec<f32>)>;
 
 /// Returns the weights of `made_up` in `make_lpips.py`.
@@ -109,7 +110,7 @@ fn lpips_matches_package() {
         assert!(pairs.len() >= 6);
         for (name, pair) in pairs {
             let image = load_image(name);
-            // Within 1e-4 of 1, and of themselves.
+            // Absolute and relative errors are below 1e-4.
             let near = |found: f64, expected: &Value, what: &str| {
                 let expected = expected.as_f64().unwrap();
                 let apart = (found - expected).abs();
@@ -122,7 +123,7 @@ fn lpips_matches_package() {
             near(signed.distance(&image, &truth, None).unwrap(), &pair["normalized"], "signed");
         }
         assert_eq!(plain.distance(&truth, &truth, None).unwrap(), 0.0);
-        // If no pixel counts, the distance is zero.
+        // If the mask excludes all pixels, the distance is zero.
         let image = load_image("missing");
         let mut mask = Image::new(truth.width, truth.height, 1);
         mask.data.iter_mut().enumerate().for_each(|(p, v)| *v = f32::from(p as u32 % truth.width > 36));
@@ -139,7 +140,7 @@ fn lpips_matches_package() {
 
 /// A small change of any tensor changes the distance beyond the tolerance.
 #[test]
-fn every_tensor_counts() {
+fn every_tensor_affects_the_distance() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("alex");
     let (image, truth) = (load_image("dark"), load_image("truth"));
@@ -214,7 +215,7 @@ fn runs_are_measured_and_bad_files_refused() {
     assert_eq!(eval(&["--lpips-signed"]).status, Some(2));
     assert!(place.read("run/metrics.json") == before);
 
-    // An image below the size of the network has no distance.
+    // An image smaller than the network's minimum has no distance.
     let place = Place::new(Room::default());
     sgs(&place.arguments("run", 2, &["-q"])).ok();
     write(&path, &tensors, &meta("alex"));

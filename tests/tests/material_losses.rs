@@ -1,12 +1,13 @@
-//! The losses of materials on a device against their references and the finite differences of these.
+//! Material losses on the device against their references. Gradients are also tested against finite differences of the
+//! references.
 
 use sgs_passes::Tuning;
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::MaterialStats;
-use sgs_tests::materials::{Asked, Expected, Found, Painted, expected, narrow, run};
+use sgs_tests::materials::{Expected, Found, Painted, Requested, expected, narrow, run};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
-/// Relative to the largest gradient, which is some multiple of one by the number of pixels.
+/// Returns a tolerance relative to the largest gradient. Gradients scale with the inverse of the number of pixels.
 fn tolerance(expected: &[f64]) -> Tolerance {
     let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
     Tolerance::new(1e-7_f64.min(1e-3 / expected.len() as f64).max(2e-5 * largest), 2e-4)
@@ -25,13 +26,13 @@ fn compare(e: &Expected, found: &Found, what: &str) {
     assert_close(&format!("{what}: total"), &[e.total], &[found.stats.total], Tolerance::new(1e-6, 2e-5));
 }
 
-/// At the device's own sizes and at those of a GPU; returns the last.
-fn check(gpu: &Gpu, views: &[Painted], asked: Asked) -> Found {
-    let e = expected(views, asked);
+/// Compares losses at the device's subgroup size and at 64; returns the latter.
+fn check(gpu: &Gpu, views: &[Painted], requested: Requested) -> Found {
+    let e = expected(views, requested);
     let wide = Tuning { subgroup_size: 64, ..gpu.tuning() };
     let [_, found] = [gpu.tuning(), wide].map(|tuning| {
-        let found = run(gpu, tuning, views, asked);
-        compare(&e, &found, &format!("{:?} {asked:?}", views[0].size));
+        let found = run(gpu, tuning, views, requested);
+        compare(&e, &found, &format!("{:?} {requested:?}", views[0].size));
         found
     });
     found
@@ -44,7 +45,7 @@ fn smoothness_loss_matches_reference() {
     let gpu = Gpu::new();
     for (i, size) in SIZES.into_iter().enumerate() {
         for roughness in [true, false] {
-            check(&gpu, &[Painted::new(size, i as u32)], Asked { edge: true, roughness, ..Default::default() });
+            check(&gpu, &[Painted::new(size, i as u32)], Requested { edge: true, roughness, ..Default::default() });
         }
     }
 }
@@ -54,8 +55,8 @@ fn multiscale_gradient_loss_matches_reference() {
     let gpu = Gpu::new();
     for (i, size) in SIZES.into_iter().enumerate() {
         let v = [Painted::new(size, 20 + i as u32)];
-        check(&gpu, &v, Asked { msg: true, roughness: true, ..Default::default() });
-        check(&gpu, &v, Asked { msg: true, masked: true, ..Default::default() });
+        check(&gpu, &v, Requested { msg: true, roughness: true, ..Default::default() });
+        check(&gpu, &v, Requested { msg: true, masked: true, ..Default::default() });
     }
 }
 
@@ -65,10 +66,10 @@ fn relight_loss_matches_reference() {
     for (i, size) in [[1, 1], [29, 17], [57, 33], [90, 70]].into_iter().enumerate() {
         for estimates in 1..=2 {
             let v = [Painted::new(size, 40 + i as u32)];
-            let found = check(&gpu, &v, Asked { estimates, ..Default::default() });
+            let found = check(&gpu, &v, Requested { estimates, ..Default::default() });
             assert_eq!(found.stats.relight_count as usize, if i == 0 { 0 } else { estimates }, "{size:?}");
             // The view's own prior has a weight and a term of its own.
-            let found = check(&gpu, &v, Asked { estimates, own: true, ..Default::default() });
+            let found = check(&gpu, &v, Requested { estimates, own: true, ..Default::default() });
             assert_eq!(found.stats.own_count, u32::from(i > 0), "{size:?}");
         }
     }
@@ -80,7 +81,7 @@ fn cross_view_region_loss_matches_reference() {
     for pseudo in [1, 2, 4] {
         let sizes = [[45, 33], [120, 80], [31, 9], [57, 33], [64, 2]];
         let views: Vec<Painted> = (0..=pseudo).map(|k| Painted::new(sizes[k], 60 + k as u32)).collect();
-        let found = check(&gpu, &views, Asked { cross: true, ..Default::default() });
+        let found = check(&gpu, &views, Requested { cross: true, ..Default::default() });
         assert_eq!(found.stats.cross_pairs as usize, pseudo);
     }
 }
@@ -88,57 +89,57 @@ fn cross_view_region_loss_matches_reference() {
 #[test]
 fn small_regions_and_equal_means_have_zero_gradient() {
     let gpu = Gpu::new();
-    let asked = Asked { cross: true, ..Default::default() };
+    let requested = Requested { cross: true, ..Default::default() };
     let mut views = vec![Painted::new([24, 18], 1), Painted::new([20, 20], 2), Painted::new([24, 18], 1)];
     views[1].mask = (0..400).map(|p| p < 15).collect();
-    let found = check(&gpu, &views, asked);
-    // The third is the same image, the second has too small a region.
+    let found = check(&gpu, &views, requested);
+    // The third view equals the first; the region of the second is too small.
     assert_eq!(found.stats.cross_pairs, 1);
     assert!(found.albedo.iter().flatten().all(|g| *g == 0.0));
     views[1].mask[15] = true;
-    let found = check(&gpu, &views, asked);
+    let found = check(&gpu, &views, requested);
     assert_eq!(found.stats.cross_pairs, 2);
     views[0].mask.fill(false);
-    let found = check(&gpu, &views, asked);
+    let found = check(&gpu, &views, requested);
     assert_eq!((found.stats.cross_pairs, found.stats.cross_view), (0, 0.0));
 }
 
 #[test]
 fn losses_without_valid_pixels_are_zero() {
     let gpu = Gpu::new();
-    let asked = Asked { msg: true, roughness: true, masked: true, estimates: 2, ..Default::default() };
+    let requested = Requested { msg: true, roughness: true, masked: true, estimates: 2, ..Default::default() };
     let mut v = Painted::new([33, 21], 5);
     v.mask.fill(false);
-    let found = check(&gpu, &[v.clone()], asked);
+    let found = check(&gpu, &[v.clone()], requested);
     let all = || found.albedo[0].iter().chain(&found.roughness);
     assert!(all().all(|g| *g == 0.0) && found.stats.total == 0.0 && found.stats.relight_count == 0);
-    // One pixel: squared differences, but no gradient at any scale.
+    // One pixel: squared differences exist, but no gradient at any scale.
     v.mask[200] = true;
     v.albedo_prior[200] |= 0xff00_0000;
     v.estimates[0][200] |= 0xff00_0000;
     v.coverage[200] = 1.0;
-    let found = check(&gpu, &[v.clone()], asked);
+    let found = check(&gpu, &[v.clone()], requested);
     assert!(found.stats.albedo_msg == 0.0 && found.stats.relight > 0.0 && found.stats.relight_count == 2);
-    // What materials hold where there is no prior does not matter.
-    let asked = Asked { masked: false, estimates: 0, ..asked };
-    let before = run(&gpu, gpu.tuning(), &[v.clone()], asked);
+    // Material values where the prior is missing have no effect.
+    let requested = Requested { masked: false, estimates: 0, ..requested };
+    let before = run(&gpu, gpu.tuning(), &[v.clone()], requested);
     for p in (0..v.pixels()).filter(|p| v.albedo_prior[*p] >> 24 == 0 || v.coverage[*p] < 0.5) {
         v.albedo[3 * p..3 * p + 3].fill(1e30);
     }
-    let after = run(&gpu, gpu.tuning(), &[v], asked);
+    let after = run(&gpu, gpu.tuning(), &[v], requested);
     assert_eq!(before.albedo, after.albedo);
 }
 
-/// What is tested above reaches the coarsest level, and holes reach the image.
+/// Tests that the case of the tests above reaches the coarsest level and has holes.
 #[test]
-fn all_levels_are_tried() {
+fn material_case_reaches_coarsest_level_and_has_holes() {
     let v = Painted::new([121, 83], 28);
     let d = v.albedo_difference(&v.albedo_prior, false);
     assert!(d.present.iter().any(|p| !p));
     assert!(counted(&v) >= 20);
 }
 
-/// Pixels of the coarsest level below which, and around which, no pixel of the image is missing.
+/// Counts the pixels of the coarsest level that depend on no missing pixel.
 fn counted(v: &Painted) -> usize {
     let d = v.albedo_difference(&v.albedo_prior, false);
     let [width, height] = v.size.map(|n| n / 8);
@@ -150,15 +151,16 @@ fn counted(v: &Painted) -> usize {
     (0..width * height).filter(|i| whole(i % width, i / width)).count()
 }
 
-/// Everything at once, twice: sums and the bits.
+/// Tests the sum of all losses together, and that a second run gives the same bits.
 #[test]
 fn losses_accumulate_and_are_deterministic() {
     let gpu = Gpu::new();
     let views: Vec<Painted> =
         [[97, 61], [60, 40], [33, 80]].iter().enumerate().map(|(k, &s)| Painted::new(s, 80 + k as u32)).collect();
-    let asked = Asked { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true, own: false };
-    let first = check(&gpu, &views, asked);
-    let again = run(&gpu, Tuning { subgroup_size: 64, ..gpu.tuning() }, &views, asked);
+    let requested =
+        Requested { edge: true, msg: true, roughness: true, masked: false, estimates: 2, cross: true, own: false };
+    let first = check(&gpu, &views, requested);
+    let again = run(&gpu, Tuning { subgroup_size: 64, ..gpu.tuning() }, &views, requested);
     let bits = |f: &Found| -> Vec<u32> { f.albedo.iter().flatten().chain(&f.roughness).map(|g| g.to_bits()).collect() };
     assert_eq!((bits(&first), first.stats), (bits(&again), again.stats));
 }
@@ -168,16 +170,16 @@ fn gradients_are_finite_differences_of_the_reference() {
     let gpu = Gpu::new();
     let views: Vec<Painted> =
         [[41, 27], [30, 30], [20, 40]].iter().enumerate().map(|(k, &s)| Painted::new(s, 90 + k as u32)).collect();
-    let only = Asked { roughness: true, ..Default::default() };
+    let only = Requested { roughness: true, ..Default::default() };
     let each = [
-        Asked { edge: true, ..only },
-        Asked { msg: true, ..only },
-        Asked { estimates: 2, ..only },
-        Asked { cross: true, ..only },
+        Requested { edge: true, ..only },
+        Requested { msg: true, ..only },
+        Requested { estimates: 2, ..only },
+        Requested { cross: true, ..only },
     ];
     let mut rng = Pcg::new(5);
-    for asked in each {
-        let found = run(&gpu, gpu.tuning(), &views, asked);
+    for requested in each {
+        let found = run(&gpu, gpu.tuning(), &views, requested);
         for _ in 0..4 {
             let along: Vec<Vec<f64>> =
                 views.iter().map(|v| (0..4 * v.pixels()).map(|_| rng.normal()).collect()).collect();
@@ -187,27 +189,29 @@ fn gradients_are_finite_differences_of_the_reference() {
                     v.albedo.iter_mut().zip(along).for_each(|(x, d)| *x += t * d);
                     v.roughness.iter_mut().zip(&along[3 * v.size[0] * v.size[1]..]).for_each(|(x, d)| *x += t * d);
                 }
-                expected(&moved, asked).total
+                expected(&moved, requested).total
             };
-            // So small that no filter of the smoothness changes its sign.
+            // The step is so small that no filter of the smoothness loss changes its sign.
             let fd = (loss(1e-8) - loss(-1e-8)) / 2e-8;
             let dot = |g: &[f32], d: &[f64]| g.iter().zip(d).map(|(g, d)| f64::from(*g) * d).sum::<f64>();
             let gray: Vec<f32> = found.roughness.iter().step_by(3).copied().collect();
             let sum = found.albedo.iter().zip(&along).map(|(g, d)| dot(g, d)).sum::<f64>()
                 + dot(&gray, &along[0][3 * views[0].pixels()..]);
-            assert_close(&format!("{asked:?}"), &[fd], &[sum as f32], Tolerance::new(1e-5, 5e-4));
+            assert_close(&format!("{requested:?}"), &[fd], &[sum as f32], Tolerance::new(1e-5, 5e-4));
         }
     }
 }
 
-/// The comparisons would notice a hole too many, a pixel of a mask, a lost border, a weight that is off by a percent.
+/// Tests that the comparisons detect planted errors. Errors are: a hole too many, a pixel of a mask, a changed border,
+/// a weight off by a percent.
 #[test]
 fn checks_can_fail() {
     let views = [Painted::new([41, 27], 7), Painted::new([30, 30], 8)];
-    let asked = Asked { edge: true, msg: true, roughness: true, masked: true, estimates: 1, cross: true, own: false };
-    let exact = expected(&views, asked);
+    let requested =
+        Requested { edge: true, msg: true, roughness: true, masked: true, estimates: 1, cross: true, own: false };
+    let exact = expected(&views, requested);
     let differs = |views: &[Painted], factor: f64| {
-        let e = expected(views, asked);
+        let e = expected(views, requested);
         let single = |v: &[f64]| v.iter().map(|x| (factor * x) as f32).collect::<Vec<f32>>();
         let far = |e: &[f64], f: &[f64]| worst(e, &single(f), tolerance(e)).is_some_and(|w| w.3 > 1.0);
         exact.albedo.iter().zip(&e.albedo).any(|(e, f)| far(e, f)) || far(&exact.roughness, &e.roughness)

@@ -1,10 +1,10 @@
-//! Training with semantic priors and pseudo-views: that it learns classes, and that the result depends on scene, settings
-//! and seed alone.
+//! Training with semantic priors and pseudo-views. Classes are learned, and the result depends on scene, settings and
+//! seed alone.
 
 use half::f16;
 use sgs_config::Settings;
 use sgs_engine::{Device, DeviceOptions};
-use sgs_evaluate::evaluate_classes;
+use sgs_evaluate::{EvaluateOptions, evaluate_classes};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, InputSizes, Masks, SemanticSizes};
 use sgs_passes::scene::{EMBEDDING, Group, Layout, Model};
@@ -57,7 +57,7 @@ fn train(device: &Device, scene: &Scene, s: &Settings) -> (Geometry, Losses) {
     (training, losses)
 }
 
-/// Mean of a loss over some steps.
+/// Returns the mean of a loss over a range of steps.
 fn mean(losses: &Losses, steps: std::ops::Range<u32>, which: usize) -> f32 {
     let some: Vec<f32> = losses.iter().filter(|(s, _)| steps.contains(s)).map(|(_, l)| l[which]).collect();
     some.iter().sum::<f32>() / some.len() as f32
@@ -73,7 +73,7 @@ fn classes_are_learned_and_regions_correspond() {
     let (training, losses) = train(&device, &scene, &s);
     assert!(mean(&losses, 200..241, 0) < 0.6 * mean(&losses, 1..10, 0), "the cosine: {losses:?}");
     assert!(mean(&losses, 200..241, 1) < 0.8 * mean(&losses, 1..10, 1), "the cross-entropy: {losses:?}");
-    // Pseudo-views begin when they should, and not before; now and then the region is hidden from both.
+    // Pseudo-views start at step 121, not before. Some steps compare nothing because both views miss the region.
     let compared = |l: &[f32; 4]| l[2] > 0.0 && l[3] > 0.0;
     assert!(losses.iter().all(|(step, l)| *step >= 121 || !compared(l)), "{losses:?}");
     let late = losses.iter().filter(|(step, l)| *step >= 121 && compared(l)).count();
@@ -81,25 +81,24 @@ fn classes_are_learned_and_regions_correspond() {
     assert!(mean(&losses, 121..241, 3) < 1.0, "the regions' class: {losses:?}");
     let head = training.head().unwrap().unwrap();
     let views = &scene.split.test;
-    let evaluation =
-        evaluate_classes(&device, &scene, training.gaussians(), views, [0.0; 3], Some(&head), None, |_, _| Ok(()))
-            .unwrap();
-    // Nine in ten samples of the training views are right.
+    let options = EvaluateOptions { views, background: [0.0; 3], head: Some(&head), lpips: None };
+    let evaluation = evaluate_classes(&device, &scene, training.gaussians(), &options, |_, _| Ok(())).unwrap();
+    // Nine in ten samples of the training views are labeled correctly.
     let accuracy = evaluation.mean.semantic.unwrap().accuracy;
     assert!(accuracy > 0.9, "{accuracy}");
-    // The same scene without its priors has neither features nor a head.
+    // Without semantic priors, the same scene has neither features nor a head.
     s.geometry.semantics = false;
     s.geometry.steps = 2;
     let (plain, _) = train(&device, &scene, &s);
     assert!(plain.head().unwrap().is_none() && plain.splats().unwrap().semantic.is_none());
 }
 
-/// Room for one entry and for enough, stopped and gone on with on either side of where pseudo-views begin, beside
-/// densification and opacity resets.
+/// Tests that results do not depend on entry capacity or on resumes. Resumes happen before and after pseudo-views
+/// begin, beside densification and opacity resets.
 #[test]
 fn semantic_training_is_independent_of_capacity_and_resume() {
     let gpu = Gpu::new();
-    for (masks, dense, feature_bits) in [(false, false, 32), (true, true, 32), (true, false, 16)] {
+    for (masks, dense) in [(false, false), (true, true), (true, false)] {
         let room = Room::default();
         let place = place(room, Meaning { masks, ..Meaning::default() });
         let scene = open(&place);
@@ -107,7 +106,6 @@ fn semantic_training_is_independent_of_capacity_and_resume() {
             let mut s = settings(26, 12);
             s.geometry.entry_capacity = capacity;
             s.geometry.dense_adam = dense;
-            s.accuracy.feature_bits = feature_bits;
             let d = &mut s.geometry.densify;
             (d.enabled, d.from, d.interval, d.reset_interval, d.grad_threshold) = (true, 5, 5, 12, 5e-5);
             d.max_gaussians = 3000;
@@ -139,7 +137,7 @@ fn semantic_training_is_independent_of_capacity_and_resume() {
     }
 }
 
-/// Maps of one cell a pixel, and maps that are larger than the image, are trained on alike. What they take is in the estimate.
+/// Tests maps of one cell per pixel and maps larger than the image. Their memory is part of the estimate.
 #[test]
 fn semantic_maps_may_have_the_size_of_the_image() {
     let room = Room { views: 6, ..Room::default() };
@@ -159,19 +157,19 @@ fn semantic_maps_may_have_the_size_of_the_image() {
     let (many, of_pixels) = run(&fine, 1.0);
     let (few, of_cells) = run(&coarse, 1.0);
     assert!((of_pixels - of_cells).abs() < 0.1, "{of_pixels} {of_cells}");
-    // A cell takes 512 halves and its target: four of six views are trained on, of 32 x 24 pixels and of 8 x 6 cells.
+    // A cell takes 512 halves and its target. Maps have 32 x 24 or 8 x 6 cells for each training view.
     let row = 1024 + size_of::<sgs_shaders::structs::SemanticTarget>() as u64;
     let views = Scene::open(&fine.path("scene"), &SceneOptions::default()).unwrap().split.train.len() as u64;
     assert_eq!(many - few, views * row * (32 * 24 - 8 * 6));
-    // At half the size a map of 32 x 24 has more cells than the image has pixels: 16 x 12 of them are kept.
+    // At half the image size, a map of 32 x 24 has more cells than the image has pixels. Then 16 x 12 cells are stored.
     let (half, _) = run(&fine, 0.5);
     assert_eq!(many - half, views * row * (32 * 24 - 16 * 12));
 }
 
-/// Without the option, features change nothing that can be seen; with it they do.
+/// Tests that features change geometry only with the option.
 #[test]
 fn features_move_geometry_only_if_enabled() {
-    // With normals, depth is blended in any case: rounding is the same.
+    // With normals, depth is blended in any case, so rounding is the same.
     let place = place(Room { priors: true, ..Room::default() }, Meaning::default());
     let (device, scene) = (device(), open(&place));
     let run = |semantics: bool, geometry: bool, correspondence: bool| {
@@ -195,7 +193,7 @@ fn features_move_geometry_only_if_enabled() {
 fn invalid_semantic_priors_are_skipped_or_named() {
     let room = Room { views: 6, ..Room::default() };
     let device = device();
-    // What is not a number, zeros, and a view without a map: masked.
+    // Maps of NaN, zeros or infinity and a missing map are masked.
     let masked = place(room, Meaning { masks: true, ..Meaning::default() });
     let map = |value: f16| vec![value; 6 * 8 * EMBEDDING];
     let semantic = |place: &Place, name: &str, shape: [usize; 3], data: &[f16]| {
@@ -215,7 +213,7 @@ fn invalid_semantic_priors_are_skipped_or_named() {
     }
     assert!(training.head().unwrap().unwrap().decoder.iter().all(|v| v.is_finite()));
     assert!(losses.iter().all(|(_, l)| l.iter().all(|v| v.is_finite())) && losses.iter().any(|(_, l)| l[2] > 0.0));
-    // Everything unusable: the term is absent, the rest is trained.
+    // Without any usable map the term is absent, and everything else is trained.
     for name in ["000", "001", "002", "003", "004", "005"] {
         semantic(&masked, name, [6, 8, EMBEDDING], &map(f16::NAN));
         write_ids(&masked.path(&format!("scene/priors/masks/{name}.png")), 32, 24, &[0; 32 * 24]).unwrap();
@@ -224,7 +222,7 @@ fn invalid_semantic_priors_are_skipped_or_named() {
     assert!(losses.iter().all(|(_, l)| *l == [0.0; 4]), "{losses:?}");
     assert!(training.splats().unwrap().means.iter().flatten().all(|v| v.is_finite()));
 
-    // Of another width, with names that do not fit, in a file that is none: refused.
+    // Maps of another width, mismatched names and unreadable files are refused.
     let refused = |spoil: &dyn Fn(&Place), words: &[&str]| {
         let bad = place(room, Meaning::default());
         spoil(&bad);
@@ -240,15 +238,15 @@ fn invalid_semantic_priors_are_skipped_or_named() {
     refused(
         &|p| {
             std::fs::create_dir_all(p.path("scene/priors/masks")).unwrap();
-            std::fs::write(p.path("scene/priors/masks/000.png"), "no picture").unwrap();
+            std::fs::write(p.path("scene/priors/masks/000.png"), "no image").unwrap();
         },
         &["000.png"],
     );
     assert_eq!(WALLS.len(), 6);
 }
 
-/// Nothing that belongs to a pixel is 512 wide: what a larger image adds to the memory of a step is features and their
-/// gradients, at most three times 32 numbers of each view, and less than half of one vector of 512.
+/// Tests that no pixel stores 512 values. A larger image adds features and their gradients to the memory of a step: at
+/// most three times 32 numbers per view, and less than half of one vector of 512 in all.
 #[test]
 fn pixel_memory_is_independent_of_embedding_width() {
     let device = device();
@@ -287,7 +285,8 @@ fn pixel_memory_is_independent_of_embedding_width() {
     assert!(both - without < 3.0 * 3.0 * 128.0 && both < 0.5 * 3.0 * 2048.0, "{without} bytes a pixel become {both}");
 }
 
-/// A process says where the region is; what happens when it does not is the user's choice.
+/// Tests that a provider supplies the region's masks. Its failure stops training or disables the comparison, as the
+/// setting says.
 #[test]
 fn mask_provider_is_queried_during_training() {
     let place = place(Room::default(), Meaning::default());
@@ -303,7 +302,7 @@ fn mask_provider_is_queried_during_training() {
     let (training, losses) = train(&device, &scene, &s);
     let compared = losses.iter().filter(|(_, l)| l[2] > 0.0).map(|(step, _)| *step).collect::<Vec<u32>>();
     assert!(compared.len() >= 3 && compared.iter().all(|step| *step >= 5), "{losses:?}");
-    // The same questions have the same answers: with room for one entry, and gone on with.
+    // The same requests get the same answers: with an entry capacity of 1, and after a resume.
     let mut again = s.clone();
     again.geometry.entry_capacity = 1;
     let mut second = Geometry::new(&device, &scene, &again, None).unwrap();

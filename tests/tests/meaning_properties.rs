@@ -1,9 +1,9 @@
-//! The semantic loss of views, and the correspondence of regions, whose numbers are drawn log-uniformly, against their
-//! double-precision references. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more.
+//! Semantic loss and region correspondence against references in double precision. Inputs are drawn log-uniformly, and
+//! failures are shrunk. Draws are the same in every run; `SGS_TEST_CASES` sets their number.
 
 use half::f16;
 use proptest::prelude::*;
-use sgs_passes::reference::correspondence::{self, Picture};
+use sgs_passes::reference::correspondence::{self, MaskedImage};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::semantic::{self as reference, Gradient, Head, Terms, View, Weights};
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, FEATURES};
@@ -12,19 +12,19 @@ use sgs_tests::surfaces::narrow;
 use sgs_tests::{Gpu, regions, semantics};
 use std::cell::Cell;
 
-/// By how much inputs are moved, of themselves, and how often.
+/// Relative perturbation of inputs.
 const MOVE: f64 = 4e-7;
 const DRAWS: usize = 3;
-/// Units of the last place that sums are off by.
+/// Relative rounding error of sums, a few units in the last place.
 const UNITS: f64 = 3e-7;
 
-/// A decoder and its texts: scales of weights and of the bias, how alike its columns are.
+/// Decoder and text embeddings. `weights` and `bias` are scales.
 #[derive(Clone, Debug)]
 struct Decoder {
     classes: usize,
     weights: f64,
     bias: f64,
-    /// What columns have in common, times what they have of their own.
+    /// Ratio of the component that columns share to their own.
     alike: f64,
     seed: u32,
 }
@@ -53,28 +53,28 @@ impl Decoder {
     }
 }
 
-/// The same decoder with its numbers moved.
+/// Returns the decoder with perturbed weights.
 fn moved(head: &Head, rng: &mut Pcg) -> Head {
     let decoder = head.decoder.iter().map(|w| w * (1.0 + MOVE * rng.range(-1.0, 1.0))).collect();
     Head { decoder, ..head.clone() }
 }
 
-/// A view and its map of targets.
+/// View and its map of targets.
 #[derive(Clone, Debug)]
 struct Seen {
     decoder: Decoder,
     size: [usize; 2],
     map: [usize; 2],
-    /// Powers of ten of pixels' features.
+    /// Powers of ten of the features of pixels.
     features: [f64; 2],
-    /// What is left of their sum, which is what columns that are alike take.
+    /// Factor on the mean of a pixel's features. Columns that are alike respond to the mean alone.
     balance: f64,
-    /// Of targets.
+    /// Powers of ten of the lengths of targets.
     targets: [f64; 2],
-    /// Share of targets that are decoded features, times noise.
+    /// Share of targets that are decoded features; others are text embeddings. `noise` is relative to the length.
     learned: f64,
     noise: f64,
-    /// Share of targets and labels that say nothing.
+    /// Share of targets and labels that are missing.
     holes: f64,
     given: bool,
     weights: [f64; 2],
@@ -120,7 +120,7 @@ impl Seen {
         let samples = self.map[0] * self.map[1];
         let (mut targets, mut labels) = (Vec::new(), Vec::new());
         for i in 0..samples {
-            // Near what is decoded somewhere, or what some class says.
+            // The target is near the decoded features of a pixel or near the text embedding of a class.
             let f = &image[i % pixels * FEATURES..][..FEATURES];
             let class = rng.next_u32() as usize % head.classes();
             let decoded = head
@@ -151,7 +151,8 @@ impl Seen {
     }
 }
 
-/// How far apart two numbers may be, where so much is known of them.
+/// Compares a row of values with the reference. The tolerance is four times `off` (change of the reference under
+/// perturbation) plus [`UNITS`] times `made_of` (sum of magnitudes of terms).
 fn check_row(
     what: &str,
     is: &[f32],
@@ -169,12 +170,13 @@ fn check_row(
     Ok(())
 }
 
-/// The larger of what was and what differs.
+/// Raises `off` to the differences of two rows where these are larger.
 fn spread_out(off: &mut [f64], one: &[f64], other: &[f64]) {
     off.iter_mut().zip(one.iter().zip(other)).for_each(|(o, (a, b))| *o = o.max((a - b).abs()));
 }
 
-/// With gradients times `planted`. Counts into `sure`.
+/// Compares a view's terms and gradients with the reference. The device's gradients are first multiplied by `planted`.
+/// Increments `sure` if the reference is conclusive.
 fn check_view(gpu: &Gpu, drawn: &Seen, planted: f64, sure: &Cell<u32>) -> Result<(), TestCaseError> {
     let (head, weights) = (drawn.decoder.head(), drawn.weights());
     let view = drawn.view(&head);
@@ -214,16 +216,16 @@ fn semantic_losses_match_reference() {
     assert!(10 * sure.get() >= 8 * all.get(), "{} of {} views are sure", sure.get(), all.get());
 }
 
-/// A region in a training view and in pseudo-views.
+/// Region in a training view and in pseudo-views.
 #[derive(Clone, Debug)]
 struct Region {
     decoder: Decoder,
     sizes: Vec<[usize; 2]>,
-    /// Share of pixels that belong.
+    /// Share of pixels in the region.
     share: f64,
-    /// Share of features that are no number.
+    /// Share of pixels with a NaN among their features.
     holes: f64,
-    /// Powers of ten of pixels' features, and how much of these is the same at all.
+    /// Powers of ten of the features of pixels. `common` is the scale of the component that all pixels share.
     features: [f64; 2],
     common: f64,
     weight: f64,
@@ -249,7 +251,7 @@ prop_compose! {
 }
 
 impl Region {
-    fn pictures(&self) -> Vec<([usize; 2], Picture)> {
+    fn images(&self) -> Vec<([usize; 2], MaskedImage)> {
         let mut rng = Pcg::new(self.seed);
         let center = [(); FEATURES].map(|()| self.common * rng.normal());
         let one = |&size: &[usize; 2]| {
@@ -264,23 +266,24 @@ impl Region {
                 }
             }
             let mask = (0..pixels).map(|_| rng.uniform() < self.share).collect();
-            (size, Picture { image, mask })
+            (size, MaskedImage { image, mask })
         };
         self.sizes.iter().map(one).collect()
     }
 }
 
-/// With gradients times `planted`. Counts into `sure`.
+/// Compares a region's terms and gradients with the reference. The device's gradients are first multiplied by
+/// `planted`. Increments `sure` if the reference is conclusive.
 fn check_region(gpu: &Gpu, drawn: &Region, planted: f64, sure: &Cell<u32>) -> Result<(), TestCaseError> {
-    let (head, pictures) = (drawn.decoder.head(), drawn.pictures());
-    let all: Vec<Picture> = pictures.iter().map(|(_, p)| p.clone()).collect();
+    let (head, images) = (drawn.decoder.head(), drawn.images());
+    let all: Vec<MaskedImage> = images.iter().map(|(_, p)| p.clone()).collect();
     let by = [drawn.weight, drawn.temperature];
     let (terms, gradient, made_of) = correspondence::correspondence_rounding(&head, &all[0], &all[1..], by[0], by[1]);
     if !made_of.sure {
         return Ok(());
     }
     sure.set(sure.get() + 1);
-    let found = regions::run_with(gpu, &head, &pictures, by, 0.0);
+    let found = regions::run_with(gpu, &head, &images, by, 0.0);
     prop_assert_eq!(found.stats.correspondence_pairs as usize, terms.pairs);
     let row = |g: &correspondence::Gradient| [g.train.clone(), g.pseudo.concat()].concat();
     let (features, sizes) = (row(&gradient), row(&made_of.gradient));
@@ -315,7 +318,7 @@ fn correspondences_match_reference() {
     assert!(10 * sure.get() >= 8 * all.get(), "{} of {} regions are sure", sure.get(), all.get());
 }
 
-/// A hundredth is noticed.
+/// Tests that gradients off by 1 % are detected.
 #[test]
 fn semantic_property_checks_can_fail() {
     let (gpu, sure) = (Gpu::new(), Cell::new(0));

@@ -1,7 +1,7 @@
-//! The memory budget: the sum before the first step is what is taken, what does not fit is refused with the figures, and
-//! where growth is refused nothing that was reached is lost.
+//! Memory budget: training allocates what the estimate before the first step says. Plans that do not fit are refused
+//! with their sizes. Refused growth loses no result.
 
-use sgs_config::{Settings, ShDegree, VisibilityKind};
+use sgs_config::{Parts, Settings, ShDegree, VisibilityKind};
 use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Location};
 use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
 use sgs_tests::Gpu;
@@ -34,10 +34,10 @@ fn plans_over_budget_are_refused_with_sizes() {
         error.to_string(),
         "524292 bytes for \"too much\" exceed the memory budget: 524288 of 1048576 bytes are in use."
     );
-    let image = device.image("picture", [512, 512], ImageFormat::Rgba8Unorm).unwrap_err();
+    let image = device.image("image", [512, 512], ImageFormat::Rgba8Unorm).unwrap_err();
     assert!(matches!(image, Error::OverBudget { used: 524_288, .. }), "{image}");
     assert!(matches!(device.buffer("host", 1 << 20, Location::Upload), Err(Error::OverBudget { .. })));
-    // Exactly the budget fits, and what was refused has left nothing.
+    // Buffers that fill the budget exactly fit, and refused buffers leave nothing allocated.
     let rest = device.buffer("rest", 1 << 19, Location::Device).unwrap();
     assert_eq!(device.budget().left(), 0);
     drop(retained);
@@ -62,24 +62,24 @@ fn training_memory_matches_estimate() {
         assert!(needs.priors > 0 && (needs.statistics > 4) == densify);
         assert_eq!(gpu.device().memory_use().0, needs.total() - needs.staging - needs.densify_arena);
         training.train(2, |_| {}, || true).unwrap();
-        // What a training without growth takes in the end is foretold, but for what is uploaded at first.
+        // Staging aside, the prediction for the end of a training without growth equals its needs.
         let count = training.gaussians().count(gpu.device()).unwrap();
         let sight = training.sight().unwrap();
         let entries = sight.most_entries;
         let foretold = training.expected(count, count, entries).unwrap();
         assert_eq!((foretold.total() - foretold.staging, foretold.bands), (needs.total() - needs.staging, 0));
         assert!(entries > 0 && training.expected(4 * count, count, entries).unwrap().total() >= foretold.total());
-        // What it computes: every pass is known, and more Gaussians are more work.
+        // The estimated cost covers every pass, and more Gaussians cost more.
         let (cost, unknown) = training.step_cost(&sight).unwrap();
         let (more, _) = training.step_cost(&sight.with(4 * count)).unwrap();
         assert!(unknown == 0 && cost.operations > 20.0 * sight.entries && cost.bytes > 100.0 * sight.visible);
         assert!(more.operations > 2.0 * cost.operations && more.bytes > 2.0 * cost.bytes, "{cost:?} {more:?}");
         drop(training);
 
-        // With that budget there is a step; with a byte less there is a sentence, and nothing was begun.
+        // A budget equal to the needs allows steps. With a byte less, an error is returned and nothing stays allocated.
         s.memory.budget = needs.total() - 1;
         if densify {
-            // Room to grow into is not needed at first: a byte less is no reason to refuse.
+            // Capacity to grow is optional at first: a byte less does not cause a refusal.
             let training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
             assert!(training.needs().total() <= s.memory.budget && training.needs().parameters < needs.parameters);
             drop(training);
@@ -97,8 +97,7 @@ fn training_memory_matches_estimate() {
     }
 }
 
-/// What the intrinsic stage is estimated to take is what it takes, with all kinds of steps; less is refused with the
-/// figures.
+/// Tests the estimate of the intrinsic stage with all kinds of steps. Smaller budgets are refused with the sizes.
 #[test]
 fn intrinsic_memory_matches_estimate() {
     let room = Room { priors: true, ..Room::default() };
@@ -123,12 +122,12 @@ fn intrinsic_memory_matches_estimate() {
     let splats = Splats::from_points(&scene.points, 1).unwrap();
     let used = || gpu.device().memory_use().0;
     let mut sizes = Vec::new();
-    for (field, asked, bits) in [(true, false, 16), (true, false, 32), (true, true, 32), (false, false, 32)] {
+    for (field, requested, bits) in [(true, false, 16), (true, false, 32), (true, true, 32), (false, false, 32)] {
         (s.accuracy.weight_bits, s.accuracy.table_bits) = (bits, bits);
         if !field {
             (s.intrinsic.visibility.kind, s.intrinsic.environment.every) = (VisibilityKind::None, 4);
         }
-        s.intrinsic.relight.provider = if asked { provider("misbehave=nothing") } else { "own".into() };
+        s.intrinsic.relight.provider = if requested { provider("misbehave=nothing") } else { "own".into() };
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
         training.train(12, |_| {}, || true).unwrap();
         let needs = *training.needs();
@@ -137,12 +136,12 @@ fn intrinsic_memory_matches_estimate() {
         sizes.push((needs.surfaces, needs.visibility));
         assert_eq!(training.compares(), [true, true]);
         assert!(needs.cross_view_arena > 0 && needs.relight_arena > 0 && (needs.visibility > 0) == field, "{needs:?}");
-        assert_eq!(needs.relit > 0 && needs.estimates > 0, asked, "{needs:?}");
+        assert_eq!(needs.relit > 0 && needs.estimates > 0, requested, "{needs:?}");
         let (taken, reckoned) = (used(), needs.total() - needs.staging);
         println!("{taken} bytes taken, {reckoned} reckoned");
         assert!(taken == reckoned, "{taken} bytes taken, {reckoned} reckoned: {needs:?}");
         drop(training);
-        // The least that will do is without surfaces of all views.
+        // The minimum stores surfaces of one view instead of all training views.
         let least =
             needs.total() - needs.surfaces / scene.split.train.len() as u64 * (scene.split.train.len() as u64 - 1);
         s.memory.budget = least - 1;
@@ -152,7 +151,7 @@ fn intrinsic_memory_matches_estimate() {
             assert!(error.to_string().contains(word), "{word}: {error}");
         }
         assert_eq!(used(), 0);
-        // Of geometry that has just been trained within it the faintest go instead.
+        // For freshly trained geometry, `Intrinsic::within` drops the faintest splats instead of failing.
         let mut some = splats.clone();
         let mut training = Intrinsic::within(gpu.device(), &scene, &s, &mut some).unwrap();
         assert!(some.len() < splats.len() && some == splats.strongest(some.len()), "{} are left", some.len());
@@ -181,7 +180,7 @@ fn intrinsic_memory_matches_estimate() {
         gpu.device().set_memory_budget(None);
         s.memory.budget = 0;
     }
-    // Weights in 16 bits take less, a copy of the tables more.
+    // Weights in 16 bits take less memory; a 16-bit copy of the tables takes more.
     assert!(sizes[0].0 < sizes[1].0 && sizes[0].1 > sizes[1].1, "{sizes:?}");
     let plan = |more: &[&str]| {
         let scene = place.text("scene");
@@ -205,13 +204,13 @@ fn intrinsic_memory_matches_estimate() {
     }
     let words = ["The intrinsic stage needs", "the budget leaves 8.0 of 8.0 MiB"];
     plan(&["--stage", "intrinsic", "--memory-budget", "8M"]).refused(&words);
-    // What the second stage cannot do is said before the first begins.
+    // A shortage of the intrinsic stage is reported before the geometry stage begins.
     let all = ["train", &place.text("scene"), "-o", &place.text("all"), "--stage", "all", "--vram", "8M"];
     sgs(&all).refused(&["The intrinsic stage needs", "MiB of device memory"]);
     assert!(!place.path("all").exists());
 }
 
-/// Of shadows that are traced, too.
+/// Tests the same estimate with traced shadows.
 #[test]
 fn traced_shadow_memory_matches_estimate() {
     let place = Place::new(Room { priors: true, ..Room::default() });
@@ -229,8 +228,8 @@ fn traced_shadow_memory_matches_estimate() {
     assert!(off.abs() < 0.05, "{most} bytes at most, {} reckoned: {needs:?}", needs.total());
 }
 
-/// What a training comes to that grows, with semantics and pseudo-views, was foretold from what its first views saw, to a twentieth; and
-/// so was how many Gaussians a budget holds.
+/// Tests that the peak of a growing training is within 5 % of the estimate. Semantics and pseudo-views are on. The
+/// estimate uses statistics of the first views. The number of Gaussians that fit a budget is tested as well.
 #[test]
 fn densification_memory_matches_estimate() {
     let room = Room { views: 8, size: [64, 48], spacing: 1, priors: true, ..Room::default() };
@@ -259,7 +258,7 @@ fn densification_memory_matches_estimate() {
         assert!(n > 2 * count && (least < most) == auto, "{count} became {n}");
         assert!(peak as f64 > 0.95 * least as f64 && (peak as f64) < 1.05 * most as f64, "{peak}: {least} to {most}");
         drop(training);
-        // A step with pseudo-views is more work, and of none of its passes is that unknown.
+        // A step with pseudo-views costs more, and the cost of each of its passes is known.
         let mut bound = s.clone();
         bound.memory.budget = most;
         let mut training = Geometry::new(gpu.device(), &scene, &bound, None).unwrap();
@@ -271,10 +270,10 @@ fn densification_memory_matches_estimate() {
         };
         assert!((unknown, other) == (0, 0), "{unknown} and {other} passes are unknown");
         assert!(pseudo.operations > 1.5 * step.operations, "{step:?} {pseudo:?}");
-        // With that budget so many fit, and hardly more.
+        // That budget holds at least as many Gaussians, and less than half as many more.
         let fit = training.most_within_budget(count, entries).unwrap();
         assert!(fit >= n && u64::from(fit) < u64::from(n) * 3 / 2, "{fit} of {n}");
-        // Within less it comes to its end with fewer.
+        // Within a smaller budget, training completes with fewer Gaussians.
         bound.memory.budget = training.needs().total() * 5 / 4;
         drop((training, gpu));
         let gpu = Gpu::new();
@@ -286,9 +285,9 @@ fn densification_memory_matches_estimate() {
     }
 }
 
-/// Images that a network is asked about are among what is estimated, and where they do not fit training goes on without.
+/// Tests that images for the provider are part of the estimate. Where they do not fit, training continues without them.
 #[test]
-fn field_query_memory_matches_estimate() {
+fn provider_image_memory_matches_estimate() {
     let room = Room { priors: true, ..Room::default() };
     let place = Place::new(room);
     Meaning::default().write(&room, &place.path("scene"));
@@ -310,30 +309,30 @@ fn field_query_memory_matches_estimate() {
         (*training.needs(), pairs, gpu.device().memory_use())
     };
     let (needs, pairs, (now, _)) = train(&s);
-    assert!(pairs > 0 && needs.asked > 0 && now == needs.total() - needs.staging, "{now} bytes taken: {needs:?}");
-    // With that and no byte more they are still asked about.
+    assert!(pairs > 0 && needs.requested > 0 && now == needs.total() - needs.staging, "{now} bytes taken: {needs:?}");
+    // With a budget of exactly the needs, the provider is still queried.
     s.memory.budget = needs.total();
     let (_, again, (_, peak)) = train(&s);
     assert!(again == pairs && peak <= s.memory.budget, "{again} of {pairs}");
     gpu.device().set_memory_budget(None);
 }
 
-/// Looking at what could be left out takes memory, too: what steps give up meanwhile, and what is estimated beyond.
+/// Tests that memory of automatic model selection is part of the estimate. Steps release memory during an evaluation;
+/// the estimate counts what the evaluation takes beyond that.
 #[test]
-fn viewer_memory_matches_estimate() {
+fn automatic_selection_memory_matches_estimate() {
     let mut s = sgs_tests::intrinsic::settings(12);
-    // Many splats, and little else: looking has a copy of them.
+    // Many splats dominate the memory, because an evaluation copies them.
     let room = Room { priors: true, spacing: 1, ..Room::default() };
     for (compared, judged) in [(true, false), (false, false), (false, true)] {
         let place = Place::new(room);
         if compared {
             room.write_materials(&place.path("scene"));
         }
-        // It is looked, and what is judged is so by images without it.
+        // Every evaluation takes place. Candidates are judged by images rendered without them.
         let a = &mut s.intrinsic.automatic;
-        (a.enabled, a.sizes, a.metallic, a.gain, a.ready, a.settled) = (true, false, false, 0.0, 1e3, 1e3);
-        (a.lights, a.lobes, a.environment, a.visibility) = (judged, judged, judged, judged);
-        (a.levels, a.texels, a.pace) = (judged, judged, judged);
+        (a.enabled, a.gain, a.ready, a.settled) = (true, 0.0, 1e3, 1e3);
+        a.parts = if judged { Parts { sizes: false, metallic: false, ..Parts::ALL } } else { Parts::NONE };
         let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
         let splats = Splats::from_points(&scene.points, 1).unwrap();
         let gpu = Gpu::new();
@@ -348,7 +347,7 @@ fn viewer_memory_matches_estimate() {
             needs.looking
         );
         assert!(off.abs() < 0.05, "{most} bytes at most, {} reckoned: {needs:?}", needs.total());
-        // Steps give up less than looking takes: the peak is that of looking.
+        // Steps release less than an evaluation takes, so the evaluation sets the peak.
         let steps = needs.total() - needs.looking;
         assert!(needs.looking > 0 && most > steps + needs.looking / 2, "{most} bytes at most: {needs:?}");
         if judged {
@@ -357,7 +356,8 @@ fn viewer_memory_matches_estimate() {
     }
 }
 
-/// Tile entries that do not fit must be given room; when that is refused, training says so and can go on later.
+/// Tests that training fails if the arena for tile entries may not grow. Training can continue later, with the same
+/// result.
 #[test]
 fn refused_growth_preserves_gaussians() {
     let place = Place::new(Room::default());
@@ -374,19 +374,19 @@ fn refused_growth_preserves_gaussians() {
     training.train(4, |_| {}, || true).unwrap();
     training.save(&place.path("state")).unwrap();
     let state = place.read("state");
-    // Enough for everything but a larger arena.
+    // Sufficient for everything but a larger arena.
     gpu.device().set_memory_budget(Some(gpu.device().memory_use().0 + 4096));
     let error = training.train(30, |_| {}, || true).unwrap_err();
     assert!(
         matches!(&error, TrainError::Engine(Error::OverBudget { what, .. }) if what == "arena of geometry_step"),
         "{error}"
     );
-    // Asked again it says the same.
+    // A second attempt fails with the same error.
     assert!(matches!(training.train(30, |_| {}, || true), Err(TrainError::Engine(Error::OverBudget { .. }))));
     gpu.device().set_memory_budget(None);
     training.train(30, |_| {}, || true).unwrap();
     assert!(training.splats().unwrap() == straight, "the refusal changed the result");
-    // As it does from the checkpoint.
+    // Training from the checkpoint gives the same result.
     assert!(place.read("state") == state);
     let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
     training.restore(&place.path("state")).unwrap();
@@ -416,7 +416,7 @@ fn densification_stops_where_memory_ends() {
     let (free, _, needs) = train(&s);
     let most = *free.iter().max().unwrap();
     assert!(most > 60_000, "{free:?}");
-    // Room for the first steps and a little growth.
+    // Capacity for the first steps and some growth.
     s.memory.budget = needs + needs / 2;
     let (bound, peak, _) = train(&s);
     assert!(*bound.iter().max().unwrap() < most, "{bound:?}");
@@ -425,9 +425,10 @@ fn densification_stops_where_memory_ends() {
     assert!(peak <= s.memory.budget, "{peak} of {} bytes", s.memory.budget);
 }
 
-/// A budget is a promise: if the start fits, however closely, training comes to its end within it, and the same after a kill.
+/// Tests that training completes within every budget that its start fits. This holds after a resume as well, with the
+/// same result.
 #[test]
-fn a_budget_just_above_the_start_is_enough() {
+fn training_completes_within_a_budget_just_above_its_start() {
     let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings(24);
@@ -437,7 +438,7 @@ fn a_budget_just_above_the_start_is_enough() {
         let starts = |budget: u64| {
             let gpu = Gpu::new();
             let s = Settings { memory: sgs_config::MemorySettings { budget }, ..s.clone() };
-            // With less, training starts from fewer points.
+            // With a smaller budget, training starts from fewer points.
             Geometry::new(gpu.device(), &scene, &s, None)
                 .is_ok_and(|t| t.gaussians().count(gpu.device()).unwrap() == most)
         };
@@ -449,7 +450,7 @@ fn a_budget_just_above_the_start_is_enough() {
         }
         high
     };
-    // Also where their number was to stay as it is: memory that was promised goes before that.
+    // Without densification, the budget takes precedence over a constant number of Gaussians.
     for (densify, more, pruned) in [(true, 0, true), (true, 1 << 22, false), (false, 0, true)] {
         s.geometry.densify.enabled = densify;
         s.memory.budget = least(&Settings { memory: Default::default(), ..s.clone() }) + more;
@@ -479,7 +480,7 @@ fn a_budget_just_above_the_start_is_enough() {
         let (splats, losses, decisions) = train(None);
         println!("{} bytes: {} points, then {} Gaussians: {decisions:?}", s.memory.budget, most, splats.len());
         assert!(splats.len() > most as usize / 4, "{} of {most} are left", splats.len());
-        // Until opacities are reset it gets better.
+        // Until opacities are reset, losses stay below the first.
         assert!(
             losses.iter().all(|l| l.0.is_finite()) && losses[6..12].iter().all(|l| l.0 < losses[0].0),
             "{losses:?}"
@@ -506,7 +507,7 @@ fn cli_reports_memory_shortage() {
             "geometry.densify.grad_threshold=0.0",
             "geometry.densify.prune_weight=0.0",
             "geometry.densify.max_gaussians=100000",
-            "geometry.checkpoint_interval=4",
+            "train.checkpoint_interval=4",
         ] {
             all.extend(["--set".into(), pair.into()]);
         }
@@ -527,7 +528,7 @@ fn cli_reports_memory_shortage() {
         assert!(text.contains(word), "{word}: {text}");
     }
 
-    // Half as much again as the first step: densification stops and says so once.
+    // At 1.5 times the memory of the first step, densification stops and reports this once.
     let budget = (total + total / 2).to_string();
     let bound = sgs(&arguments(&["--vram", &budget])).ok();
     assert_eq!(bound.stderr.matches("births left out after step 12: ").count(), 1, "{}", bound.stderr);
@@ -535,7 +536,7 @@ fn cli_reports_memory_shortage() {
     let summary = String::from_utf8(place.read("run/training.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
     assert!(summary["peak_device_bytes"].as_u64().unwrap() <= total + total / 2, "{summary}");
-    // The log has each densification, with what became of how many.
+    // The log records the counts of each densification.
     let log = String::from_utf8(place.read("run/log.jsonl")).unwrap();
     let lines = log.lines().map(|l| serde_json::from_str::<serde_json::Value>(l).unwrap());
     let densified: Vec<_> = lines.filter(|l| l["densified"].is_object()).collect();
@@ -549,10 +550,10 @@ fn cli_reports_memory_shortage() {
     assert!(densified.len() >= 8 && densified.iter().any(|l| number(l, "refused") > 0), "{log}");
 }
 
-/// The process does not grow while it trains. Drivers on a processor may compile kernels again for every value of a uniform
-/// and keep them all: a megabyte a step, once.
+/// Tests that resident memory does not grow during training. A CPU driver may compile kernels again for each value of a
+/// uniform and retain them all, about a megabyte per step.
 #[test]
-fn a_training_process_does_not_grow() {
+fn resident_memory_does_not_grow_during_training() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let mut child = start(&[
         "train",
@@ -563,7 +564,7 @@ fn a_training_process_does_not_grow() {
         "100000",
         "--no-densify",
         "--set",
-        "geometry.checkpoint_interval=0",
+        "train.checkpoint_interval=0",
     ]);
     let resident = |id: u32| {
         let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap();

@@ -1,5 +1,5 @@
-//! Measures of images against other people's implementations, on the same images: `tests/data/metrics/make.py` ran
-//! scikit-image, scipy and flip-evaluator, and wrote what they say.
+//! Image metrics against independent implementations on the same images. `tests/data/metrics/make.py` computed the
+//! expected values with scikit-image, scipy and flip-evaluator.
 
 use serde_json::{Value, json};
 use sgs_evaluate::metrics::{depth_rel, flip, mse, normal_mae_deg, psnr, psnr_scaled, ssim};
@@ -7,15 +7,15 @@ use sgs_scene::{Image, LoadOptions, Scene, SceneOptions};
 use sgs_tests::rooms::{Room, write_json};
 use std::path::{Path, PathBuf};
 
-/// How far apart they may be, in the unit of each measure.
+/// Largest allowed difference, in the unit of each metric.
 const AGREE: f64 = 1e-4;
 
 fn data() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("data/metrics")
 }
 
-/// Images by name, read as a scene's photographs are.
-fn pictures(names: &[String]) -> Vec<Image> {
+/// Returns images by name, loaded as a scene's photographs are.
+fn renderings(names: &[String]) -> Vec<Image> {
     let folder = tempfile::tempdir().unwrap();
     std::fs::create_dir(folder.path().join("images")).unwrap();
     let first = Room { views: names.len(), size: [72, 54], ..Room::default() }.cameras();
@@ -31,17 +31,17 @@ fn pictures(names: &[String]) -> Vec<Image> {
     names.iter().map(|n| find(n).load_image(&LoadOptions::default()).unwrap()).collect()
 }
 
-/// The vectors that the colors of a normal map stand for.
+/// Decodes the colors of a normal map to vectors.
 fn vectors(image: &Image) -> Image {
     Image { data: image.data.iter().map(|v| 2.0 * v - 1.0).collect(), ..image.clone() }
 }
 
-/// Red as depth, from 1 to 3.
+/// Converts red to depth between 1 and 3.
 fn depth(image: &Image) -> Image {
     Image { channels: 1, data: image.data.iter().step_by(3).map(|v| 1.0 + 2.0 * v).collect(), ..image.clone() }
 }
 
-/// What disagrees, one sentence each.
+/// Returns a sentence for each metric that disagrees.
 fn disagreements(expected: &Value, found: &[(&str, f64)]) -> Vec<String> {
     let wrong = found.iter().filter(|(k, v)| !expected[*k].as_f64().is_some_and(|e| (e - v).abs() <= AGREE));
     wrong.map(|(k, v)| format!("{k} is {v}, but {} elsewhere", expected[*k])).collect()
@@ -54,7 +54,7 @@ fn metrics_match_independent_implementations() {
     let pairs = expected["pairs"].as_object().unwrap();
     let mut names: Vec<String> = pairs.keys().cloned().collect();
     names.push("truth".into());
-    let images = pictures(&names);
+    let images = renderings(&names);
     let truth = &images[names.len() - 1];
     for (name, image) in names.iter().zip(&images).filter(|(n, _)| *n != "truth") {
         let found = [
@@ -68,7 +68,7 @@ fn metrics_match_independent_implementations() {
         ];
         println!("{name}: {found:?}");
         assert_eq!(disagreements(&pairs[name], &found), [""; 0], "{name}");
-        // Every measure tells this image from another.
+        // Every metric distinguishes this image from another.
         let other = if name == "blur" { "noise" } else { "blur" };
         assert_eq!(disagreements(&pairs[other], &found).len(), found.len(), "{name}");
     }

@@ -1,14 +1,14 @@
-//! Modules depend downwards: the modules of a crate, as its root names them, form no cycle.
+//! Dependencies between modules: the modules that a crate's root names form no cycle.
 //!
-//! A module depends on another one if its code outside tests names the other by a path from `crate`, directly or by what the root
-//! exports of it. Each check has a control that must be caught.
+//! A module depends on another if its code outside tests names it by a path from `crate`. Names that the root
+//! re-exports count as well. Each check has a control with a planted cycle.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use syn::visit::{self, Visit};
 use syn::{Attribute, Item, UseTree};
 
-/// Crates whose modules are free of cycles.
+/// Crates that are checked for cycles.
 const CRATES: &[&str] = &[
     "bench",
     "tools/config",
@@ -24,10 +24,10 @@ const CRATES: &[&str] = &[
     "tools/view",
 ];
 
-/// A source file: its path below `src`, and its text.
+/// Source file: path below `src` and text.
 type Source = (PathBuf, String);
 
-/// The modules that a crate's root declares, and which of them each exported name belongs to.
+/// Modules that a crate's root declares, and the module of each exported name.
 #[derive(Default)]
 struct Root {
     modules: BTreeSet<String>,
@@ -58,14 +58,14 @@ impl Root {
         root
     }
 
-    /// The module that a name after `crate::` leads to.
+    /// Returns the module that a name after `crate::` belongs to.
     fn module(&self, name: &str) -> Option<&str> {
         let exported = || self.exports.get(name).map(String::as_str);
         self.modules.get(name).map(String::as_str).or_else(exported)
     }
 }
 
-/// The paths of a use tree, each with the name under which it is imported.
+/// Returns the paths of a use tree, each with its imported name.
 fn paths(tree: &UseTree) -> Vec<(Vec<String>, String)> {
     let one = |segment: String, name: String| vec![(vec![segment], name)];
     match tree {
@@ -85,7 +85,7 @@ fn is_test(attributes: &[Attribute]) -> bool {
     attributes.iter().any(|a| a.path().is_ident("cfg") && a.parse_args::<syn::Ident>().is_ok_and(|i| i == "test"))
 }
 
-/// Collects the names after `crate::` outside tests.
+/// Visitor that collects the names after `crate::` outside tests.
 #[derive(Default)]
 struct Names(BTreeSet<String>);
 
@@ -120,7 +120,7 @@ impl<'ast> Visit<'ast> for Names {
     }
 }
 
-/// The modules that each module depends on.
+/// Returns the modules that each module depends on.
 fn edges(root: &Root, sources: &[Source]) -> BTreeMap<String, BTreeSet<String>> {
     let mut edges = BTreeMap::<String, BTreeSet<String>>::new();
     for (path, text) in sources {
@@ -134,7 +134,7 @@ fn edges(root: &Root, sources: &[Source]) -> BTreeMap<String, BTreeSet<String>> 
     edges
 }
 
-/// A cycle of modules, if there is one.
+/// Returns a cycle of modules, if any.
 fn cycle(edges: &BTreeMap<String, BTreeSet<String>>) -> Option<Vec<String>> {
     fn walk<'a>(
         at: &'a str,
@@ -160,7 +160,7 @@ fn cycle(edges: &BTreeMap<String, BTreeSet<String>>) -> Option<Vec<String>> {
 fn sources(src: &Path, root: &Path, folder: &Path, into: &mut Vec<Source>) {
     for entry in std::fs::read_dir(folder).expect("a folder") {
         let path = entry.expect("an entry").path();
-        // Tests may look upwards.
+        // Test modules may depend on any module.
         if path.file_stem().is_some_and(|stem| stem == "tests") {
             continue;
         }
@@ -189,7 +189,7 @@ fn modules_form_no_cycle() {
 }
 
 #[test]
-fn planted_cycles_are_caught() {
+fn planted_cycles_are_detected() {
     let root = Root::of("mod a;\npub mod b;\nmod c;\npub use c::Thing;\npub use b::{Other as Named};");
     let of = |a: &str, b: &str, c: &str| {
         let files = [("a/deep.rs", a), ("b.rs", b), ("c.rs", c)].map(|(p, s)| (PathBuf::from(p), s.to_owned()));
@@ -199,6 +199,6 @@ fn planted_cycles_are_caught() {
     let all = Some(vec!["a".to_owned(), "b".to_owned(), "c".to_owned()]);
     assert_eq!(of("use crate::b::f;", "use crate::Thing;", "fn f() { crate::a::g() }"), all);
     assert_eq!(of("fn f(_: crate::Named) {}", "use crate::{Thing, error};", "use crate::a as other;"), all);
-    // Tests may look upwards.
+    // Test modules may depend on any module.
     assert_eq!(of("use crate::b::f;", "fn f() {}", "#[cfg(test)]\nmod tests { use crate::a::f; }"), None);
 }

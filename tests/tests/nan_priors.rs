@@ -1,4 +1,4 @@
-//! Priors of every kind that hold nothing but NaN: both stages are trained without them.
+//! Priors of every kind with nothing but NaN: both stages train as without priors.
 
 use half::f16;
 use sgs_config::Metallic;
@@ -10,7 +10,7 @@ use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
 use sgs_train::{Geometry, Intrinsic, Progress};
 
-/// A room whose priors are all there, and all NaN.
+/// Creates a room with every kind of prior, all values NaN.
 fn place() -> Place {
     let room = Room { priors: true, ..Room::default() };
     let place = Place::new(room);

@@ -1,4 +1,4 @@
-//! The optimizer on a device against its reference.
+//! Adam on the device against its reference.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
@@ -11,7 +11,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// A parameter group of `width` scalars an element with more capacity than live elements.
+/// Parameter group of `width` scalars per element. Its capacity exceeds the number of live elements.
 struct Group {
     width: usize,
     live: usize,
@@ -32,7 +32,7 @@ impl Group {
         Group { width, live, capacity, parameters, moments, gradients }
     }
 
-    /// Parameters, moments and number of skipped gradients after one pass.
+    /// Returns parameters, moments and the number of skipped gradients after one pass.
     fn run(&self, gpu: &Gpu, t: u32, skip_zero: bool, flags: &[u32]) -> (Vec<f32>, Vec<[f32; 2]>, u32) {
         let mut g = Graph::new("adam");
         let words = 4 * (self.width * self.capacity) as u64;
@@ -80,7 +80,8 @@ impl Group {
         (out.get(parameters), out.get(moments), out.get::<u32>(skipped)[0])
     }
 
-    /// Compares with the reference; what must not change has to be the same bit for bit.
+    /// Compares with the reference. Values that must not change are compared bit for bit. Returns the number of skipped
+    /// gradients.
     fn check(&self, gpu: &Gpu, t: u32, skip_zero: bool) -> u32 {
         let (parameters, moments, skipped) = self.run(gpu, t, skip_zero, &[0, 0]);
         let rates = rates(t);
@@ -99,10 +100,10 @@ impl Group {
             expected_m.push(m);
             expected_v.push(v);
         }
-        // A step is at most a few learning rates; its relative error is that of a square root and a division.
+        // A step is at most a few learning rates. Its relative error is that of a square root and a division.
         assert_close("parameters", &expected, &parameters, Tolerance::new(1e-5 * rates.lr, 2e-7));
         let (m, v): (Vec<f32>, Vec<f32>) = moments.iter().map(|m| (m[0], m[1])).unzip();
-        // First moments cancel; numbers below the normal range may be flushed.
+        // First moments cancel. Numbers below the normal range may be flushed to zero.
         assert_close("first moments", &expected_m, &m, Tolerance::new(1e-9, 1e-5));
         assert_close("second moments", &expected_v, &v, Tolerance::new(1e-37, 1e-5));
         skipped
@@ -166,7 +167,7 @@ fn adam_skips_flagged_steps() {
     }
 }
 
-/// The comparison with the reference would notice a missing bias correction and a step with the wrong sign.
+/// Tests that the comparison detects an update with the wrong bias correction.
 #[test]
 #[should_panic(expected = "parameters: element")]
 fn adam_check_can_fail() {
@@ -182,8 +183,8 @@ fn adam_check_can_fail() {
     assert_close("parameters", &expected, &parameters, Tolerance::new(1e-8, 2e-7));
 }
 
-/// Dense Adam's other half: what was seen stays as it is, what was not decays by the reference, what never had a
-/// gradient does not move, and a raised flag stops everything.
+/// Tests dense Adam's pass over unseen Gaussians. Seen Gaussians stay unchanged, unseen ones decay like the reference,
+/// and those with zero moments do not move. A raised flag stops every update.
 #[test]
 fn unseen_gaussians_decay_as_in_reference() {
     use sgs_passes::optim::{AdamUnseen, adam_unseen};

@@ -1,11 +1,11 @@
-//! Directories that commands write into: no result, scene or other program's file is lost to a wrong `-o`, and one training at a
+//! Output directories of commands: a wrong `-o` overwrites no result, scene or foreign file. Only one training at a
 //! time writes into a run.
 
 use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
 use sgs_tests::rooms::Room;
 use sgs_tests::{Place, files};
 
-/// A place with a room, and how this file trains in it.
+/// Creates a place with a room that has priors.
 fn place() -> Place {
     Place::new(Room { priors: true, ..Room::default() })
 }
@@ -42,7 +42,7 @@ fn a_finished_run_is_replaced_only_by_force() {
     train(&place, "run", &["--seed", "1", "--force"]).ok();
     assert!(place.read("run/scene.ply") != before[&run.join("scene.ply")]);
     assert_eq!(train(&place, "run", &["--force", "--resume"]).status, Some(2));
-    // A run that was interrupted is worth as much.
+    // A run that was interrupted is protected as well.
     std::fs::remove_file(run.join("training.json")).unwrap();
     train(&place, "run", &[]).refused_with(2, &["holds an unfinished run", "--resume"]);
 }
@@ -76,7 +76,7 @@ fn resuming_a_finished_run_leaves_every_file() {
         assert!(resumed.json()["seconds"].as_f64().unwrap() > 0.0);
         assert!(files(&place.path("run")) == before, "--stage {stage} changed the run");
     }
-    // Geometry that is complete is not trained again for materials that are not.
+    // Completed geometry is not trained again for incomplete materials.
     train(&place, "half", &[]).ok();
     let geometry = place.read("half/training.json");
     train(&place, "half", &["--stage", "all", "--resume"]).ok();
@@ -121,7 +121,7 @@ fn invalid_output_directories_are_refused() {
                 .refused_with(2, &["is no scene directory"]);
         }
     }
-    // Images are written over images.
+    // Images may overwrite images.
     for _ in 0..2 {
         sgs(&["render", &ply, "--cameras", &cameras, "-o", &place.text("images"), "-q"]).ok();
     }
@@ -142,7 +142,7 @@ fn one_training_at_a_time_writes_into_a_run() {
     let output = second(&["--force", "--json"]).json();
     assert_eq!(output["kind"], "locked");
     assert!(output["error"].as_str().unwrap().contains(&process), "{output}");
-    // A killed one leaves its lock, which the next one takes over.
+    // A killed training leaves its lock, and the next training takes the lock over.
     signal(&child, "KILL");
     wait(child);
     assert!(place.path("run/.lock").is_file());

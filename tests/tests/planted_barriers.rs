@@ -1,8 +1,7 @@
-//! Plans with a barrier missing or weakened: the verifier refuses each, and the validation layer, where it can, reports
-//! each when it is run all the same.
+//! Plans with a missing or weakened barrier: the verifier refuses each. The validation layer reports those hazards that
+//! it can detect when the plan is run regardless.
 //!
-//! The two tests of the layer are what trust in it rests on: which kinds of hazard its silence means something for, and
-//! which kinds only the verifier sees.
+//! The two tests of the layer tell which hazards its silence excludes, and which ones only the verifier detects.
 
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{
@@ -19,7 +18,7 @@ fn device() -> Device {
     Device::open(&DeviceOptions { select, validation: true, ..Default::default() }).unwrap()
 }
 
-/// A pass that binds in the order of the kernel's bindings.
+/// Adds a pass that binds buffers in the order of the kernel's bindings.
 fn pass(graph: &mut Graph, name: &str, stage: &str, bound: &[Buffer]) {
     let shader = kernel(stage);
     let mut pass = graph.pass(name, &shader).push(&1u32.to_ne_bytes());
@@ -29,16 +28,16 @@ fn pass(graph: &mut Graph, name: &str, stage: &str, bound: &[Buffer]) {
     pass.dispatch([1, 1, 1]).unwrap();
 }
 
-/// Four external buffers and an input.
+/// Declares four external buffers and an input.
 fn buffers(graph: &mut Graph) -> [Buffer; 5] {
     let [a, b, c, d] = ["a", "b", "c", "d"].map(|name| graph.external(name, BYTES));
     [a, b, c, d, graph.input("given", BYTES)]
 }
 
-/// A hazard: what it is called, what the layer calls it, and the two passes that make it.
+/// Hazard: its name, its name in the layer's messages, and the two passes that cause it.
 type Case = (&'static str, &'static str, fn(&mut Graph));
 
-/// What the layer sees.
+/// Hazards that the layer detects.
 const SEEN: [Case; 11] = [
     ("a kernel reads what a kernel wrote", "READ-AFTER-WRITE", |g| {
         let [a, b, .., provided] = buffers(g);
@@ -99,8 +98,8 @@ const SEEN: [Case; 11] = [
     }),
 ];
 
-/// What the layer does not see up to version 1.3.239: writes of kernels after writes of kernels, with or without reads,
-/// and that atomics write; it takes them for reads.
+/// Hazards that the layer misses up to version 1.3.239. These are writes of kernels after writes of kernels, with or
+/// without reads. Writes by atomics are missed as well; the layer takes them for reads.
 const UNSEEN: [Case; 4] = [
     ("a kernel overwrites some of what a kernel wrote", "WRITE-AFTER-WRITE", |g| {
         let [a, .., provided] = buffers(g);
@@ -132,14 +131,14 @@ fn plan(declare: fn(&mut Graph)) -> Plan {
     plan
 }
 
-/// Runs a plan, sound or not, and returns what the layer said.
+/// Runs a plan, sound or not, and returns the layer's messages.
 fn run(device: &Device, plan: &Plan) -> Vec<String> {
     let plan = Arc::new(plan.clone());
     let mut exec = Executor::new(device, plan.clone(), ExecOptions::default()).unwrap();
     let mut memory: Vec<DeviceBuffer> = Vec::new();
     for (buffer, info) in plan.buffers().filter(|(_, info)| info.kind == BufferKind::External) {
         let buffer_memory = device.buffer(&info.name, info.bytes, Location::Readback).unwrap();
-        // Zeros, so that group counts are none or few.
+        // Zeros make indirect group counts zero or small.
         buffer_memory.write(0, &vec![0; info.bytes as usize]).unwrap();
         exec.bind(buffer, &buffer_memory).unwrap();
         memory.push(buffer_memory);
@@ -190,7 +189,7 @@ fn aliased_memory_without_a_barrier_is_refused_and_reported() {
     let [first, second] = ["first", "second"].map(|name| graph.transient(name, BYTES));
     pass(&mut graph, "make first", "map", &[provided, first]);
     pass(&mut graph, "use first", "map", &[first, a]);
-    // It follows the pass before, so that the two transients do not live at the same time.
+    // This pass follows the previous one, so the lifetimes of the two transients do not overlap.
     pass(&mut graph, "make second", "map", &[a, second]);
     pass(&mut graph, "use second", "map", &[second, b]);
     let sound = graph.compile(&CompileOptions::default()).unwrap();
@@ -199,7 +198,7 @@ fn aliased_memory_without_a_barrier_is_refused_and_reported() {
     assert_eq!(place(first), place(second));
     let device = device();
     assert_eq!(run(&device, &sound), [""; 0]);
-    // With the data flow through `a` out of the way, what is left between the two is the memory.
+    // Without the data flow through `a`, the two passes share only memory.
     let mut damaged = sound.clone();
     damaged.groups[2].barrier = None;
     assert!(verify(&damaged).is_err());
@@ -222,7 +221,7 @@ fn verifier_finds_hazards_missed_by_validation_layer() {
         if blind {
             assert_eq!(messages, [""; 0], "{what}: the layer sees more than docs/project/testing.md says");
         } else {
-            // Newer layers see some of these. Whatever they say must be about this.
+            // Newer layers detect some of these hazards. Any message must be about the planted one.
             assert!(messages.iter().all(|m| m.contains(hazard)), "{what}: {messages:?}");
         }
     }
@@ -242,13 +241,13 @@ fn messages_name_the_plan_the_group_the_pass_and_the_objects() {
     plan.groups[1].barrier = None;
     let messages = run(&device, &plan);
     let message = messages.first().expect("the layer reports the missing barrier");
-    // Labels, the outermost first; then the buffer, the pipeline, the command buffer.
+    // Labels come first, outermost first. Then come the buffer, the pipeline and the command buffer.
     assert!(message.contains("Recording: labeled plan, group 1, reader pass."), "{message}");
     for name in ["[middle buffer]", "[twice]", "[labeled plan]"] {
         assert!(message.contains(name), "{name} is missing: {message}");
     }
     assert!(!message.contains("maker pass"), "a label was not closed: {message}");
-    // About the command buffer itself the layer says which labels it has seen there.
+    // For the command buffer itself, the layer lists the labels that were recorded in it.
     let maker = plan.passes.iter_mut().find(|pass| pass.name == "maker pass").unwrap();
     let PassKind::Compute { dispatch, .. } = &mut maker.kind else { panic!("a kernel is a kernel") };
     *dispatch = Dispatch::Groups([1, 65_536, 1]);

@@ -1,4 +1,5 @@
-//! `present` against its reference: every layer in every format, in both encodings, at values that a format cannot hold.
+//! `present` against its reference: every layer, format and encoding. Values include some that a format cannot
+//! represent.
 
 use half::f16;
 use sgs_engine::graph::Graph;
@@ -16,7 +17,7 @@ struct View {
     transmittance: Vec<f32>,
 }
 
-/// Values around what formats can hold; among them some that only floats can.
+/// Creates a view with values around the ranges of formats. Some of them only floats can represent.
 fn view(channels: Channels, seed: u64) -> View {
     let mut r = Rng::new(seed);
     let pixels = (SIZE[0] * SIZE[1]) as usize;
@@ -28,7 +29,7 @@ fn view(channels: Channels, seed: u64) -> View {
     View { channels, image, transmittance }
 }
 
-/// The texels' bytes and the report after some replays.
+/// Returns the texels' bytes and the report after `replays` submissions.
 fn run(gpu: &Gpu, view: &View, as_: &Presented, flag: u32, wanted: u32, replays: usize) -> (Vec<u8>, Vec<u32>) {
     let pixels = view.transmittance.len();
     let mut g = Graph::new("present");
@@ -47,7 +48,7 @@ fn run(gpu: &Gpu, view: &View, as_: &Presented, flag: u32, wanted: u32, replays:
         report,
     };
     let tuning = gpu.tuning();
-    // Room for more pixels than this view has.
+    // The capacity exceeds the pixels of this view.
     let screen = Screen { step, largest: [SIZE[0] + 40, SIZE[1] + 3], tile: tuning.tile };
     let room = u64::from(screen.largest[0] * screen.largest[1]);
     assert!(room > pixels as u64);
@@ -65,7 +66,7 @@ fn run(gpu: &Gpu, view: &View, as_: &Presented, flag: u32, wanted: u32, replays:
     (out.get(texels), out.get(report))
 }
 
-/// The first component that is wrong.
+/// Returns a description of the first wrong texel.
 fn wrong(view: &View, as_: &Presented, bytes: &[u8]) -> Option<String> {
     let double = |v: &[f32]| v.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
     let expected = reference::present(&double(&view.image), &double(&view.transmittance), view.channels, as_);
@@ -164,7 +165,7 @@ fn srgb_output_is_encoded_once() {
 }
 
 #[test]
-fn the_report_adds_up_over_frames() {
+fn report_accumulates_over_frames() {
     let gpu = Gpu::new();
     let view = view(Channels { colors: true, normals: false, depth: false }, 1);
     let as_ = Presented {

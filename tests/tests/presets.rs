@@ -1,4 +1,4 @@
-//! `--preset` and `--accuracy`: what runs record of them, what goes over them, what is refused; help and documents know all presets.
+//! `--preset` and `--accuracy`: recorded settings, precedence, refusals. Help and documents name every preset.
 
 use sgs_config::{LobeLayout, PRESETS, Settings};
 use sgs_passes::Accuracy;
@@ -7,14 +7,14 @@ use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
 
-/// Trains for some steps.
+/// Trains both stages for a few steps.
 fn train(place: &Place, run: &str, more: &[&str]) -> Finished {
     let (scene, to) = (place.text("scene"), place.text(run));
     let a = ["train", &scene, "-o", &to, "--geometry-steps", "3", "--no-densify", "--intrinsic-steps", "2"];
     sgs(&[&a[..], more].concat())
 }
 
-/// What a run says that it was trained with.
+/// Returns the settings that a run recorded.
 fn settings(place: &Place, run: &str) -> Settings {
     RunDirectory::open(&place.path(run)).unwrap().settings().unwrap()
 }
@@ -36,13 +36,13 @@ fn presets_have_lowest_precedence() {
     );
     let v = s.intrinsic.visibility;
     assert_eq!((v.coarsest, v.finest, v.log2_table), (4, 32, 18));
-    // Another stage on that geometry: of the preset what is about the stage.
+    // Another stage on that geometry takes only its own settings from the preset.
     let small = ["--set", "intrinsic.lights.grid=2", "--set", "intrinsic.environment.resolution=16"];
     train("a", &[&["--stage", "intrinsic", "--preset", "draft"][..], &small].concat()).ok();
     let s = of("a");
     assert_eq!((s.seed, s.geometry.dense_adam, s.geometry.sh_degree), (5, true, 3.into()));
     assert_eq!((s.intrinsic.visibility.levels, s.intrinsic.lights.grid), (8, 2));
-    // Resumed as it was begun, or not at all.
+    // A run resumes only with the settings that it was begun with.
     train("b", &["--preset", "draft"]).ok();
     train("b", &["--preset", "draft", "--resume"]).ok();
     train("b", &["--resume"]).ok();
@@ -63,21 +63,22 @@ fn accuracy_levels_override_presets_but_not_files() {
     let s = of("a");
     assert_eq!((s.accuracy, s.intrinsic.visibility.sample), (Accuracy { depth_bits: 24, ..fast }, 7));
     train("a", &["--accuracy", "fast", "--config", &file, "--resume"]).ok();
-    // A level replaces what a preset says of the same.
+    // An accuracy level overrides the same settings of a preset.
     train("b", &["--preset", "draft", "--accuracy", "fast"]).ok();
     let s = of("b");
     assert_eq!((s.accuracy, s.intrinsic.visibility.sample), (fast, 4));
     train("b", &["--resume", "--accuracy", "fast"]).ok();
     train("b", &["--resume", "--accuracy", "balanced"]).refused(&["was begun with", "accuracy"]);
-    // Of another stage on that geometry the file goes over the level, too.
+    // For another stage on that geometry, the file overrides the level as well.
     train("b", &["--stage", "intrinsic", "--accuracy", "exact", "--config", &file]).ok();
     let s = of("b");
     assert_eq!((s.accuracy.color_bits, s.intrinsic.visibility.sample), (32, 7));
 }
 
-/// Gaussians that a densification has made are optimized for an interval before the run ends, in every preset.
+/// Tests that the last densification is at least an interval before the end. Every preset is tested. New Gaussians are
+/// thus optimized for an interval.
 #[test]
-fn no_gaussian_is_younger_than_an_interval_at_the_end() {
+fn densification_ends_an_interval_before_the_last_step() {
     let place = Place::new(Room { priors: true, views: 6, ..Room::default() });
     let scene = place.text("scene");
     let (steps, interval) = (23, 5);

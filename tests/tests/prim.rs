@@ -1,5 +1,5 @@
-//! Primitives against their references: sizes around every boundary, counts from the host and from the GPU, what is
-//! behind the last element, overflow, and inputs that are hard on a sort.
+//! Scan, sort and work records against their references. Cases are sizes around every boundary, counts from the host
+//! and from the GPU, memory after the last element, overflow, and difficult keys.
 
 use sgs_engine::Location;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
@@ -14,26 +14,27 @@ use std::sync::Arc;
 
 const POISON: u32 = u32::MAX;
 
-/// Where a stage learns its count.
+/// Source of a stage's count.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum From {
     Host,
-    /// A record for its own group size.
+    /// Record for the stage's own group size.
     Record,
-    /// A record for another one, with arguments that must not be used.
+    /// Record for another group size, with arguments that must not be used.
     OtherRecord,
 }
 
 const SOURCES: [From; 3] = [From::Host, From::Record, From::OtherRecord];
 
-/// The arguments that a record should have: enough groups, and no axis longer than every device can.
+/// Returns the expected arguments of a record. They cover all groups, and no axis exceeds 65535, which every device
+/// supports.
 fn record_of(count: u32, group_size: u32) -> Work {
     let n = count.div_ceil(group_size).max(1);
     let x = n.min(65535);
     Work { x, y: n.div_ceil(x), z: 1, count }
 }
 
-/// A count in a graph, with the input that it needs.
+/// Declares a count in a graph and returns it with its input.
 fn count_in(g: &mut Graph, from: From, count: u32, max: u32, block: u32) -> (Count, Vec<(Buffer, Vec<u8>)>) {
     if from == From::Host {
         return (Count::Host(count), Vec::new());
@@ -50,12 +51,12 @@ fn bytes(words: &[u32]) -> Vec<u8> {
     bytemuck::cast_slice(words).to_vec()
 }
 
-/// Room for `n` words that may be none.
+/// Returns the bytes of a buffer for `n` words; at least one word.
 fn room(n: usize) -> u64 {
     4 * n.max(1) as u64
 }
 
-/// The first difference between what is expected, followed by poison, and what was found.
+/// Returns the first difference from the expected words and the poison after them.
 fn difference(expected: &[u32], found: &[u32]) -> Option<String> {
     let expected = expected.iter().chain(std::iter::repeat(&POISON));
     let mut differing = expected.zip(found).enumerate().filter(|(_, (e, f))| e != f);
@@ -86,7 +87,7 @@ enum How {
     Gathered,
 }
 
-/// Runs a scan of the first `count` of `values` and compares everything with the reference.
+/// Scans the first `count` of `values` and compares everything with the reference.
 fn check_scan(gpu: &Gpu, shape: ScanShape, how: How, from: From, values: &[u32], count: usize) {
     let what = format!("{shape:?} {how:?} {from:?} {count} of {}", values.len());
     let mut g = Graph::new("scan");
@@ -96,7 +97,7 @@ fn check_scan(gpu: &Gpu, shape: ScanShape, how: How, from: From, values: &[u32],
     let total = g.external("total", 8);
     let source = if how == How::InPlace { target } else { g.input("source", room(values.len())) };
     inputs.push((source, bytes(values)));
-    // A permutation that is no involution.
+    // The permutation is no involution.
     let permutation: Vec<u32> = (0..values.len()).map(|i| ((i * 7 + 3) % values.len()) as u32).collect();
     let permutes = !values.len().is_multiple_of(7);
     let index = (how == How::Gathered).then(|| {
@@ -123,7 +124,7 @@ fn random_words(n: usize, seed: u32, below: u32) -> Vec<u32> {
     (0..n).map(|_| ((u64::from(rng.next_u32()) * u64::from(below)) >> 32) as u32).collect()
 }
 
-/// The shape that the device would get, one with several subgroups, and a tiny one.
+/// Returns the device's shape, one with several subgroups, and a tiny one.
 fn scan_shapes(gpu: &Gpu) -> [ScanShape; 3] {
     let subgroup_size = gpu.subgroup_size();
     [
@@ -138,7 +139,7 @@ fn scan_of_sizes_around_every_boundary() {
     let gpu = Gpu::new();
     for shape in scan_shapes(&gpu) {
         let (group, block) = (shape.workgroup as usize, shape.block() as usize);
-        // With the tiny shape the spine goes round more than once.
+        // With the tiny shape, the spine takes more than one round.
         let spine = 16 * group * block;
         let mut sizes = vec![0, 1, group - 1, group, group + 1, 997, block - 1, block, block + 1, 3 * block + 5];
         if spine < 20_000 {
@@ -171,7 +172,7 @@ fn scan_copies_gathers_and_counts_on_the_gpu() {
 fn scan_of_a_million_and_folded_grids() {
     let gpu = Gpu::new();
     check_scan(&gpu, gpu.tuning().into(), How::InPlace, From::Host, &random_words(1 << 20, 1, 1 << 12), 1 << 20);
-    // More than 65535 workgroups.
+    // The grid has more than 65535 workgroups.
     let subgroup_size = gpu.subgroup_size();
     let shape = ScanShape { subgroup_size, workgroup: subgroup_size, items: 1 };
     let size = 65536 * subgroup_size as usize + 3;
@@ -183,14 +184,14 @@ fn scan_saturates_and_never_wraps() {
     let gpu = Gpu::new();
     let most = (1 << 19) - 1;
     for shape in scan_shapes(&gpu) {
-        // The sum passes 2^32 after 8193 elements, and 2^33 before the end.
+        // The sum exceeds 2^32 after 8193 elements, and 2^33 before the end.
         let size = 20_000;
         check_scan(&gpu, shape, How::InPlace, From::Host, &vec![most; size], size);
         let mut late = vec![0; size];
         late[size - 8200..].fill(most);
         check_scan(&gpu, shape, How::Copied, From::Record, &late, size);
     }
-    // Just not saturated, and just saturated.
+    // The first sum is just below saturation, the second just saturates.
     let shape = scan_shapes(&gpu)[2];
     let mut edge = vec![1 << 18; 1 << 14];
     edge[77] -= 1;
@@ -199,17 +200,15 @@ fn scan_saturates_and_never_wraps() {
     check_scan(&gpu, shape, How::InPlace, From::Host, &edge, edge.len());
 }
 
-/// Runs a sort of the first `count` of `keys` and compares everything with the reference. The values are what else the
-/// pairs hold, or nothing.
+/// Sorts the first `count` of `keys` and compares everything with the reference. `values` are the second halves of the
+/// pairs; without them the sort returns positions.
 fn check_sort(
     gpu: &Gpu,
     shape: SortShape,
-    from: From,
+    (from, count): (From, usize),
     bits: Range<u32>,
-    keys: &[u32],
-    values: Option<&[u32]>,
+    (keys, values): (&[u32], Option<&[u32]>),
     want_keys: bool,
-    count: usize,
 ) {
     let what = format!("{shape:?} {from:?} bits {bits:?} {count} of {}", keys.len());
     let mut g = Graph::new("sort");
@@ -234,14 +233,14 @@ fn check_sort(
     let out = gpu.run(g, &inputs);
     let (expected_keys, expected_values) =
         sort_reference::radix_sort(&keys[..count], values.map(|v| &v[..count]), bits);
-    // Behind the last one is what other transients left there.
+    // Memory after the last element holds data of other transients.
     if let Some(sorted_keys) = sorted_keys {
         assert_same(&format!("{what}, keys"), &expected_keys, &out.get(sorted_keys)[..count]);
     }
     assert_same(&format!("{what}, values"), &expected_values, &out.get(sorted_values)[..count]);
 }
 
-/// The shape that the device would get, and ones that sort in shared memory and straight.
+/// Returns the device's shape and ones with and without sorting in shared memory.
 fn sort_shapes(gpu: &Gpu) -> Vec<SortShape> {
     let subgroup_size = gpu.subgroup_size();
     let device = SortShape::from(gpu.tuning());
@@ -264,7 +263,7 @@ fn sort_of_sizes_around_every_boundary() {
         let (group, block) = (shape.workgroup as usize, shape.block() as usize);
         for size in [0, 1, 2, group - 1, group, group + 1, 997, block - 1, block, block + 1, 3 * block + 5] {
             let keys = random_words(size, size as u32, POISON);
-            check_sort(&gpu, shape, From::Host, 8..24, &keys, None, true, size);
+            check_sort(&gpu, shape, (From::Host, size), 8..24, (&keys, None), true);
         }
     }
 }
@@ -286,14 +285,14 @@ fn sort_of_difficult_keys_by_bit_ranges() {
         few,
         random.clone(),
     ];
-    // Values that tell equal keys apart and are not their positions.
+    // Values distinguish equal keys and differ from their positions.
     let values: Vec<u32> = (0..size as u32).map(|i| i.wrapping_mul(0x9E37_79B1)).collect();
     for shape in sort_shapes(&gpu) {
         for keys in &all {
-            check_sort(&gpu, shape, From::Host, 0..32, keys, Some(&values), true, size);
+            check_sort(&gpu, shape, (From::Host, size), 0..32, (keys, Some(&values)), true);
         }
         for bits in [0..9, 3..16, 31..32, 24..40, 7..7, 0..1] {
-            check_sort(&gpu, shape, From::Host, bits, &random, Some(&values), true, size);
+            check_sort(&gpu, shape, (From::Host, size), bits, (&random, Some(&values)), true);
         }
     }
 }
@@ -308,15 +307,15 @@ fn sort_counts_on_the_gpu() {
         for from in SOURCES {
             for count in [0, 1, capacity / 2, capacity] {
                 let given = (count % 2 == 1).then_some(values.as_slice());
-                check_sort(&gpu, shape, from, 0..13, &keys, given, given.is_some(), count);
+                check_sort(&gpu, shape, (from, count), 0..13, (&keys, given), given.is_some());
             }
         }
     }
 }
 
-/// Without sharing of memory, what no pass writes keeps its poison.
+/// Tests that memory after the last element keeps its poison. Memory is not aliased here.
 #[test]
-fn sort_writes_nothing_behind_the_last_element() {
+fn sort_writes_nothing_after_the_last_element() {
     let gpu = Gpu::new();
     let (count, max) = (1000, 1500);
     let keys = random_words(max, 17, POISON);
@@ -353,10 +352,11 @@ fn sort_writes_nothing_behind_the_last_element() {
 fn sort_of_a_million() {
     let gpu = Gpu::new();
     let keys = random_words(1 << 20, 8, POISON);
-    check_sort(&gpu, gpu.tuning().into(), From::Record, 0..32, &keys, None, true, (1 << 20) - 1);
+    check_sort(&gpu, gpu.tuning().into(), (From::Record, (1 << 20) - 1), 0..32, (&keys, None), true);
 }
 
-/// The kernel that devices with subgroups of 32 get, with as many subgroups as it is made for.
+/// Tests the kernel that sorts in shared memory at its largest number of subgroups. Devices with subgroups of
+/// 32 run this kernel.
 #[test]
 fn sort_with_32_subgroups_in_shared_memory() {
     let gpu = Gpu::new();
@@ -365,12 +365,12 @@ fn sort_with_32_subgroups_in_shared_memory() {
     let shape =
         SortShape { subgroup_size, workgroup, items: 4096 / workgroup, digit_bits: 8, copies: 8, direct: false };
     let keys = random_words(30_000, 10, POISON);
-    check_sort(&gpu, shape, From::Record, 0..32, &keys, None, true, 29_999);
+    check_sort(&gpu, shape, (From::Record, 29_999), 0..32, (&keys, None), true);
 }
 
-/// Other subgroup sizes, where the device can be asked for them.
+/// Tests the subgroup sizes that can be requested of the device.
 #[test]
-fn subgroup_sizes() {
+fn scan_and_sort_match_reference_at_every_subgroup_size() {
     let gpu = Gpu::new();
     let (low, high) = gpu.device().info().subgroup_sizes;
     let mut subgroup_size = low.max(8);
@@ -381,14 +381,14 @@ fn subgroup_sizes() {
         let staged = SortShape { copies: 8, direct: false, items: 16, workgroup: 256, ..SortShape::from(tuning) };
         let keys = random_words(9_001, 12, POISON);
         for shape in [tuning.into(), staged] {
-            check_sort(&gpu, shape, From::Record, 0..32, &keys, None, true, 9_000);
+            check_sort(&gpu, shape, (From::Record, 9_000), 0..32, (&keys, None), true);
         }
         subgroup_size *= 2;
     }
 }
 
 #[test]
-fn work_makes_records_and_refuses_what_does_not_fit() {
+fn work_writes_records_and_flags_overflow() {
     let gpu = Gpu::new();
     for (count, capacity) in [(0, 10), (1, 10), (10, 10), (11, 10), (1 << 25, 1 << 25), (POISON, 1 << 25)] {
         let mut g = Graph::new("work");
@@ -408,7 +408,8 @@ fn work_makes_records_and_refuses_what_does_not_fit() {
     }
 }
 
-/// As a frame does it: counts are summed, the sum decides how much is sorted, nothing comes back in between.
+/// Tests a scan, a record and a sort in one graph, as in a frame. The scan's sum decides how many elements are sorted,
+/// without a readback.
 #[test]
 fn a_scan_drives_a_sort_and_its_overflow_stops_it() {
     let gpu = Gpu::new();
@@ -456,9 +457,9 @@ fn slices_that_are_too_small_are_refused() {
     assert!(matches!(error, GraphError::Overlap { .. }), "{error}");
 }
 
-/// What the largest scenes need. Takes about a minute on a processor: set SGS_TEST_LARGE=1.
+/// Tests the counts of the largest scenes. It takes about a minute on a CPU: set SGS_TEST_LARGE=1.
 #[test]
-fn the_largest_counts() {
+fn scan_and_sort_match_reference_at_the_largest_counts() {
     if std::env::var_os("SGS_TEST_LARGE").is_none() {
         return;
     }
@@ -469,12 +470,12 @@ fn the_largest_counts() {
     check_scan(&gpu, gpu.tuning().into(), How::InPlace, From::Record, &vec![(1 << 19) - 1; size], size);
     drop(values);
     let keys = random_words(size, 16, POISON);
-    check_sort(&gpu, gpu.tuning().into(), From::Record, 0..32, &keys, None, true, size);
-    // More than 65535 workgroups, and a spine of as many columns.
+    check_sort(&gpu, gpu.tuning().into(), (From::Record, size), 0..32, (&keys, None), true);
+    // The grid has more than 65535 workgroups, and the spine as many columns.
     let subgroup_size = gpu.subgroup_size();
     let direct = SortShape::from(gpu.tuning()).direct;
     let workgroup = if direct { subgroup_size } else { 4 * subgroup_size };
     let folded = SortShape { subgroup_size, workgroup, items: 4, digit_bits: 4, copies: 4, direct };
     let size = 65_600 * folded.block() as usize;
-    check_sort(&gpu, folded, From::Record, 0..8, &keys[..size], None, true, size - 1);
+    check_sort(&gpu, folded, (From::Record, size - 1), 0..8, (&keys[..size], None), true);
 }

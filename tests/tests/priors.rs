@@ -1,6 +1,6 @@
-//! `sgs priors`: a provider over a scene's photographs, from the command to files that training takes.
+//! `sgs priors`: a provider runs over a scene's photographs and writes files that training reads.
 
-use sgs_provider::{Picture, Provider, ProviderOptions};
+use sgs_provider::{Provider, ProviderImage, ProviderOptions};
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene, SceneOptions, read_exr, write_npy_f32};
 use sgs_synth::{SceneName, SynthOptions};
 use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
@@ -9,10 +9,10 @@ use sgs_tests::rooms::Room;
 use sgs_tests::{Place, files};
 use std::path::Path;
 
-/// A room with ground truth of normals and depth, and without priors.
+/// Creates a room with ground truth of normals and depth, without priors.
 fn room() -> Place {
     let place = Place::new(Room { views: 5, truth: true, ..Room::default() });
-    // The stand-in reads neither tiles nor PIZ, which the room's files are made of.
+    // The stand-in reads neither tiled nor PIZ-compressed files, which the room has.
     for path in files(&place.path("scene/gt/normal")).keys() {
         let image = read_exr(path).unwrap().image;
         let shape = [image.height, image.width, 3].map(|n| n as usize);
@@ -28,7 +28,7 @@ fn priors(place: &Place, how: &str, more: &[&str]) -> Finished {
     sgs(&arguments)
 }
 
-/// The stand-in for the place's own scene.
+/// Returns the options of a stand-in that serves the place's own scene.
 fn stand_in(place: &Place, options: &str) -> String {
     format!("'stand-in={}' {options}", place.text("scene"))
 }
@@ -37,7 +37,7 @@ fn open(place: &Place) -> Scene {
     Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap()
 }
 
-/// How many files were written and kept.
+/// Returns the numbers of files written and kept.
 fn counts(finished: Finished) -> (usize, u64) {
     let json = finished.ok().json();
     (json["written"].as_array().unwrap().len(), json["kept"].as_u64().unwrap())
@@ -50,7 +50,7 @@ fn assert_near(a: &Image, b: &Image, most: f32) {
     assert!(worst <= most, "differs by {worst}, at most {most} was expected");
 }
 
-/// Compares the normal priors of views with the truth.
+/// Compares the normal priors of views with the ground truth.
 #[track_caller]
 fn assert_normals(place: &Place, views: &[usize], most: f32) {
     let scene = open(place);
@@ -61,7 +61,7 @@ fn assert_normals(place: &Place, views: &[usize], most: f32) {
 }
 
 #[test]
-fn normals_in_every_frame_become_the_same_and_train() {
+fn normal_priors_of_every_frame_match_ground_truth() {
     for frame in ["world", "camera-opencv", "camera-opengl", "camera-stablenormal"] {
         let place = room();
         let how = stand_in(&place, &format!("--noise 0 --frame {frame}"));
@@ -71,7 +71,7 @@ fn normals_in_every_frame_become_the_same_and_train() {
         assert_normals(&place, &[0, 2, 3, 4], 2e-3);
         assert!(open(&place).normal_prior(1).unwrap().is_none(), "view 1 is a test view");
     }
-    // The comparison itself: noise must show.
+    // The comparison detects noise.
     let place = room();
     priors(&place, &stand_in(&place, "--noise 0.05"), &[]).ok();
     let result = std::panic::catch_unwind(|| assert_normals(&place, &[0], 2e-3));
@@ -84,20 +84,20 @@ fn normals_in_every_frame_become_the_same_and_train() {
 }
 
 #[test]
-fn files_of_two_frames_end_in_one() {
+fn normal_priors_of_two_frames_are_loaded_in_one() {
     let place = room();
     assert_eq!(counts(priors(&place, &stand_in(&place, "--noise 0 --frame camera-opengl"), &[])), (4, 0));
     let before = files(&place.path("scene/priors"));
     let how = stand_in(&place, "--noise 0 --frame world");
     assert_eq!(counts(priors(&place, &how, &["--views", "all"])), (1, 4));
     assert_normals(&place, &[0, 1, 2, 3, 4], 2e-3);
-    // What was there is untouched, and nothing but the new file has come.
+    // Existing files are untouched, and one new file was written.
     let after = files(&place.path("scene/priors"));
     assert!(before.iter().all(|(path, bytes)| after.get(path) == Some(bytes)) && after.len() == before.len() + 1);
 }
 
 #[test]
-fn every_kind_from_a_synthesized_scene() {
+fn every_kind_of_prior_matches_ground_truth() {
     let place = room();
     let scene = place.path("box");
     let options = SynthOptions {
@@ -126,7 +126,7 @@ fn every_kind_from_a_synthesized_scene() {
     for view in 0..4 {
         let truth = |kind| GroundTruth::of(&opened).load(kind, view).unwrap().unwrap();
         assert_near(&opened.normal_prior(view).unwrap().unwrap(), &truth(GroundTruthKind::Normal), 2e-3);
-        // 8 bits of sRGB are up to one hundredth of linear light.
+        // In 8 bits of sRGB, linear light is off by up to one hundredth.
         assert_near(&opened.albedo_prior(view).unwrap().unwrap().image, &truth(GroundTruthKind::Albedo), 0.01);
         let roughness = opened.roughness_prior(view).unwrap().unwrap().image;
         assert_near(&roughness, &truth(GroundTruthKind::Roughness), 0.003);
@@ -140,13 +140,13 @@ fn every_kind_from_a_synthesized_scene() {
             let scores: Vec<f32> = embeddings.data.chunks(512).map(dot).collect();
             let best = (0..scores.len()).max_by(|a, b| scores[*a].total_cmp(&scores[*b])).unwrap();
             assert!((scores[best] - 1.0).abs() < 0.01);
-            // The stand-in takes the class in the middle of a cell, and numbers regions from 1.
+            // The stand-in takes the class at the center of a cell and numbers regions from 1.
             let (x, y) = (cell % 5 * 8 + 4, cell / 5 * 8 + 4);
             assert_eq!(usize::from(regions.ids[y * 40 + x]), best + 1, "view {view}, cell {cell}");
         }
     }
     assert_masks(&opened, &provider(&format!("'stand-in={path}' --noise 0")));
-    // Again: nothing is lacking. Then one file is, and then one kind is made in another encoding.
+    // A second run writes nothing. Then one file is missing, and then one kind is written in another encoding.
     assert_eq!(fill("--noise 0", &[]), (0, 26));
     std::fs::remove_file(scene.join("priors/masks/002.png")).unwrap();
     assert_eq!(fill("--noise 0", &["--only", "masks,albedo"]), (1, 7));
@@ -161,8 +161,8 @@ fn every_kind_from_a_synthesized_scene() {
     sgs(&["train", &path, "-o", &run, "--geometry-steps", "2", "--no-densify"]).ok();
 }
 
-/// Asks for the thing in the middle of view 0: in itself, in view 1, and in view 2 of which only the camera is told. The
-/// regions on disk say where it is.
+/// Requests masks of the thing at the center of view 0. Compares them with the region maps. Frames are view 0, view 1,
+/// and view 2 of which only the camera is sent.
 #[track_caller]
 fn assert_masks(scene: &Scene, command: &str) {
     let mut provider = Provider::start(&ProviderOptions::new(command)).unwrap();
@@ -170,7 +170,7 @@ fn assert_masks(scene: &Scene, command: &str) {
     let rendered = |i: usize| {
         let camera = &scene.views[i].camera;
         let view = (i < 2).then_some(camera.name.as_str());
-        Picture { view, camera: Some(camera), ..Picture::srgb(&images[i]) }
+        ProviderImage { view, camera: Some(camera), ..ProviderImage::srgb(&images[i]) }
     };
     let masks = provider.masks(&[rendered(0), rendered(1), rendered(2)], Some([20.5, 16.5])).unwrap();
     let ids: Vec<Vec<u16>> = (0..3).map(|i| scene.region_prior(i).unwrap().unwrap().ids).collect();
@@ -181,45 +181,45 @@ fn assert_masks(scene: &Scene, command: &str) {
     }
     let there = masks.frames[2].iter().filter(|m| **m).count();
     assert!((20..40 * 32 - 20).contains(&there), "{there} pixels say nothing");
-    // Nothing is known about such images but their colors.
-    let plain = provider.masks(&[0, 0, 0].map(|i| Picture::srgb(&images[i])), Some([20.5, 16.5])).unwrap();
+    // Images without a name or a camera carry only their colors.
+    let plain = provider.masks(&[0, 0, 0].map(|i| ProviderImage::srgb(&images[i])), Some([20.5, 16.5])).unwrap();
     assert!(plain.frames[0][16 * 40 + 20] && plain.frames[1] == plain.frames[0]);
 }
 
 #[test]
-fn regions_of_single_images_never_meet() {
+fn region_ids_of_single_images_are_distinct() {
     let place = room();
     let ids = |view: usize| open(&place).region_prior(view).unwrap().map(|r| r.ids[0]);
     assert_eq!(counts(priors(&place, "misbehave=nothing", &["--only", "masks"])), (4, 0));
     let mut first: Vec<u16> = [0, 2, 3, 4].into_iter().filter_map(ids).collect();
     assert_eq!(first, [1, 2, 3, 4]);
-    // Later ones begin above what there is.
+    // New ids start above the existing ones.
     assert_eq!(counts(priors(&place, "misbehave=nothing", &["--only", "masks", "--views", "all"])), (1, 4));
     first.extend(ids(1));
     assert_eq!(first, [1, 2, 3, 4, 5]);
-    // Made again, all numbers are free again.
+    // With `--force`, all ids are free again.
     let again = &["--only", "masks", "--views", "all", "--force"];
     assert_eq!(counts(priors(&place, "misbehave=nothing", again)), (5, 0));
     assert_eq!((0..5).filter_map(ids).collect::<Vec<_>>(), [1, 2, 3, 4, 5]);
 }
 
 #[test]
-fn smaller_answers_and_unknown_pixels_are_stored_so() {
+fn smaller_answers_and_unknown_pixels_are_stored() {
     let place = room();
-    // It wants at most 16 columns of linear light.
+    // The provider requests linear images of at most 16 columns.
     assert_eq!(counts(priors(&place, "misbehave=linear", &["--only", "normal"])), (4, 0));
     let stored = read_exr(&place.path("scene/priors/normal/000.exr")).unwrap().image;
     assert_eq!((stored.width, stored.height), (16, 12));
     let loaded = open(&place).normal_prior(0).unwrap().unwrap();
     assert_eq!((loaded.width, loaded.height), (32, 24));
-    // One value of the albedo is not a number: one pixel is unknown.
+    // One albedo value is NaN, so one pixel is unknown.
     assert_eq!(counts(priors(&place, "misbehave=nan", &["--only", "albedo"])), (4, 0));
     let albedo = open(&place).albedo_prior(0).unwrap().unwrap();
     assert_eq!((albedo.valid.data[0], albedo.valid.data.iter().sum::<f32>()), (0.0, 767.0));
 }
 
 #[test]
-fn each_failure_is_one_sentence_and_leaves_whole_files() {
+fn failed_prior_extraction_reports_one_error_and_leaves_no_files() {
     let place = room();
     let refused = |how: &str, more: &[&str], words: &[&str]| {
         priors(&place, how, more).refused(words);
@@ -261,9 +261,9 @@ fn interrupted_prior_extraction_resumes() {
     assert!(finished.stderr.contains(&format!("wrote {} files, kept {there}", 5 - there)), "{}", finished.stderr);
 }
 
-/// What `vggt` writes, from numbers that are known here.
+/// Tests that files as `vggt` writes them are read back exactly.
 #[test]
-fn cameras_and_points_from_python_are_read_as_they_were() {
+fn cameras_and_points_written_by_python_are_read_exactly() {
     let place = Place::new(Room { views: 5, ..Room::default() });
     let cameras = Room { views: 5, ..Room::default() }.cameras();
     let views: Vec<_> = cameras

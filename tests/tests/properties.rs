@@ -1,5 +1,6 @@
-//! Images and training steps of Gaussians whose every number is drawn log-uniformly, against the double-precision reference.
-//! What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
+//! Images and training steps of random Gaussians against the reference. The reference is in double precision. Every
+//! number is drawn log-uniformly, and failures are shrunk. Draws are the same in every run; `SGS_TEST_CASES` sets their
+//! number.
 
 use glam::{DMat3, DVec2, DVec3};
 use proptest::prelude::*;
@@ -12,10 +13,10 @@ use sgs_passes::splat::BackwardKernel;
 use sgs_tests::drawn::runner;
 use sgs_tests::drawn::scenes::{blurred, few, rounded, scene};
 use sgs_tests::gradients::{Case, parameters};
-use sgs_tests::whole::{BACKGROUND, picture, steps};
+use sgs_tests::whole::{BACKGROUND, rendered, steps};
 use sgs_tests::{Gpu, scenes};
 
-/// Largest difference where the reference is sure, of the largest color that there is.
+/// Largest allowed color difference at conclusive pixels. The largest color is about 1.
 const LARGEST: f64 = 2e-3;
 
 #[test]
@@ -23,7 +24,7 @@ fn rendered_images_match_reference() {
     let gpu = Gpu::new();
     let (mut sure, mut all, mut seen, mut clear) = (0, 0, 0, 0);
     let result = runner(96).run(&scene(), |(g, camera)| {
-        let (image, transmittance) = picture(&gpu, &g, &camera).map_err(|e| TestCaseError::fail(e.to_string()))?;
+        let (image, transmittance) = rendered(&gpu, &g, &camera).map_err(|e| TestCaseError::fail(e.to_string()))?;
         prop_assert!(image.iter().chain(&transmittance).all(|v| v.is_finite()));
         if blurred(&g, &camera) {
             return Ok(());
@@ -38,7 +39,7 @@ fn rendered_images_match_reference() {
         Ok(())
     });
     result.unwrap_or_else(|e| panic!("{e}"));
-    // That there is something to compare.
+    // Counts how much the draws give to compare.
     let mut look = runner(96);
     for _ in 0..96 {
         let (g, camera) = scene().new_tree(&mut look).unwrap().current();
@@ -63,7 +64,8 @@ const GROUPS: [Group; 8] = [
     Group::Sh3,
 ];
 
-/// By how much a number of a group changes what is seen: what a pixel is of a center, a radian of a quaternion, else one.
+/// Returns the step of a parameter that changes the image by a comparable amount. The step is a pixel for a mean, a
+/// radian for a quaternion, and one otherwise.
 fn unit(case: &Case, group: Group, i: usize) -> f64 {
     let g = &case.gaussians;
     let gaussian = i / group.width() as usize;
@@ -77,8 +79,8 @@ fn unit(case: &Case, group: Group, i: usize) -> f64 {
     }
 }
 
-/// The reference's central differences at two steps, in [`unit`]s, by group; none where they disagree, because a threshold
-/// lies between.
+/// Returns the reference's central differences by group, per [`unit`]. An entry is `None` where two step sizes disagree
+/// because a threshold lies between them.
 fn differences(case: &Case) -> Vec<Vec<Option<f64>>> {
     let difference = |group: Group, i: usize| {
         let unit = unit(case, group, i);
@@ -102,15 +104,15 @@ fn differences(case: &Case) -> Vec<Vec<Option<f64>>> {
     GROUPS.iter().map(all).chain([pose_differences(case)]).collect()
 }
 
-/// What a number of the camera's pose, rows of the rotation and then the translation, changes as [`unit`] says: a pixel, or a radian.
-/// Of the nearest Gaussian.
+/// Returns the step of a pose parameter, comparable to [`unit`]. Parameters are the rotation's rows and then the
+/// translation. The step is a pixel at the nearest Gaussian, or a radian.
 fn pose_unit(case: &Case, i: usize) -> f64 {
     let nearest = (0..case.gaussians.len()).map(|k| unit(case, Group::Means, 3 * k)).fold(f64::INFINITY, f64::min);
     let far = case.gaussians.means.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     if i < 9 { (nearest / far).min(1.0) } else { nearest }
 }
 
-/// The same of the pose.
+/// Returns central differences of the reference per pose parameter. Steps are in [`pose_unit`]s.
 fn pose_differences(case: &Case) -> Vec<Option<f64>> {
     let difference = |i: usize| {
         let unit = pose_unit(case, i);
@@ -133,12 +135,13 @@ fn pose_differences(case: &Case) -> Vec<Option<f64>> {
     (0..12).map(difference).collect()
 }
 
-/// The case as it might be after rounding in single precision.
+/// Returns the case as single precision might round it; `way` selects the rounding.
 fn after_rounding(case: &Case, way: u64) -> Case {
     Case { gaussians: rounded(&case.gaussians, &case.camera, way), ..case.clone() }
 }
 
-/// Gradients of a scene of a few Gaussians; how many were compared, and how many lie at thresholds.
+/// Compares the gradients of a scene of a few Gaussians. Returns how many numbers were compared and how many lie at
+/// thresholds.
 fn check_gradients(gpu: &Gpu, g: &Gaussians, camera: &Camera) -> Result<[usize; 2], TestCaseError> {
     let mut case = Case::seen(g.clone(), *camera, false);
     let truth = case.reference(g, camera);
@@ -151,7 +154,8 @@ fn check_gradients(gpu: &Gpu, g: &Gaussians, camera: &Camera) -> Result<[usize; 
     compare(&case, seen, &found, &pose)
 }
 
-/// The same, of gradients that were found; `seen` is how much of all pixels the scene fills.
+/// Compares gradients with the reference's differences; returns the same counts. `seen` is the sum of the opacities of
+/// all pixels.
 fn compare(case: &Case, seen: f64, found: &[Vec<f32>], pose: &[f32]) -> Result<[usize; 2], TestCaseError> {
     prop_assert!(found.iter().flatten().chain(pose).all(|v| v.is_finite()));
     let expected = differences(case);
@@ -160,7 +164,7 @@ fn compare(case: &Case, seen: f64, found: &[Vec<f32>], pose: &[f32]) -> Result<[
     let groups = GROUPS.iter().map(|group| (group.name(), &found[*group as usize]));
     for (k, (name, found)) in groups.map(|(name, found)| (name, &found[..])).chain([("pose", pose)]).enumerate() {
         for (i, found) in found.iter().enumerate() {
-            // Where rounding may take it over a threshold there is nothing to compare either.
+            // Parameters that rounding may move across a threshold are not compared.
             let moved: Option<Vec<f64>> = others.iter().map(|other| other[k][i]).collect();
             let (Some(fine), Some(moved)) = (expected[k][i], moved) else {
                 skipped += 1;
@@ -195,7 +199,7 @@ fn render_gradients_match_reference() {
     assert!(scenes > 30 && compared > 500 && skipped * 4 < compared, "{:?}", counts.get());
 }
 
-/// A gradient that is a fiftieth too large, and one that is lost, are noticed.
+/// Tests that a gradient 2 % too large and a lost gradient are detected.
 #[test]
 fn checks_of_gradients_can_fail() {
     let gpu = Gpu::new();
@@ -232,7 +236,7 @@ fn steps_leave_finite_parameters() {
     result.unwrap_or_else(|e| panic!("{e}"));
 }
 
-/// What is wrong is found, and made small: of many Gaussians one that shows is enough.
+/// Tests that a failure is found and shrunk to at most two Gaussians.
 #[test]
 fn failures_are_found_and_shrunk() {
     let result = runner(96).run(&scene(), |(g, camera)| {
@@ -244,8 +248,8 @@ fn failures_are_found_and_shrunk() {
     assert!(g.len() <= 2, "{} Gaussians are left", g.len());
 }
 
-/// What was drawn once and not compared rightly, since the reference's own determinant had lost its digits: a needle of
-/// condition 1e17.
+/// Tests an anisotropic Gaussian of condition number 1e17. A draw once found it: the reference's own determinant had
+/// lost its digits.
 #[test]
 fn gaussian_of_condition_1e17_is_rendered_in_place() {
     let turn = DMat3::from_cols_array_2d(&[
@@ -269,7 +273,7 @@ fn gaussian_of_condition_1e17_is_rendered_in_place() {
         ..Default::default()
     };
     g.sh[0] = vec![0.0; 3];
-    let (image, _) = picture(&Gpu::new(), &g, &camera).unwrap();
+    let (image, _) = rendered(&Gpu::new(), &g, &camera).unwrap();
     let truth = render(&g, &camera, 0, false, BACKGROUND);
     let off = image.iter().zip(&truth.image).map(|(a, b)| (f64::from(*a) - b).abs()).fold(0.0, f64::max);
     assert!(off < LARGEST && truth.doubtful.iter().filter(|d| **d).count() < 8, "{off}");

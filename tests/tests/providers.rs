@@ -1,6 +1,6 @@
-//! Providers, each a real `python3`: every way to misbehave has its one sentence, and nothing is left behind.
+//! Providers, each a real `python3`: each kind of misbehavior gets an error of one sentence. No process is left behind.
 
-use sgs_provider::{Encoding, Fallback, Helper, Picture, Provider, ProviderError, ProviderOptions, Result};
+use sgs_provider::{Encoding, Fallback, Helper, Provider, ProviderError, ProviderImage, ProviderOptions, Result};
 use sgs_scene::{Image, NormalFrame};
 use sgs_tests::priors::provider;
 use std::sync::{Arc, Mutex};
@@ -19,12 +19,13 @@ fn image(width: u32, height: u32) -> Image {
     Image::from_data(width, height, 3, data).unwrap()
 }
 
-/// Asks for normals of a small image.
+/// Requests normals of a small image.
 fn ask(options: &ProviderOptions) -> Result<sgs_provider::Normals> {
-    Provider::start(options)?.normals(&Picture::srgb(&image(6, 4)))
+    Provider::start(options)?.normals(&ProviderImage::srgb(&image(6, 4)))
 }
 
-/// The sentence of a failure, without the provider's command; fails unless there is one of bearable length.
+/// Returns an error's message with the provider's command replaced. Fails unless the message names the command and is a
+/// single line of less than 900 bytes.
 #[track_caller]
 fn sentence(options: &ProviderOptions, error: ProviderError) -> String {
     let text = error.to_string();
@@ -47,7 +48,7 @@ fn working_provider_answers() {
     assert_eq!(provider.about().name, "misbehave nothing");
     assert_eq!(provider.about().list(), "masks, materials, normals, regions, semantics, text");
     let rendered = image(6, 4);
-    let rendered = Picture::srgb(&rendered);
+    let rendered = ProviderImage::srgb(&rendered);
     let normals = provider.normals(&rendered).unwrap();
     assert_eq!((normals.frame, normals.image.pixel(5, 3)), (NormalFrame::CameraOpengl, &[0.0, 0.0, 1.0][..]));
     assert_eq!(provider.regions(&rendered).unwrap().ids, [1; 24]);
@@ -63,7 +64,8 @@ fn working_provider_answers() {
     let offers = "masks, materials, normals, regions, semantics, text";
     assert_eq!(error, format!("the provider it does not offer classes; it offers {offers}"));
     let other = image(5, 4);
-    let error = provider.masks(&[rendered.clone(), Picture::srgb(&other), rendered], None).unwrap_err().to_string();
+    let error =
+        provider.masks(&[rendered.clone(), ProviderImage::srgb(&other), rendered], None).unwrap_err().to_string();
     assert_eq!(error, "masks cannot be asked: the frames differ in size");
 }
 
@@ -72,8 +74,8 @@ fn images_are_sent_in_the_requested_format() {
     let mut provider = Provider::start(&options("linear")).unwrap();
     let offer = provider.about().offers["normals"].clone();
     assert_eq!((offer.image, offer.max_side), (Encoding::Linear, Some(16)));
-    // It answers in the size of what it got.
-    let normals = provider.normals(&Picture::srgb(&image(40, 20))).unwrap();
+    // The answer has the size of the image that was sent.
+    let normals = provider.normals(&ProviderImage::srgb(&image(40, 20))).unwrap();
     assert_eq!((normals.image.width, normals.image.height), (16, 8));
 }
 
@@ -135,9 +137,9 @@ fn provider_that_stops_reading_times_out() {
     let options = impatient("stop-reading");
     let mut provider = Provider::start(&options).unwrap();
     let large = image(600, 400);
-    let message = sentence(&options, provider.normals(&Picture::srgb(&large)).unwrap_err());
+    let message = sentence(&options, provider.normals(&ProviderImage::srgb(&large)).unwrap_err());
     assert!(message.starts_with("the provider it gave no answer to normals within 0.7 s"), "{message}");
-    let message = sentence(&options, provider.normals(&Picture::srgb(&large)).unwrap_err());
+    let message = sentence(&options, provider.normals(&ProviderImage::srgb(&large)).unwrap_err());
     assert_eq!(message, "the provider it has been stopped after an earlier failure");
 }
 
@@ -147,10 +149,10 @@ fn slow_and_verbose_providers_are_read_to_the_end() {
         let normals = ask(&options(how)).unwrap_or_else(|e| panic!("{how}: {e}"));
         assert_eq!(normals.image.data.len(), 72, "{how}");
     }
-    // Large questions and answers, both ways at once.
+    // Large requests and answers travel in both directions at once.
     let mut provider = Provider::start(&options("nothing")).unwrap();
     let large = image(900, 700);
-    assert_eq!(provider.normals(&Picture::srgb(&large)).unwrap().image.data.len(), 900 * 700 * 3);
+    assert_eq!(provider.normals(&ProviderImage::srgb(&large)).unwrap().image.data.len(), 900 * 700 * 3);
 }
 
 #[test]
@@ -193,7 +195,7 @@ fn malformed_answers_are_reported() {
 #[test]
 fn malformed_answers_of_other_kinds_are_reported() {
     let rendered = image(6, 4);
-    let rendered = Picture::srgb(&rendered);
+    let rendered = ProviderImage::srgb(&rendered);
     let start = |how: &str| Provider::start(&options(how)).unwrap();
     let message = |how: &str, error: ProviderError| sentence(&options(how), error);
     let error = start("nan").semantics(&rendered).unwrap_err();
@@ -207,7 +209,7 @@ fn malformed_answers_of_other_kinds_are_reported() {
     assert!(message("wrong-names", error).contains("must be the names that were asked about"));
     let error = start("wrong-color").materials(&rendered, &["albedo"]).unwrap_err();
     assert!(message("wrong-color", error).ends_with("must be \"srgb\" or \"linear\", but is \"cmyk\""));
-    // Where the protocol allows it, not-a-number says that nothing is known.
+    // Where the protocol allows NaN, NaN marks unknown values.
     assert_eq!(start("nan").normals(&rendered).unwrap().image.data[..6], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
     let albedo = start("nan").materials(&rendered, &["albedo"]).unwrap().albedo.unwrap();
     assert!(albedo.data[2].is_nan() && albedo.data[3] == 0.5);
@@ -243,12 +245,12 @@ fn provider_survives_a_refused_request() {
     let options = options("refuse");
     let mut provider = Provider::start(&options).unwrap();
     for _ in 0..2 {
-        let error = provider.normals(&Picture::srgb(&image(6, 4))).unwrap_err();
+        let error = provider.normals(&ProviderImage::srgb(&image(6, 4))).unwrap_err();
         assert_eq!(sentence(&options, error), "the provider it cannot answer normals: no such thing is known");
     }
 }
 
-/// The processes that were started with a word among their arguments.
+/// Counts the processes with a given word among their arguments.
 fn running(word: &str) -> usize {
     let entries = std::fs::read_dir("/proc").unwrap().flatten();
     let alive = |pid: &std::path::Path| {
@@ -260,17 +262,17 @@ fn running(word: &str) -> usize {
 
 #[test]
 fn provider_process_ends_on_drop() {
-    // One that ends when its input does, one that does not, one amid a question, and one with a child of its own.
+    // The provider ends with its input, ignores its end, is busy with a request, or has a child process.
     for how in ["nothing", "stay", "hang", "hang-deaf"] {
         let mark = format!("--code={how}-{}", std::process::id());
         let mut options = impatient(how);
         options.command = format!("{} {mark}", options.command);
         let mut provider = Provider::start(&options).unwrap();
         assert_eq!(running(&mark), 1, "the check itself");
-        let _ = provider.normals(&Picture::srgb(&image(6, 4)));
+        let _ = provider.normals(&ProviderImage::srgb(&image(6, 4)));
         let begun = Instant::now();
         drop(provider);
-        // Killed they are, but a grandchild may take a moment to be gone.
+        // All are killed, but a grandchild may take a moment to exit.
         while running(&mark) > 0 && begun.elapsed() < Duration::from_secs(20) {
             std::thread::sleep(Duration::from_millis(5));
         }
@@ -279,7 +281,7 @@ fn provider_process_ends_on_drop() {
     }
 }
 
-/// What is logged in this thread while something runs.
+/// Returns the log of this thread while `run` runs.
 fn logged(run: impl FnOnce()) -> String {
     #[derive(Clone, Default)]
     struct Sink(Arc<Mutex<Vec<u8>>>);
@@ -312,7 +314,7 @@ fn standard_error_goes_to_the_log() {
 #[test]
 fn optional_provider_failure_is_logged_once() {
     let rendered = image(6, 4);
-    let rendered = Picture::srgb(&rendered);
+    let rendered = ProviderImage::srgb(&rendered);
     let log = logged(|| {
         let mut helper = Helper::start(&options("exit"), Fallback::GoOn).unwrap();
         assert!(helper.is_there());

@@ -1,12 +1,12 @@
-//! The quality gate: both stages on the small room of `tests/data/room`, measured at its test views.
+//! Quality gate: both stages on the small room of `tests/data/room`, measured at its test views.
 
 use serde_json::Value;
 use sgs_tests::cli::sgs;
 use std::path::Path;
 
-/// A metric, the bound it must keep, and whether more is better.
+/// Metric with its bound and direction.
 struct Gate {
-    /// Where it stands among the means.
+    /// JSON pointer among the means.
     metric: &'static str,
     bound: f64,
     more_is_better: bool,
@@ -20,8 +20,8 @@ const fn at_most(metric: &'static str, bound: f64) -> Gate {
     Gate { metric, bound, more_is_better: false }
 }
 
-/// Bounds: the worst of three seeds with a margin of 0.7 dB, a tenth of an angle or an error, and 0.03 of accuracy. Each line ends
-/// with the figures of the seeds 1, 2 and 3.
+/// Bounds, each the worst of three seeds plus a margin. Margins are 0.7 dB, a tenth of an angle or an error, and 0.03
+/// of accuracy. Each line ends with the results of the seeds 1, 2 and 3.
 #[rustfmt::skip]
 const GATES: [Gate; 11] = [
     at_least("/nvs/psnr", 22.97),             // 23.67, 23.71, 23.67
@@ -37,7 +37,7 @@ const GATES: [Gate; 11] = [
     at_least("/relit/mean/psnr_gain", 14.17), // 14.88, 14.87, 15.06
 ];
 
-/// What misses its bound, or is not measured at all; one sentence each.
+/// Returns a sentence for each metric that misses its bound or is absent.
 fn misses(mean: &Value, gates: &[Gate]) -> Vec<String> {
     let miss = |gate: &Gate| {
         let Gate { metric, bound, more_is_better } = gate;
@@ -52,7 +52,7 @@ fn misses(mean: &Value, gates: &[Gate]) -> Vec<String> {
 }
 
 #[test]
-fn both_stages_reach_their_quality() {
+fn both_stages_reach_quality_bounds() {
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room").display().to_string();
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run").display().to_string();
@@ -64,7 +64,7 @@ fn both_stages_reach_their_quality() {
 }
 
 #[test]
-fn a_gate_that_is_missed_is_named() {
+fn missed_bounds_are_named() {
     let mean = serde_json::json!({"nvs": {"psnr": 20.0}, "normal_mae_deg": 12.5});
     let gates = [at_least("/nvs/psnr", 20.5), at_most("/normal_mae_deg", 12.0), at_least("/pbr/psnr", 1.0)];
     let found = misses(&mean, &gates);

@@ -1,7 +1,7 @@
-//! Random graphs on a device, bit for bit against their declaration run one pass after the other on the CPU.
+//! Random graphs on the device, bit for bit against their declaration. A CPU runs the declaration pass by pass.
 //!
-//! `SGS_RANDOM_SEED` runs one graph alone, `SGS_RANDOM_GRAPHS` another number of them, beginning with the seed
-//! `SGS_RANDOM_FIRST`.
+//! `SGS_RANDOM_SEED` runs a single graph. `SGS_RANDOM_GRAPHS` sets the number of graphs, and `SGS_RANDOM_FIRST` the
+//! first seed.
 
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{BufferKind, PassKind, Plan};
@@ -10,10 +10,10 @@ use sgs_tests::Gpu;
 use sgs_tests::random::{Kind, Machine, Op, Recipe, draw};
 use std::sync::Arc;
 
-/// A device with memory that graph after graph uses.
+/// Device with memory that all graphs share.
 struct Bench {
     gpu: Gpu,
-    /// By buffer of a recipe.
+    /// Memory by buffer of a recipe.
     memory: Vec<DeviceBuffer>,
     arena: DeviceBuffer,
 }
@@ -21,7 +21,7 @@ struct Bench {
 impl Bench {
     fn new() -> Bench {
         let gpu = Gpu::new();
-        // Memory that the host sees, so that nothing has to be staged.
+        // Host-visible memory needs no staging.
         let buffer = |name: &str, bytes| gpu.device().buffer(name, bytes, Location::Readback).unwrap();
         let memory = (0..24).map(|index| buffer(&format!("pool {index}"), 1 << 14)).collect();
         let arena = buffer("arena", 1 << 18);
@@ -36,7 +36,7 @@ impl Bench {
         draw(seed, self.device().info().storage_alignment)
     }
 
-    /// Runs a recipe; the first word that is not what it must be, in a sentence.
+    /// Runs a recipe; returns an error that names the first wrong word.
     fn run(&self, recipe: &Recipe, damage: impl FnOnce(&mut Plan)) -> Result<Arc<Plan>, String> {
         let (graph, buffers) = recipe.declare().map_err(|e| e.to_string())?;
         let mut plan = graph.compile(&recipe.options).map_err(|e| e.to_string())?;
@@ -82,7 +82,7 @@ impl Bench {
         Ok(plan)
     }
 
-    /// Runs a recipe as it is. What the layer says counts as much as a wrong word.
+    /// Runs an undamaged recipe. Messages of the validation layer count as failures.
     fn run_clean(&self, recipe: &Recipe) -> Result<Arc<Plan>, String> {
         let outcome = self.run(recipe, |_| {});
         match self.device().messages().take().into_iter().next() {
@@ -91,7 +91,7 @@ impl Bench {
         }
     }
 
-    /// Runs a recipe as it is; on failure says what the fewest passes are that fail too.
+    /// Runs an undamaged recipe; a failure reports the shortest prefix of passes that fails.
     fn check(&self, seed: u32) -> Arc<Plan> {
         let recipe = self.recipe(seed);
         let failure = match self.run_clean(&recipe) {
@@ -141,13 +141,13 @@ fn random_graphs_compute_what_they_declare() {
         "{count} graphs: {running} passes, {transfers} of them transfers, {indirect} indirect; {dropped} dropped; \
          {wide} groups of several; {shared} arenas shared"
     );
-    // What the test is worth: there must be plenty of everything.
+    // The test is meaningful only if the graphs are varied.
     let n = count as usize;
     assert!(running > 6 * n && wide > n / 2 && dropped > n && shared > n / 10, "the graphs are trivial");
     assert!(transfers > n / 2 && indirect > n / 4, "the graphs are all alike");
 }
 
-/// Another seed for the last pass that runs and has one.
+/// Changes the seed of the last pass that has one.
 fn reseed(plan: &mut Plan) -> bool {
     for pass in plan.groups.iter().rev().flat_map(|group| group.passes.clone()).collect::<Vec<_>>() {
         if let PassKind::Compute { push, shader, .. } = &mut plan.passes[pass].kind
@@ -160,7 +160,7 @@ fn reseed(plan: &mut Plan) -> bool {
     false
 }
 
-/// The first two groups that depend on each other, in the wrong order.
+/// Swaps the first two consecutive groups that depend on each other.
 fn swap(plan: &mut Plan) -> bool {
     let follows = plan.dependencies();
     for at in 1..plan.groups.len() {
@@ -174,7 +174,7 @@ fn swap(plan: &mut Plan) -> bool {
     false
 }
 
-/// Two transients that live at the same time, in the same place.
+/// Places two transients with overlapping lifetimes at the same offset.
 fn overlap(plan: &mut Plan) -> bool {
     let lives = plan.lifetimes();
     for first in 0..lives.len() {
@@ -192,7 +192,7 @@ fn overlap(plan: &mut Plan) -> bool {
 }
 
 #[test]
-fn wrong_plans_are_noticed() {
+fn wrong_plans_are_detected() {
     let bench = Bench::new();
     type Damage = fn(&mut Plan) -> bool;
     let damages: [(&str, Damage); 3] = [("reseed", reseed), ("swap", swap), ("overlap", overlap)];
@@ -200,7 +200,7 @@ fn wrong_plans_are_noticed() {
         let [mut damaged, mut noticed] = [0; 2];
         for seed in 0..800 {
             let recipe = bench.recipe(seed);
-            // Group counts of a wrong plan may be anything.
+            // A wrong plan may produce arbitrary group counts.
             if recipe.ops.iter().any(|op| matches!(op, Op::Run { kernel: "counts", .. })) {
                 continue;
             }
@@ -212,6 +212,6 @@ fn wrong_plans_are_noticed() {
         println!("{what}: {noticed} of {damaged} noticed");
         assert!(damaged >= 10 && 10 * noticed >= 5 * damaged, "{what}: only {noticed} of {damaged} are noticed");
     }
-    // What the layers say of wrong plans is not this test's business.
+    // Messages of the layers about wrong plans are not tested here.
     bench.device().messages().take();
 }

@@ -1,10 +1,10 @@
-//! Regions of a training view, and the same regions in a pseudo-view: bits of a device against the references, and against
-//! what can be seen of a room of two flat things.
+//! Regions of a training view and the same regions in a pseudo-view. The device's bits are tested against references
+//! and against the geometry of a room with a wall and a panel.
 
 use glam::{DMat3, DVec3};
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::loss::{CarryOptions, Seen, carry_mask, pack_mask, pack_regions, region_mask};
-use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::pipeline::{RenderedImage, Renderer};
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::reference::region_mask as reference;
 use sgs_passes::reference::region_mask::{Carried, View};
@@ -18,7 +18,7 @@ const LARGEST: [u32; 2] = [53, 41];
 const MASK_OFFSET: usize = 3;
 const DEPTH: Channels = Channels { colors: true, normals: false, depth: true };
 const ALL: Channels = Channels { colors: true, normals: true, depth: true };
-/// What single precision may decide either way.
+/// Margin below which single precision may decide either way.
 const UNSURE: f64 = 1e-3;
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -29,7 +29,7 @@ fn is_set(words: &[u32], pixel: usize) -> bool {
     words[pixel / 32] >> (pixel % 32) & 1 == 1
 }
 
-/// Words of a mask of the largest view, as they should be.
+/// Returns the expected words of a mask, at the capacity of the largest view.
 fn expected_words(mask: &[bool], largest: [u32; 2]) -> Vec<u32> {
     let mut words = pack_mask(mask);
     words.resize(wanted_words(u64::from(largest[0] * largest[1])) as usize, 0);
@@ -41,13 +41,13 @@ fn screen(g: &mut Graph, name: &str, largest: [u32; 2], values: Step) -> (Screen
     (Screen { step, largest, tile: [8, 8] }, (step, bytes(&[values])))
 }
 
-/// Runs `region_mask` for a view whose ids begin at an offset among ones of other views.
+/// Runs `region_mask` for a view whose ids start at `offset` in a shared buffer.
 fn regions(gpu: &Gpu, size: [u32; 2], ids: &[u16], offset: usize, region: u32) -> Vec<u32> {
     let mut g = Graph::new("region_mask");
     let mut values = Step { target_offset: offset as u32, region, ..Default::default() };
     values.camera.size = size;
     let (screen, uniform) = screen(&mut g, "view", LARGEST, values);
-    // Ids before and after are those of the region.
+    // Ids before and after those of the view equal the region.
     let all = [vec![region as u16; offset], ids.to_vec(), vec![region as u16; 3]].concat();
     let packed = pack_regions(&all);
     let given = g.input("ids", 4 * packed.len() as u64);
@@ -70,17 +70,17 @@ fn a_region_is_the_pixels_with_its_id() {
     }
 }
 
-/// One training view, its mask and one pseudo-view.
+/// Training view with its mask and a pseudo-view.
 struct Case {
     trained: View,
     mask: Vec<bool>,
     pseudo: View,
-    /// Of the training view and the pseudo-view.
+    /// Channels of the training view and the pseudo-view.
     channels: [Channels; 2],
     options: CarryOptions,
 }
 
-/// Puts a view with only its depth and transmittance into a graph; all other numbers are not numbers.
+/// Adds a view with its depth and transmittance to a graph. All other channels are NaN.
 fn seen(g: &mut Graph, name: &str, view: &View, channels: Channels, values: Step) -> (Seen, Vec<(Buffer, Vec<u8>)>) {
     let camera = scenes::gpu_camera(&view.camera);
     let (screen, uniform) = screen(g, name, LARGEST, Step { camera, ..values });
@@ -117,7 +117,7 @@ fn expected(c: &Case) -> Vec<Carried> {
     reference::carry_mask(&c.trained, &c.mask, &c.pseudo, o, t)
 }
 
-/// Pixels that are wrong, and how many were too close to call.
+/// Returns the wrong pixels and the number of inconclusive ones.
 fn wrong(expected: &[Carried], words: &[u32]) -> (Vec<usize>, usize) {
     let differs = |p: &usize| expected[*p].margin > UNSURE && expected[*p].inside != is_set(words, *p);
     ((0..expected.len()).filter(differs).collect(), expected.iter().filter(|c| c.margin <= UNSURE).count())
@@ -134,7 +134,7 @@ fn check(gpu: &Gpu, what: &str, c: &Case) -> usize {
     expected.iter().filter(|c| c.inside).count()
 }
 
-/// Where a ray of a camera meets the plane z = `depth(x, y)` of the world, roughly: wavy walls, seen as a depth.
+/// Creates a view of wavy walls at a depth of about 3. Depths are multiplied by the opacity, which is random.
 fn wavy(camera: Camera, rng: &mut Rng) -> View {
     let pixels = (camera.size[0] * camera.size[1]) as usize;
     let mut view = View { camera, depth: vec![0.0; pixels], transmittance: vec![0.0; pixels] };
@@ -148,7 +148,7 @@ fn wavy(camera: Camera, rng: &mut Rng) -> View {
     view
 }
 
-/// A camera with single-precision numbers, moved and turned from the one of the scenes.
+/// Returns the scenes' camera, moved and turned.
 fn moved(size: [u32; 2], aside: [f64; 3], turn: f64) -> Camera {
     let c = scenes::camera(size);
     let rotation = DMat3::from_rotation_y(turn) * c.rotation;
@@ -178,10 +178,10 @@ fn carried_mask_matches_reference() {
         inside += check(&gpu, &format!("case {i}"), &case(sizes, aside, turn, channels, i as u64));
     }
     assert!(inside > 500, "only {inside} pixels are in the regions");
-    // Everything behind the training camera, and everything beside its image.
+    // No pixel is in front of the training camera, or none is inside its image.
     assert_eq!(check(&gpu, "behind", &case([LARGEST; 2], [0.0; 3], 3.0, [DEPTH; 2], 1)), 0);
     assert_eq!(check(&gpu, "beside", &case([LARGEST; 2], [50.0, 0.0, 0.0], 0.0, [DEPTH; 2], 1)), 0);
-    // Another tolerance and opacity.
+    // A larger tolerance and a smaller opacity carry more pixels.
     let mut other = case([LARGEST; 2], [0.2, 0.0, 0.0], 0.05, [DEPTH; 2], 3);
     let usual = check(&gpu, "usual", &other);
     other.options = CarryOptions { least_opacity: 0.1, tolerance: 0.2 };
@@ -211,7 +211,7 @@ fn non_finite_values_are_outside_masks() {
         let sound = depth.is_finite() && *depth > 0.0 && opacity >= 0.4999;
         assert!(sound || !is_set(&words, p), "pixel {p} has no depth, but is in the region");
     }
-    // Cameras that are none.
+    // Cameras with a non-finite or huge translation carry nothing.
     for broken in [f64::NAN, f64::INFINITY, 1e30] {
         let mut c = case([LARGEST; 2], [0.0; 3], 0.0, [DEPTH; 2], 6);
         c.trained.camera.translation.x = broken;
@@ -232,14 +232,15 @@ fn without_depth_nothing_is_carried() {
 }
 
 #[test]
-fn carried_masks_are_the_same_every_time() {
+fn carried_masks_are_deterministic() {
     let gpu = Gpu::new();
     let c = case([LARGEST; 2], [0.1, 0.1, 0.0], 0.03, [DEPTH, ALL], 8);
     let first = carried(&gpu, &c);
     assert!((0..3).all(|_| carried(&gpu, &c) == first));
 }
 
-/// The comparison would notice one bit, a principal point that is taken for central, and a pose that is inverted.
+/// Tests that the comparison detects planted errors. Errors are: one bit, a principal point taken for central, an
+/// inverted pose.
 #[test]
 fn comparisons_of_masks_can_fail() {
     let c = case([LARGEST; 2], [0.2, -0.1, 0.1], 0.07, [DEPTH; 2], 9);
@@ -264,7 +265,7 @@ const PANEL: f64 = 2.5;
 const HALF: f64 = 0.5;
 const VIEW: [u32; 2] = [128, 96];
 
-/// What a ray from a point meets first: the panel or the wall, and where.
+/// Returns the first hit of a ray and whether that is the panel; otherwise the wall.
 fn hit(from: DVec3, along: DVec3) -> (bool, DVec3) {
     let at = |z: f64| from + along * ((z - from.z) / along.z);
     let panel = at(PANEL);
@@ -272,7 +273,7 @@ fn hit(from: DVec3, along: DVec3) -> (bool, DVec3) {
     if meets { (true, panel) } else { (false, at(WALL)) }
 }
 
-/// Region ids of what a camera sees: 1 is the panel, 2 the wall's left part, 3 its right part.
+/// Returns the region id of a hit. 1 is the panel, 2 the wall's left part, 3 its right part.
 fn id_at((panel, point): (bool, DVec3)) -> u16 {
     if panel { 1 } else { 2 + u16::from(point.x > 0.6) }
 }
@@ -283,7 +284,7 @@ fn ray(c: &Camera, pixel: usize) -> (DVec3, DVec3) {
     (-(c.rotation.transpose() * c.translation), c.rotation.transpose() * along)
 }
 
-/// Whether a camera sees a point: inside its image, with nothing before it.
+/// Returns whether a camera sees a point: inside the image and not occluded.
 fn sees(c: &Camera, point: DVec3) -> bool {
     let p = c.rotation * point + c.translation;
     let at = [c.focal.x * p.x / p.z + c.center.x, c.focal.y * p.y / p.z + c.center.y];
@@ -292,7 +293,7 @@ fn sees(c: &Camera, point: DVec3) -> bool {
     p.z > 0.0 && inside && (hit(from, point - from).1 - point).length() < 1e-6
 }
 
-/// Pixels whose surroundings are as they are.
+/// Returns which pixels have equal labels all around, within `radius`.
 fn settled(truth: &[u32], size: [u32; 2], radius: i64) -> Vec<bool> {
     let [w, h] = size.map(i64::from);
     let same = |p: i64| {
@@ -303,10 +304,10 @@ fn settled(truth: &[u32], size: [u32; 2], radius: i64) -> Vec<bool> {
     (0..w * h).map(same).collect()
 }
 
-/// The room's image from two cameras, and the regions of the first carried to the second on the device.
+/// Room rendered from two cameras, with the region ids of the first view.
 struct Room {
     cameras: [Camera; 2],
-    pictures: [Picture; 2],
+    images: [RenderedImage; 2],
     ids: Vec<u16>,
 }
 
@@ -321,18 +322,18 @@ impl Room {
             GpuGaussians::new(gpu.device(), Model { sh_degree: 0, ..Default::default() }, n, false).unwrap();
         gaussians.upload(gpu.device(), &scenes::data(&g)).unwrap();
         let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, VIEW, DEPTH).unwrap();
-        let pictures = cameras.map(|c| renderer.render(&gaussians, &scenes::gpu_camera(&c), 0, [0.0; 3]).unwrap());
+        let images = cameras.map(|c| renderer.render(&gaussians, &scenes::gpu_camera(&c), 0, [0.0; 3]).unwrap());
         let pixels = VIEW[0] as usize * VIEW[1] as usize;
         let ids = (0..pixels).map(|p| ray(&cameras[0], p)).map(|(from, along)| id_at(hit(from, along))).collect();
-        Room { cameras, pictures, ids }
+        Room { cameras, images, ids }
     }
 
-    /// Both passes in one graph.
+    /// Carries a region of the first view to the second; runs both passes in one graph.
     fn carried(&self, gpu: &Gpu, region: u32, options: CarryOptions) -> Vec<bool> {
         let mut g = Graph::new("room");
         let mut inputs = Vec::new();
         let mut views = Vec::new();
-        for (i, (camera, rendered)) in self.cameras.iter().zip(&self.pictures).enumerate() {
+        for (i, (camera, rendered)) in self.cameras.iter().zip(&self.images).enumerate() {
             let camera = scenes::gpu_camera(camera);
             let values = Step { camera, region, target_offset: 1, ..Default::default() };
             let (screen, uniform) = screen(&mut g, &format!("view{i}"), VIEW, values);
@@ -353,7 +354,7 @@ impl Room {
         (0..self.ids.len()).map(|p| is_set(&found, p)).collect()
     }
 
-    /// What the second camera sees, pixel by pixel: the region; 10 more where the first camera does not see it.
+    /// Returns the region of each pixel of the second view. 10 is added where the first camera does not see the point.
     fn labels(&self) -> Vec<u32> {
         let one = |p: usize| {
             let (from, along) = ray(&self.cameras[1], p);
@@ -363,10 +364,11 @@ impl Room {
         (0..self.ids.len()).map(one).collect()
     }
 
-    /// Pixels of a region; those where a carried mask is wrong, away from edges; the share of both that is common.
+    /// Compares a carried mask with the labels. Returns the number of pixels of the region, the number of wrong pixels
+    /// away from edges, and the intersection over union.
     fn compare(&self, region: u32, found: &[bool]) -> (usize, usize, f64) {
         let labels = self.labels();
-        // At edges depths are blended from both sides.
+        // At edges, depths of both sides are blended.
         let settled = settled(&labels, VIEW, 3);
         let truth: Vec<bool> = labels.iter().map(|l| *l == region).collect();
         let pairs = truth.iter().zip(found);
@@ -378,7 +380,7 @@ impl Room {
 }
 
 #[test]
-fn regions_of_a_room_are_found_from_another_side() {
+fn room_regions_are_carried_to_another_view() {
     let gpu = Gpu::new();
     let room = Room::new(&gpu);
     for region in 1..=3 {
@@ -387,7 +389,7 @@ fn regions_of_a_room_are_found_from_another_side() {
         assert!(count > 400 && wrong == 0 && common > 0.94, "region {region}: {count}, {wrong}, {common}");
     }
     assert!(room.carried(&gpu, 4, CarryOptions::default()).iter().all(|c| !c));
-    // Without the comparison of depths, the wall behind the panel would count as what hides it.
+    // Without the depth comparison, the wall behind the panel is taken for the panel.
     let found = room.carried(&gpu, 1, CarryOptions { tolerance: 10.0, ..Default::default() });
     let (_, _, common) = room.compare(1, &found);
     assert!(common < 0.86, "{common}");

@@ -11,7 +11,7 @@ use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place};
 use sgs_train::{Intrinsic, PseudoViews};
 
-/// A room with priors of materials and of semantics, without masks, and splats of its points.
+/// Creates a room with material priors and without masks.
 fn stage() -> (Place, Room, Gpu) {
     let (place, room) = place();
     std::fs::remove_dir_all(place.path("scene/priors/masks")).unwrap();
@@ -24,7 +24,7 @@ fn open(place: &Place) -> (Scene, Splats) {
     (scene, splats)
 }
 
-/// Trains 12 steps; steps 3, 6, … compare with pseudo-views, steps 4, 7, … under other lights.
+/// Trains `s.intrinsic.steps` steps. Steps 3, 6, ... compare with pseudo-views; steps 4, 7, ... use other lights.
 fn train(gpu: &Gpu, place: &Place, s: &Settings) -> (Vec<IntrinsicReport>, Splats) {
     let (scene, splats) = open(place);
     let mut reports = Vec::new();
@@ -33,7 +33,7 @@ fn train(gpu: &Gpu, place: &Place, s: &Settings) -> (Vec<IntrinsicReport>, Splat
     (reports, training.splats().unwrap())
 }
 
-/// How many steps compared a region between views, and with the view's own prior.
+/// Returns how many steps compared a region between views and with the own prior.
 fn compared(reports: &[IntrinsicReport]) -> [usize; 2] {
     let count = |of: fn(&IntrinsicReport) -> bool| reports.iter().filter(|r| of(r)).count();
     [
@@ -50,7 +50,7 @@ fn semantic_classes_are_regions_of_the_intrinsic_stage() {
     let (reports, _) = train(&gpu, &place, &settings(12));
     let [views, lights] = compared(&reports);
     assert!(views >= 3 && lights >= 2, "{views} {lights}: {reports:?}");
-    // Who switches semantics off has no classes.
+    // Without semantics, no classes exist.
     let mut off = settings(12);
     off.geometry.semantics = false;
     assert_eq!(compared(&train(&gpu, &place, &off).0), [0, 0]);
@@ -65,7 +65,7 @@ fn masks_of_pseudo_views_replace_depth_in_the_intrinsic_stage() {
     let folder = place.path("scene/priors/masks/pseudo");
     std::fs::create_dir_all(&folder).unwrap();
     let carried = train(&gpu, &place, &s).0;
-    // Masks without any region: no pseudo-view shows what the training view shows.
+    // Masks without any region: no pseudo-view shows the training view's region.
     for camera in PseudoViews::new(&scene, &s.geometry.pseudo).unwrap().cameras() {
         let none = vec![0; (room.size[0] * room.size[1]) as usize];
         write_ids(&folder.join(format!("{}.png", camera.name)), room.size[0], room.size[1], &none).unwrap();
@@ -114,7 +114,7 @@ service.serve(Recorder)
     assert_eq!([0, 1, 2, 3, 4, 5, 6].map(names), [1, 3, 1, 3, 1, 3, 1], "{visible:?}");
     let means = visible.iter().flat_map(|s| s["means"].as_array().unwrap()).map(|m| m.as_f64().unwrap());
     assert!(means.clone().all(f64::is_finite) && means.clone().any(|m| m > 0.0), "{visible:?}");
-    // An interruption changes nothing: the frames of a step depend on the parameters before it.
+    // A resume changes nothing, because a step's frames depend only on the parameters before it.
     let (scene, start) = open(&place);
     let mut first = Intrinsic::new(gpu.device(), &scene, &s, &start).unwrap();
     first.train(5, |_| {}, || true).unwrap();
@@ -124,7 +124,7 @@ service.serve(Recorder)
     second.restore(&place.path("state")).unwrap();
     second.train(12, |_| {}, || true).unwrap();
     assert!(second.splats().unwrap() == splats, "resumed with a provider of masks, splats differ");
-    // Memory is what was announced.
+    // Memory equals the estimate.
     let (taken, needs) = (gpu.device().memory_use().0, *second.needs());
     assert_eq!(taken, needs.total() - needs.staging, "{needs:?}");
 }
@@ -140,7 +140,7 @@ fn the_stand_in_masks_regions_of_the_intrinsic_stage() {
     let (reports, _) = train(&gpu, &place, &s);
     let [views, lights] = compared(&reports);
     assert!(views >= 2 && lights >= 2, "{views} {lights}: {reports:?}");
-    // Without it training goes on, if it may, and compares nothing.
+    // If its failure is tolerated, training continues without comparisons.
     for what in ["misbehave=exit", "misbehave=cannot-load"] {
         s.provider.command = provider(what);
         s.provider.on_failure = Fallback::GoOn;

@@ -1,5 +1,5 @@
-//! Regions of training views and of pseudo-views, from files and semantic maps to bits on the device; cameras of
-//! pseudo-views as a file.
+//! Regions of training views and of pseudo-views. They are loaded from files and semantic maps, and turned into bits on
+//! the device. Cameras of pseudo-views are written as a file.
 
 use half::f16;
 use sgs_config::PseudoOptions;
@@ -15,14 +15,14 @@ use sgs_tests::{Gpu, Place};
 use sgs_train::{PseudoMaps, PseudoViews, RegionMaps, RegionSource, SemanticData};
 
 const SIZE: [u32; 2] = [32, 24];
-/// Pixels of a view.
+/// Number of pixels of a view.
 const PIXELS: usize = 32 * 24;
 
 fn open(place: &Place) -> Scene {
     Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap()
 }
 
-/// Four training views (000, 002, 003, 004) and one test view.
+/// Creates four training views (000, 002, 003, 004) and one test view.
 fn place() -> Place {
     Place::new(Room { views: 5, ..Default::default() })
 }
@@ -34,7 +34,7 @@ fn write_mask(place: &Place, name: &str, size: [u32; 2], id: impl Fn(u32, u32) -
     write_ids(&path, size[0], size[1], &ids).unwrap();
 }
 
-/// Bits of a region on the device, for a view whose ids begin at a pixel of the buffer.
+/// Returns the device's bits of a region. The view's ids start at pixel `first`.
 fn bits(gpu: &Gpu, ids: &[u8], first: u32, region: u32) -> Vec<u32> {
     let mut g = Graph::new("region");
     let step = g.uniform("step", size_of::<Step>() as u64);
@@ -58,7 +58,7 @@ fn masks_of_any_size_become_bits_on_the_device() {
     write_mask(&place, "000", SIZE, |x, y| 1 + u16::from(x >= 20) * 599 * u16::from(y < 12));
     write_mask(&place, "002", [16, 12], |x, _| if x < 4 { 600 } else { 0 });
     write_mask(&place, "003", SIZE, |_, _| 0);
-    // 004 has none at all. Masks of test views are not read.
+    // View 004 has no mask. Masks of test views are not read.
     write_mask(&place, "001", SIZE, |_, _| 77);
     let scene = open(&place);
     let maps = RegionMaps::load(gpu.device(), &scene, None).unwrap().unwrap();
@@ -77,7 +77,7 @@ fn masks_of_any_size_become_bits_on_the_device() {
 }
 
 #[test]
-fn unreadable_masks_are_named_and_empty_ones_are_none() {
+fn unreadable_masks_are_refused_and_empty_ones_ignored() {
     let gpu = Gpu::new();
     let place = place();
     assert_eq!(RegionMaps::load(gpu.device(), &open(&place), None).unwrap(), None);
@@ -94,7 +94,7 @@ fn without_masks_regions_are_the_classes_of_the_targets() {
     let place = place();
     let folder = place.path("scene/priors/semantic");
     std::fs::create_dir_all(&folder).unwrap();
-    // Three classes with unit texts; view 000 has them in three columns, and a cell that says nothing.
+    // Three classes have unit text embeddings. View 000 has them in three columns, and one cell is zero.
     let mut text = vec![0.0_f32; 3 * EMBEDDING];
     (0..3).for_each(|c| text[c * EMBEDDING + c] = 1.0);
     write_npy_f32(&folder.join("text_embeddings.npy"), &[3, EMBEDDING], &text).unwrap();
@@ -107,7 +107,7 @@ fn without_masks_regions_are_the_classes_of_the_targets() {
     let maps = RegionMaps::load(gpu.device(), &scene, Some(&semantic)).unwrap().unwrap();
     assert_eq!(maps.source, RegionSource::Labels);
     let expected = |x: u32, y: u32| {
-        // Samples lie at columns 0, 15.5 and 31, at rows 0 and 23.
+        // Samples lie at columns 0, 15.5 and 31, and at rows 0 and 23.
         let column = if x < 8 {
             0
         } else if x < 24 {
@@ -120,14 +120,14 @@ fn without_masks_regions_are_the_classes_of_the_targets() {
     let all: Vec<u16> = (0..PIXELS as u32).map(|p| expected(p % SIZE[0], p / SIZE[0])).collect();
     assert_eq!(maps.ids(0), all);
     assert!(maps.views[1..].iter().all(|v| v.regions.is_empty()));
-    // Masks come first where there are any.
+    // Masks take precedence over classes.
     write_mask(&place, "004", SIZE, |_, _| 9);
     let maps = RegionMaps::load(gpu.device(), &open(&place), Some(&semantic)).unwrap().unwrap();
     assert_eq!((maps.source, maps.views[3].regions.clone()), (RegionSource::Masks, vec![(9, 768)]));
 }
 
 #[test]
-fn masks_of_pseudo_views_are_all_there_or_none() {
+fn masks_of_pseudo_views_are_complete_or_absent() {
     let gpu = Gpu::new();
     let place = place();
     let scene = open(&place);
@@ -149,7 +149,7 @@ fn masks_of_pseudo_views_are_all_there_or_none() {
         let found = bits(&gpu, &ids, maps.first(v, w, i), u32::from(number(v, w, i)));
         assert_eq!(found, mask_of(|x, _| (8..12).contains(&x)), "{v} {w} {i}");
     }
-    // Training views do not take them for their own.
+    // Training views do not use masks of pseudo-views.
     assert_eq!(RegionMaps::load(gpu.device(), &scene, None).unwrap(), None);
     std::fs::remove_file(place.path("scene/priors/masks/pseudo/002_1_01.png")).unwrap();
     let error = PseudoMaps::load(&scene, &pseudo).unwrap_err().to_string();
@@ -173,7 +173,7 @@ fn cameras_of_pseudo_views_are_written() {
         assert_eq!((&a.name, a.width, a.fx, a.cy), (&b.name, b.width, b.fx, b.cy));
         assert!((a.position() - b.position()).length() < 1e-9);
     }
-    let set = ["poses=2", "neighbors=test", "position=cubic", "lambda_r=0.5"].map(|s| format!("geometry.pseudo.{s}"));
+    let set = ["poses=2", "neighbors=test", "position=cubic"].map(|s| format!("geometry.pseudo.{s}"));
     let options: Vec<&str> = set.iter().flat_map(|s| ["--set", s]).collect();
     sgs(&[&["pseudo", &scene, "-o", &file][..], &options].concat()).ok();
     let found = Camera::read_transforms(&place.path("pseudo.json")).unwrap();
@@ -184,6 +184,6 @@ fn cameras_of_pseudo_views_are_written() {
         sgs(&["pseudo", &scene, "-o", &file, "--set", set]).refused(&[words]);
     };
     refused("geometry.pseudo.poses=0", "geometry.pseudo.poses is 0");
-    refused("geometry.pseudo.lambda_t=nan", "geometry.pseudo.lambda_t is NaN");
+    refused("geometry.pseudo.lambda_t=1", "\"geometry.pseudo.lambda_t\" is not a setting");
     sgs(&["pseudo", &place.text("none"), "-o", &file]).refused(&["none"]);
 }

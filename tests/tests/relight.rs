@@ -1,4 +1,4 @@
-//! Images part by part, and under other light: what edits do to them, and what is refused.
+//! Images of light components and images after edits: effects of edits, and refusals.
 
 use serde_json::json;
 use sgs_run::read_lights;
@@ -7,7 +7,7 @@ use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::Room;
 
-/// A room, and a run of a few steps in `run`.
+/// Creates a room, and a run of a few steps in `run`.
 fn place() -> Place {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let mut a = vec!["train", "", "-o", "", "--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "4"];
@@ -30,7 +30,7 @@ fn place() -> Place {
     place
 }
 
-/// Relights with an edit; images go to a directory.
+/// Runs `sgs relight` with an edit; images go to the directory `into`.
 fn relit(place: &Place, edit: serde_json::Value, into: &str, more: &[&str]) -> Finished {
     std::fs::write(place.path("edit.json"), edit.to_string()).unwrap();
     let (run, cameras) = (place.text("run"), place.text("cameras.json"));
@@ -40,11 +40,11 @@ fn relit(place: &Place, edit: serde_json::Value, into: &str, more: &[&str]) -> F
     sgs(&a)
 }
 
-fn picture(place: &Place, file: &str) -> Image {
+fn rendered(place: &Place, file: &str) -> Image {
     read_exr(&place.path(file)).unwrap().image
 }
 
-/// Largest difference, in units of the largest value.
+/// Returns the largest difference, relative to the largest value of `b`.
 fn apart(a: &Image, b: &Image) -> f32 {
     assert_eq!((a.width, a.height, a.channels), (b.width, b.height, b.channels));
     let largest = b.data.iter().fold(1e-6_f32, |m, v| m.max(v.abs()));
@@ -60,7 +60,7 @@ fn sum(images: &[Image]) -> Image {
 }
 
 #[test]
-fn edits_do_what_they_say_and_nothing_else() {
+fn edits_change_only_what_they_name() {
     let place = place();
     let cameras = place.text("cameras.json");
     let render = |more: &[&str]| {
@@ -70,10 +70,10 @@ fn edits_do_what_they_say_and_nothing_else() {
         sgs(&a)
     };
     render(&["--lights", "--channels", "pbr,direct,env,diffuse,specular,albedo,roughness"]).ok();
-    let of = |name: &str| picture(&place, &format!("all/000_{name}.exr"));
-    // What is written is called what was asked for; some things have two names.
-    let files = |asked: &str| render(&["--channels", asked, "--json"]).ok().json()["files"].to_string();
-    for (asked, called) in [
+    let of = |name: &str| rendered(&place, &format!("all/000_{name}.exr"));
+    // Files are named after the requested channels; some channels have two names.
+    let files = |requested: &str| render(&["--channels", requested, "--json"]).ok().json()["files"].to_string();
+    for (requested, called) in [
         ("rgb,alpha,depth", &["000_rgb.exr", "000_alpha.exr", "000_depth.exr"][..]),
         ("normal", &["000_normal.exr"]),
         ("normals", &["000_normal.exr"]),
@@ -81,12 +81,12 @@ fn edits_do_what_they_say_and_nothing_else() {
         ("environment", &["000_env.exr"]),
         ("lights", &["000_light_00.exr", "000_light_07.exr"]),
     ] {
-        match asked {
-            "metallic" => drop(render(&["--channels", asked]).refused(called)),
-            _ => assert!(called.iter().all(|c| files(asked).contains(c)), "{asked}"),
+        match requested {
+            "metallic" => drop(render(&["--channels", requested]).refused(called)),
+            _ => assert!(called.iter().all(|c| files(requested).contains(c)), "{requested}"),
         }
     }
-    // Light is the sum of its parts.
+    // Shaded images are the sums of their components.
     let lights: Vec<Image> = (0..8).map(|i| of(&format!("light_{i:02}"))).collect();
     assert!(lights.iter().all(|l| l.data.iter().any(|v| *v > 0.0)));
     let direct = of("direct");
@@ -101,17 +101,17 @@ fn edits_do_what_they_say_and_nothing_else() {
         render(&["--channels", "visibility"]).refused(&["visibility"]);
     }
 
-    // Nothing changes nothing.
+    // An empty edit changes nothing.
     relit(&place, json!({}), "same", &[]).ok();
     let pbr = of("pbr");
-    assert_eq!(picture(&place, "same/000_relit.exr"), pbr);
-    // A light off is the sum without it; twice as bright, the sum with it once more.
+    assert_eq!(rendered(&place, "same/000_relit.exr"), pbr);
+    // A light that is off is missing from the sum. A light twice as bright is added once more.
     let edit = |change: serde_json::Value| json!({"lights": {"change": [change]}, "environment": {"off": true}});
     relit(&place, edit(json!({"light": 3, "on": false})), "off", &[]).ok();
     let without = [&lights[..3], &lights[4..]].concat();
-    assert!(apart(&picture(&place, "off/000_relit.exr"), &sum(&without)) < 1e-4);
+    assert!(apart(&rendered(&place, "off/000_relit.exr"), &sum(&without)) < 1e-4);
     relit(&place, edit(json!({"light": 3, "intensity": 2, "color": [1, 0.5, 0.5]})), "color", &[]).ok();
-    let colored = picture(&place, "color/000_relit.exr");
+    let colored = rendered(&place, "color/000_relit.exr");
     let red =
         |image: &Image| Image { channels: 1, data: image.data.iter().copied().step_by(3).collect(), ..image.clone() };
     let green = |image: &Image| Image {
@@ -122,8 +122,8 @@ fn edits_do_what_they_say_and_nothing_else() {
     assert!(apart(&red(&colored), &red(&sum(&[direct.clone(), lights[3].clone()]))) < 1e-4);
     assert!(apart(&green(&colored), &green(&direct)) < 1e-4);
     relit(&place, json!({"lights": {"only": [3]}, "environment": {"off": true}}), "only", &[]).ok();
-    assert!(apart(&picture(&place, "only/000_relit.exr"), &lights[3]) < 1e-4);
-    // The same light, added: in physical units.
+    assert!(apart(&rendered(&place, "only/000_relit.exr"), &lights[3]) < 1e-4);
+    // The same light, added in physical units, gives the same image.
     let file = read_lights(&place.path("run/lights.json")).unwrap();
     let lobes: Vec<serde_json::Value> = file.lights[3]
         .lobes
@@ -132,47 +132,47 @@ fn edits_do_what_they_say_and_nothing_else() {
         .collect();
     let add = json!([{"position": file.lights[3].position, "lobes": lobes}]);
     relit(&place, json!({"lights": {"off": true, "add": add}, "environment": {"off": true}}), "added", &[]).ok();
-    assert!(apart(&picture(&place, "added/000_relit.exr"), &lights[3]) < 1e-4);
-    // Surroundings: linear in their color, and others from a file.
+    assert!(apart(&rendered(&place, "added/000_relit.exr"), &lights[3]) < 1e-4);
+    // The image is linear in the environment map's scale, and a file replaces the map.
     let env = pbr.data.iter().zip(&direct.data).map(|(a, b)| a - b).collect();
     let env = Image { data: env, ..pbr.clone() };
     relit(&place, json!({"lights": {"off": true}, "environment": {"scale": 3}}), "env", &[]).ok();
     let thrice = Image { data: env.data.iter().map(|v| 3.0 * v).collect(), ..env.clone() };
-    assert!(apart(&picture(&place, "env/000_relit.exr"), &thrice) < 1e-3);
+    assert!(apart(&rendered(&place, "env/000_relit.exr"), &thrice) < 1e-3);
     write_exr(&place.path("dark.exr"), &Image::new(32, 16, 3), &["R", "G", "B"]).unwrap();
     relit(&place, json!({"environment": {"file": "dark.exr"}}), "dark", &[]).ok();
-    assert!(apart(&picture(&place, "dark/000_relit.exr"), &direct) < 1e-4);
+    assert!(apart(&rendered(&place, "dark/000_relit.exr"), &direct) < 1e-4);
 
-    // Materials: everything gets one.
+    // The edit sets the material of every Gaussian.
     let set = json!({"albedo": [0.2, 0.4, 0.6], "roughness": 0.7, "metallic": 0.5});
     let everywhere = json!({"box": [[-9, -9, -9], [9, 9, 9]]});
     let edit = json!({"materials": [{"where": everywhere, "set": set}]});
     relit(&place, edit, "painted", &["--channels", "albedo,roughness,metallic"]).ok();
     for (name, expected) in [("albedo", vec![0.2, 0.4, 0.6]), ("roughness", vec![0.7]), ("metallic", vec![0.5])] {
-        let found = picture(&place, &format!("painted/000_{name}.exr"));
+        let found = rendered(&place, &format!("painted/000_{name}.exr"));
         let n = expected.len();
         for (p, expected_pixel) in found.data.chunks(n).zip(std::iter::repeat(&expected)) {
             let near = p.iter().zip(expected_pixel).all(|(a, b)| (a - b).abs() < 1e-3);
             assert!(near || p.iter().all(|v| *v == 0.0), "{name}: {p:?}");
         }
     }
-    // Something far away changes nothing; something that fills the view does.
+    // An object far away changes nothing; an object that fills the view does.
     let insert = |at: f32| json!({"insert": [{"source": "run/scene.ply", "scale": 0.3, "translation": [0, 0, at]}]});
     relit(&place, insert(-500.0), "far", &[]).ok();
-    assert!(apart(&picture(&place, "far/000_relit.exr"), &pbr) < 1e-5);
+    assert!(apart(&rendered(&place, "far/000_relit.exr"), &pbr) < 1e-5);
     relit(&place, insert(0.3), "near", &[]).ok();
-    assert!(apart(&picture(&place, "near/000_relit.exr"), &pbr) > 0.01);
+    assert!(apart(&rendered(&place, "near/000_relit.exr"), &pbr) > 0.01);
 
-    // A PLY has materials, but no light.
+    // A PLY has materials, but no lights.
     let ply = place.text("run/scene.ply");
     let to = place.text("ply");
     let a = ["render", &ply, "--cameras", &cameras, "-o", &to, "--format", "exr", "--channels"];
     sgs(&[&a[..], &["albedo,roughness"]].concat()).ok();
-    assert_eq!(picture(&place, "ply/000_albedo.exr"), of("albedo"));
+    assert_eq!(rendered(&place, "ply/000_albedo.exr"), of("albedo"));
     sgs(&[&a[..], &["pbr"]].concat()).refused(&["neither lights nor an environment", "pbr"]);
     sgs(&[&a[..], &["albedo"], &["--lights"]].concat()).refused(&["no lights"]);
 
-    // What is wrong is named.
+    // Errors name the invalid item.
     let refusal = |edit: serde_json::Value, words: &[&str]| {
         relit(&place, edit, "refused", &[]).refused(words);
     };
@@ -191,7 +191,7 @@ fn edits_do_what_they_say_and_nothing_else() {
     refusal(json!({"insert": [{"source": "missing.ply"}]}), &["missing.ply"]);
 }
 
-/// Geometry under materials stays as it is.
+/// Tests that geometry is not trained further once a run has materials.
 #[test]
 fn geometry_is_not_resumed_under_materials() {
     let place = place();
@@ -201,15 +201,16 @@ fn geometry_is_not_resumed_under_materials() {
     sgs(&["train", &scene, "-o", &run, "--resume"]).refused(&words);
     sgs(&["train", &scene, "-o", &run, "--resume", "--stage", "all"]).ok();
     assert!(place.read("run/scene.ply") == painted);
-    // The splats say it themselves.
+    // The splats alone show that they have materials.
     std::fs::remove_file(place.path("run/checkpoint/intrinsic.safetensors")).unwrap();
     sgs(&["train", &scene, "-o", &run, "--resume", "--stage", "geometry"]).refused(&words);
     assert!(place.read("run/scene.ply") == painted);
 }
 
-/// Sets that change the materials of an instance are measured under the learned light, and the true one if it is known.
+/// Tests metrics of edits that change the materials of an instance. They are measured under the learned light, and
+/// under the true light if it is known.
 #[test]
-fn painted_sets_are_measured() {
+fn material_edits_of_an_instance_are_measured() {
     let place = place();
     let run = place.text("run");
     let (train, test) = Room::default().split();
@@ -218,7 +219,7 @@ fn painted_sets_are_measured() {
         let ids = vec![5; 32 * 24];
         write_ids(&place.path(&format!("scene/priors/masks/{stem}.png")), 32, 24, &ids).unwrap();
     }
-    // What the edit really looks like, in the first test view: all that shows is painted, a little differently.
+    // Ground truth of the edit in the first test view: every Gaussian is painted with slightly different values.
     let mut cameras: serde_json::Value = serde_json::from_slice(&place.read("scene/transforms.json")).unwrap();
     let stem = |frame: &serde_json::Value| frame["file_path"].as_str().unwrap().contains(&test[0]);
     cameras["frames"].as_array_mut().unwrap().retain(stem);
@@ -238,8 +239,8 @@ fn painted_sets_are_measured() {
     let found = measured(5);
     assert!(found["chair_learned_light"]["psnr"].as_f64().unwrap() > 30.0, "{found}");
     assert!(found["chair"]["reason"].as_str().unwrap().contains("training images"), "{found}");
-    let lamp = json!({"on": true, "position": [0, 0, 0], "point_light_intensity_equivalent": [1, 1, 1]});
-    std::fs::write(place.path("scene/gt/lights.json"), json!({"training": [lamp]}).to_string()).unwrap();
+    let light = json!({"on": true, "position": [0, 0, 0], "point_light_intensity_equivalent": [1, 1, 1]});
+    std::fs::write(place.path("scene/gt/lights.json"), json!({"training": [light]}).to_string()).unwrap();
     let found = measured(5);
     let psnr = |name: &str| found[name]["psnr"].as_f64().unwrap();
     assert!(psnr("chair_learned_light") > 30.0 && psnr("chair") < 30.0, "{found}");
@@ -249,12 +250,13 @@ fn painted_sets_are_measured() {
     sgs(&["eval", &run]).refused(&["chair.json"]);
 }
 
-/// A relit scene as plain harmonics: the same geometry, colors that show the relit images.
+/// Tests that a relit scene is baked to spherical harmonics. Geometry stays the same, and colors reproduce the relit
+/// images.
 #[test]
-fn relit_scenes_are_baked() {
+fn baked_scene_matches_relit_images() {
     let place = place();
-    let (run, cameras, to) = (place.text("run"), place.text("cameras.json"), place.text("pictures"));
-    // Bright and red, unlike the photographs.
+    let (run, cameras, to) = (place.text("run"), place.text("cameras.json"), place.text("images"));
+    // The light is bright and red, unlike the photographs.
     let lights = json!({"change": [{"light": 3, "intensity": 3, "color": [1, 0.2, 0.1]}]});
     std::fs::write(place.path("edit.json"), json!({"lights": lights, "environment": {"scale": 0.2}}).to_string())
         .unwrap();
@@ -266,27 +268,27 @@ fn relit_scenes_are_baked() {
     };
     let output = bake("baked.ply", &["--cameras", &cameras, "-o", &to, "--format", "exr"]).ok().json();
     let psnr = |output: &serde_json::Value, key: &str| output["bake"][key].as_f64().unwrap();
-    assert!(place.path("pictures/000_relit.exr").is_file() && output["bake"]["views"] == 18, "{output}");
-    // Trained on images, colors are nearer to them than those of Gaussians alone; both than the photographs' own.
+    assert!(place.path("images/000_relit.exr").is_file() && output["bake"]["views"] == 18, "{output}");
+    // Colors trained on the relit images match these better than colors from the Gaussians alone.
     let alone = bake("alone.ply", &["--bake-steps", "0"]).ok().json();
     println!("{output}, {alone}");
     assert!(psnr(&output, "psnr") > 30.0 && psnr(&output, "psnr_cameras") > 30.0, "{output}");
     assert!(psnr(&output, "psnr") > psnr(&alone, "psnr") + 2.0, "{output} {alone}");
-    // Geometry keeps its bits; nothing else is left.
+    // Geometry stays the same bit for bit, and materials are removed.
     let read = |file: &str| Splats::read_ply(&place.path(file)).unwrap();
     let (before, after) = (read("run/scene.ply"), read("baked.ply"));
     assert!(before.means == after.means && before.rotations == after.rotations && before.normals == after.normals);
     assert!(before.log_scales == after.log_scales && before.opacity_logits == after.opacity_logits);
     assert!(after.albedo.is_none() && after.roughness.is_none() && after.sh_degree() == before.sh_degree());
     assert!(after.sh[0] != before.sh[0] && after.sh[1].iter().any(|v| *v != 0.0));
-    // The program shows them as it says.
+    // `sgs render` shows the colors at the reported PSNR.
     sgs(&["render", &place.text("baked.ply"), "--cameras", &cameras, "-o", &to, "--format", "exr"]).ok();
-    let (ours, theirs) = (picture(&place, "pictures/000_rgb.exr"), picture(&place, "pictures/000_relit.exr"));
+    let (ours, theirs) = (rendered(&place, "images/000_rgb.exr"), rendered(&place, "images/000_relit.exr"));
     let displayed = theirs.data.iter().map(|v| linear_to_srgb(v.clamp(0.0, 1.0)));
     let square: f64 = ours.data.iter().zip(displayed).map(|(a, b)| f64::from(a.clamp(0.0, 1.0) - b).powi(2)).sum();
     let displayed = -10.0 * (square / ours.data.len() as f64).log10();
     assert!((displayed - psnr(&output, "psnr_cameras")).abs() < 0.5, "{displayed}: {output}");
-    // Twice the same; and fewer bands where they are asked for.
+    // A second bake gives the same file. `--bake-degree` sets the number of bands.
     bake("again.ply", &[]).ok();
     assert!(place.read("again.ply") == place.read("baked.ply"));
     bake("flat.ply", &["--bake-degree", "0", "--bake-steps", "30"]).ok();

@@ -1,5 +1,4 @@
-//! Albedo under other lights asked of a provider while training: what it is shown, what becomes of its answers, and what of
-//! its failures.
+//! Provider of albedo under other lights during training: its input, the use of its answers, and its failures.
 
 use sgs_config::{Settings, VisibilityKind};
 use sgs_passes::pipeline::IntrinsicReport;
@@ -14,7 +13,7 @@ use sgs_tests::{Gpu, Place};
 use sgs_train::{Geometry, Intrinsic, Schedule};
 use std::path::Path;
 
-/// Albedo of each wall, sRGB.
+/// Albedo of each wall in sRGB.
 const WALLS: [[f32; 3]; 6] =
     [[0.7, 0.2, 0.2], [0.2, 0.7, 0.2], [0.2, 0.2, 0.7], [0.7, 0.7, 0.2], [0.2, 0.7, 0.7], [0.7, 0.2, 0.7]];
 
@@ -32,7 +31,7 @@ fn settings(steps: u32) -> Settings {
     s
 }
 
-/// A room with regions and true materials, but without a single prior.
+/// Creates a room with regions and true materials, but without material priors.
 fn place() -> Place {
     let room = Room::default();
     let place = Place::new(room);
@@ -76,7 +75,7 @@ impl Stage {
         Intrinsic::new(self.gpu.device(), &self.scene, s, &self.splats)
     }
 
-    /// Trains to the end; what steps reported of other lights, and the splats.
+    /// Trains to the end; returns the reports of all steps and the splats.
     fn train(&self, s: &Settings, resumed_at: Option<u32>) -> (Vec<IntrinsicReport>, Splats) {
         let mut reports = Vec::new();
         let mut training = self.intrinsic(s).unwrap();
@@ -91,7 +90,8 @@ impl Stage {
         (reports, training.splats().unwrap())
     }
 
-    /// The command line of a stand-in that also writes down what it was shown, a line of JSON an image.
+    /// Returns the command line of a stand-in that logs its input, and the log's path. The log has a line of JSON per
+    /// image.
     fn recorder(&self) -> (String, std::path::PathBuf) {
         let (script, log) = (self.place.path("recorder.py"), self.place.path("shown.jsonl"));
         let text = r#"
@@ -124,7 +124,8 @@ service.serve(Recorder)
     }
 }
 
-/// Mean difference of displayed albedo to that of the nearest wall color: what training can get right only by being told.
+/// Returns the mean difference of albedo from that of the visible wall. Only the provider's answers let training get it
+/// right.
 fn albedo_error(s: &Stage, splats: &Splats) -> f64 {
     let scene = shaded_scene(s.gpu.device(), splats, None, None, &Visibility::None).unwrap();
     let mut shading = Shading::new(s.gpu.device(), scene).unwrap();
@@ -146,7 +147,7 @@ fn albedo_error(s: &Stage, splats: &Splats) -> f64 {
 fn relit_answers_supervise_albedo_across_resume() {
     let stage = Stage::new();
     let mut s = settings(60);
-    s.intrinsic.rates.albedo = 0.05;
+    s.intrinsic.rates.materials = 0.05;
     s.intrinsic.relight.provider = provider(&format!("stand-in='{}' --noise 0.02", stage.place.text("scene")));
     s.intrinsic.relight.every = 20;
     s.intrinsic.losses.relight = 4.0;
@@ -157,7 +158,7 @@ fn relit_answers_supervise_albedo_across_resume() {
         assert!(due == (r.materials.relight_count == 2), "step {}: {:?}", r.step, r.materials);
         assert!(due == (r.materials.relight > 0.0), "step {}: {:?}", r.step, r.materials);
     }
-    // The same without anyone to tell.
+    // The same training runs without a provider.
     let mut alone = s.clone();
     alone.intrinsic.relight.provider = "own".into();
     let (silent, unguided) = stage.train(&alone, None);
@@ -166,7 +167,7 @@ fn relit_answers_supervise_albedo_across_resume() {
     println!("albedo is off by {reported} with a provider, {untold} without");
     assert!(reported < 0.8 * untold, "albedo is off by {reported} with a provider, {untold} without");
     assert_ne!(splats.roughness, unguided.roughness);
-    // An answer outlives an interruption: the same bits, though the one who answers is another.
+    // Answers survive an interruption: the result has the same bits, although another process answers.
     for at in [5, 31] {
         let (other, resumed) = stage.train(&s, Some(at));
         assert!(other == reports && resumed == splats, "resumed at {at}");
@@ -221,7 +222,7 @@ fn relit_provider_input_matches_reference_lights() {
     let apart = images[0].iter().zip(&images[1]).map(|(a, b)| (a - b).abs()).fold(0.0_f32, f32::max);
     assert!(apart > 1e-3, "both copies look the same");
 
-    // Each time again, and for longer than the run.
+    // Queries repeat at the interval `every`. An interval longer than the run queries each view once.
     let mut steps = Vec::new();
     for every in [1, 6, 1000] {
         let (command, log) = stage.recorder();
@@ -263,13 +264,13 @@ fn provider_failures_stop_training_or_disable_queries() {
     ] {
         let error = run(&with(how, Fallback::Stop)).unwrap_err();
         assert!(error.contains(output) && !error.contains('\n'), "{how}: {error}");
-        // Without it everything is as if nobody had been asked.
+        // Training continues as if no provider were configured.
         let reports = run(&with(how, Fallback::GoOn)).unwrap();
         assert!(reports == alone, "{how}");
     }
     let error = run(&with("few-offers", Fallback::GoOn)).unwrap_err();
-    assert!(error.contains("answers no questions about materials, but about text"), "{error}");
-    // Where nothing is known there is nothing to compare.
+    assert!(error.contains("intrinsic.relight.provider offers no materials; it offers text"), "{error}");
+    // Unknown pixels are not compared.
     let unknown = run(&with("nan", Fallback::Stop)).unwrap();
     assert!(unknown.iter().any(|r| r.materials.relight_count > 0));
 

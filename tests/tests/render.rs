@@ -1,4 +1,4 @@
-//! `sgs render` of a PLY that another program wrote, pixel by pixel against the double-precision reference.
+//! `sgs render` of a PLY of another program. Pixels are compared with the reference in double precision.
 
 use glam::{DMat3, DVec2, DVec3};
 use sgs_passes::reference::blend::{Blended, render};
@@ -9,9 +9,9 @@ use sgs_tests::rooms::{transforms, write_json};
 use sgs_tests::scenes;
 use std::path::Path;
 
-/// Writes splats as the original implementation of Gaussian splatting does: binary, every number a float, the higher
-/// harmonics all of red, then all of green, then all of blue. Written from that description, not with the writer of this
-/// project.
+/// Writes a PLY like the original implementation of Gaussian splatting. The file is binary and every number a float.
+/// Higher bands of spherical harmonics are stored as all red, then all green, then all blue coefficients. This writer
+/// follows that description and is independent of the project's writer.
 fn write_ply(path: &Path, g: &Gaussians) {
     let bands = g.sh.iter().rposition(|b| !b.is_empty()).unwrap_or(0);
     let rest = (bands + 1).pow(2) - 1;
@@ -43,7 +43,7 @@ fn write_ply(path: &Path, g: &Gaussians) {
     std::fs::write(path, bytes).unwrap();
 }
 
-/// The camera of the file for one of the reference.
+/// Converts a camera of the reference to a camera of the file.
 fn stored(name: &str, c: &Camera) -> sgs_scene::Camera {
     sgs_scene::Camera {
         name: name.into(),
@@ -59,7 +59,7 @@ fn stored(name: &str, c: &Camera) -> sgs_scene::Camera {
     }
 }
 
-/// Removes the splats that a reader refuses: those whose quaternion is zero.
+/// Removes the splats that the reader refuses: those with a zero quaternion.
 fn without_zero_quaternions(mut g: Gaussians) -> Gaussians {
     let mut i = 0;
     while i < g.len() {
@@ -81,16 +81,16 @@ fn without_zero_quaternions(mut g: Gaussians) -> Gaussians {
     g
 }
 
-/// What `sgs render` wrote for one camera.
-struct Pictures {
+/// Images that `sgs render` wrote for one camera.
+struct Renderings {
     rgb: Image,
     alpha: Image,
     depth: Image,
     normal: Option<Image>,
 }
 
-/// Renders with the program; every number that comes out must be finite.
-fn rendered(g: &Gaussians, cameras: &[(&str, Camera)], background: [f64; 3]) -> Vec<Pictures> {
+/// Renders with `sgs render`; fails if any value is not finite.
+fn rendered(g: &Gaussians, cameras: &[(&str, Camera)], background: [f64; 3]) -> Vec<Renderings> {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     write_ply(&folder.path().join("made elsewhere.ply"), g);
@@ -123,7 +123,7 @@ fn rendered(g: &Gaussians, cameras: &[(&str, Camera)], background: [f64; 3]) -> 
     };
     cameras
         .iter()
-        .map(|(name, c)| Pictures {
+        .map(|(name, c)| Renderings {
             rgb: read(name, "rgb", c),
             alpha: read(name, "alpha", c),
             depth: read(name, "depth", c),
@@ -132,8 +132,8 @@ fn rendered(g: &Gaussians, cameras: &[(&str, Camera)], background: [f64; 3]) -> 
         .collect()
 }
 
-/// Largest difference where the reference is sure of itself, and the PSNR of color over all pixels.
-fn difference(p: &Pictures, truth: &Blended) -> (f64, f64) {
+/// Returns the largest difference at conclusive pixels and the PSNR. The PSNR is that of color over all pixels.
+fn difference(p: &Renderings, truth: &Blended) -> (f64, f64) {
     let channels = 5 + if p.normal.is_some() { 3 } else { 0 };
     let (mut largest, mut square) = (0.0_f64, 0.0);
     for (at, doubtful) in truth.doubtful.iter().enumerate() {
@@ -160,7 +160,7 @@ fn difference(p: &Pictures, truth: &Blended) -> (f64, f64) {
     (largest, -10.0 * mean.log10())
 }
 
-/// Cameras of several sizes, one upside down, none with its principal point in the middle.
+/// Returns cameras of several sizes, one upside down. No principal point is central.
 fn cameras() -> Vec<(&'static str, Camera)> {
     let ahead = scenes::camera([160, 120]);
     let aside = Camera {
@@ -201,7 +201,7 @@ fn imported_hard_splats_match_reference() {
     }
 }
 
-/// The comparison notices a splat that is off by a twentieth.
+/// Tests that the comparison detects a splat that is moved by 0.05.
 #[test]
 fn a_planted_error_is_caught() {
     let g = scenes::ordinary(40, 1, false, 3);
@@ -214,7 +214,7 @@ fn a_planted_error_is_caught() {
     assert!(difference(&images[0], &render(&moved, &cameras[0].1, 1, true, [0.0; 3])).0 > 2e-3);
 }
 
-/// Colors beyond what a screen shows stay what they are.
+/// Tests that colors outside the range of a display are not clamped.
 #[test]
 fn values_are_not_clamped() {
     let mut g = scenes::ordinary(1, 0, false, 1);
@@ -233,7 +233,7 @@ fn values_are_not_clamped() {
     let p = &rendered(&g, &[("a", camera)], [0.0, 2.0, -1.0])[0];
     let middle = 3 * (8 * 20 + 10);
     let found = [0, 1, 2].map(|c| f64::from(p.rgb.data[middle + c]));
-    // Opacity is cut off at 0.99.
+    // Opacity is limited to 0.99.
     let red = 0.99 * (0.5 + 30.0 * 0.282_094_791_773_878_1);
     for (f, e) in found.into_iter().zip([red, 0.99 * 0.5 + 0.02, -0.01]) {
         assert!((f - e).abs() < 1e-3 * e.abs().max(1.0), "{found:?}");
@@ -257,7 +257,7 @@ fn one_splat_covers_the_whole_image() {
     assert!(largest < 2e-3 && psnr > 65.0, "largest {largest}, PSNR {psnr}");
 }
 
-/// White splats on white are white however many there are; what one tile holds, no other shows.
+/// Tests that many white splats on white stay white and show only in their tile.
 #[test]
 fn many_tiny_splats_in_one_tile() {
     render_many_splats(50_000, true);
@@ -277,7 +277,7 @@ fn render_many_splats(count: usize, compared_with_reference: bool) {
     let mut r = scenes::Rng::new(17);
     let mut g = Gaussians::default();
     for _ in 0..count {
-        // Pixels 36 to 44 each way: inside of the tile from 32 to 48.
+        // Centers lie at pixels 36 to 44 on both axes, inside the tile from 32 to 48.
         let z = r.between(2.0, 40.0);
         let at = DVec2::new(r.between(36.0, 44.0), r.between(36.0, 44.0));
         let slope = (at - camera.center) / camera.focal;
@@ -297,7 +297,7 @@ fn render_many_splats(count: usize, compared_with_reference: bool) {
     assert!(p.alpha.data[40 * 96 + 40] > 0.99, "the crowd is transparent");
     if compared_with_reference {
         let truth = render(&g, &camera, 0, true, [1.0; 3]);
-        // Every pixel meets splats at a threshold here, so that only what a single one of them weighs may differ.
+        // Every pixel has splats at a threshold, so the weight of a single splat may differ.
         for (at, t) in truth.transmittance.iter().enumerate() {
             let d = (f64::from(p.alpha.data[at]) - (1.0 - t)).abs();
             assert!(d < 5e-3, "{at}: alpha differs by {d}");

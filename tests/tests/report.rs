@@ -1,4 +1,4 @@
-//! `sgs report`: what stands in the page, what is refused, and that it works in a browser without a network.
+//! `sgs report`: contents of the page, refusals, and use in a browser without a network.
 
 use serde_json::Value;
 use sgs_scene::{Image, write_png};
@@ -8,7 +8,7 @@ use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use std::path::Path;
 
-/// A run of all stages on a room with truth of normals and depth.
+/// Creates a run of all stages on a room with ground truth.
 fn place() -> Place {
     let room = Room { priors: true, truth: true, ..Room::default() };
     let place = Place::new(room);
@@ -43,7 +43,7 @@ fn place() -> Place {
     place
 }
 
-/// What a page would fetch or run from elsewhere.
+/// Returns the markers of external resources in a page.
 fn outside(html: &str) -> Vec<&'static str> {
     let words =
         ["://", "src=\"/", "src='", "<link rel=\"stylesheet", "@import", "url(", "<iframe", "import(", "fetch("];
@@ -67,7 +67,7 @@ fn external_requests_are_detected() {
 fn run_report_is_one_page() {
     let place = place();
     let (run, page) = (place.text("run"), place.text("page.html"));
-    // Nothing has been measured yet: it is now, and recorded.
+    // Metrics are missing, so the report measures and records them.
     let output = sgs(&["report", &run, "-o", &page, "--lights", "2", "--json"]).ok().json();
     assert_eq!((&output["views"], output["file"].as_str()), (&2.into(), Some(page.as_str())));
     let html = String::from_utf8(place.read("page.html")).unwrap();
@@ -78,7 +78,8 @@ fn run_report_is_one_page() {
         assert!(html.contains(&format!("<section id=\"{section}\">")), "{section} is missing");
     }
     let count = |text: &str| html.matches(text).count();
-    // Of two views: color, normal, depth, shaded and albedo have truth; of lights the two brightest and the rest.
+    // Each of two views has sliders for color, normal, depth, shaded and albedo. Lights are the two brightest and the
+    // sum of the others.
     let lights =
         html.split("<figcaption>light ").skip(1).filter(|s| s.starts_with(|c: char| c.is_ascii_digit())).count();
     assert_eq!((count("class=\"slider\""), lights, count("<figcaption>6 others ")), (10, 4, 2));
@@ -94,14 +95,14 @@ fn run_report_is_one_page() {
     for name in ["roughness", "visibility", "environment", "direct", "diffuse", "specular"] {
         assert_eq!(count(&format!("<figcaption>{name}<")), 2, "{name}");
     }
-    assert!(count("<figcaption>metallic<") == 0 && count("class=\"lamp\"") == 16 && count("class=\"raw\"") > 6);
+    assert!(count("<figcaption>metallic<") == 0 && count("class=\"light\"") == 16 && count("class=\"raw\"") > 6);
     assert!(
         html.contains("geometry: a step") && html.contains("intrinsic: a step") && html.contains("[intrinsic.lights]")
     );
 
     in_a_browser(&place.path("page.html"));
 
-    // What is recorded is shown as it is, and what is written by others is not believed to be HTML.
+    // Recorded metrics are shown unchanged, and foreign text is escaped.
     let mut changed = metrics.clone();
     changed["test"]["mean"]["nvs"]["psnr"] = 77.25.into();
     changed["test"]["views"][0]["name"] = "<script>alert(1)</script>".into();
@@ -110,7 +111,7 @@ fn run_report_is_one_page() {
     let html = String::from_utf8(place.read("page.html")).unwrap();
     assert!(html.contains("<td>77.25</td>") && !html.contains("<script>alert") && html.contains("1 more are left out"));
 
-    // Geometry alone: no lights, no materials.
+    // The run has geometry alone: no lights, no environment map.
     for file in ["lights.json", "environment.exr", "visibility.safetensors"] {
         std::fs::remove_file(place.path("run").join(file)).unwrap();
     }
@@ -132,7 +133,7 @@ fn run_report_is_one_page() {
     assert!(!place.path("new.html").exists());
 }
 
-/// Fails unless an image and a slider enlarge and close again, and the navigation stays in sight.
+/// Fails unless an image and a slider can be enlarged and closed. The navigation must stay in view.
 fn enlarges(browser: &mut Browser) {
     let open = "document.querySelector('dialog').open";
     for (what, inside) in [("figure > img", "dialog figure > img"), (".slider ~ .enlarge", "dialog .slider input")] {
@@ -150,7 +151,8 @@ fn enlarges(browser: &mut Browser) {
     browser.eval("scrollTo(0, 0)");
 }
 
-/// Fails unless the page loads whole, asks for nothing, fits narrow and wide windows, and its sliders move.
+/// Fails unless the page works in narrow and wide windows. It must load completely without requests, and its sliders
+/// must move.
 fn in_a_browser(page: &Path) {
     let Some(mut browser) = Browser::start() else {
         eprintln!("skipped: there is no chromium, so the page was not opened");
@@ -159,8 +161,8 @@ fn in_a_browser(page: &Path) {
     for width in [1280, 400] {
         browser.open(page, [width, 900]);
         let whole = "[...document.images].every(i => i.complete && i.naturalWidth > 0) && document.images.length";
-        assert!(browser.eval(whole).as_u64().is_some_and(|n| n > 30), "a picture is missing");
-        // Tables may be wider than the window, within frames of their own; the page is not.
+        assert!(browser.eval(whole).as_u64().is_some_and(|n| n > 30), "an image is missing");
+        // Tables may be wider than the window, within frames of their own; the page may not.
         let [page, window] =
             ["scrollWidth", "clientWidth"].map(|w| browser.eval(&format!("document.documentElement.{w}")));
         assert!(page == window && window.as_u64().is_some_and(|w| w > 350), "{page} in {window}");
@@ -179,9 +181,9 @@ fn in_a_browser(page: &Path) {
         assert!((value - 80.0).abs() < 2.0, "the slider stands at {value}");
         let after = browser.eval(cut);
         assert!(before != after && after.as_str().is_some_and(|t| t.contains("inset")), "{before} {after}");
-        // The others stay.
+        // Other sliders stay in place.
         assert_eq!(browser.eval("document.querySelectorAll('.slider input')[1].value"), "50");
-        // By keyboard as well.
+        // Arrow keys move a slider as well.
         let arrow = serde_json::json!({"type": "rawKeyDown", "key": "ArrowLeft", "windowsVirtualKeyCode": 37});
         browser.ask("Input.dispatchKeyEvent", arrow);
         assert!(browser.eval("Number(document.querySelector('.slider input').value)").as_f64().unwrap() < value);

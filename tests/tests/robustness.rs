@@ -1,4 +1,4 @@
-//! `sgs robustness`: cases of noise over seeds, their table, and going on after whatever stopped it.
+//! `sgs robustness`: cases of noise over seeds, their table, and resumes.
 
 use serde_json::Value;
 use sgs_scene::{Noise, Scene, SceneOptions};
@@ -25,7 +25,7 @@ fn json(place: &Place, name: &str) -> Value {
     serde_json::from_slice(&place.read(name)).unwrap()
 }
 
-/// A table without what differs from one time to another.
+/// Removes the timings from a table.
 fn timeless(mut table: Value) -> Value {
     for row in table["variants"].as_array_mut().unwrap() {
         let [mean, deviation] = ["mean", "deviation"].map(|k| row[k].take());
@@ -65,10 +65,10 @@ fn noise_does_not_change_held_out_data() {
 }
 
 #[test]
-fn a_table_of_two_cases_is_that_of_trainings_by_hand_and_gone_on_with() {
+fn table_matches_separate_trainings_and_survives_interruption() {
     let place = Place::new(room());
     let more = ["--only", "clean,normals", "--stage", "geometry", "--seeds", "2", "--set", "noise.normals=25"];
-    let more = [&more[..], &["--set", "geometry.checkpoint_interval=10"]].concat();
+    let more = [&more[..], &["--set", "train.checkpoint_interval=10"]].concat();
     let output = sgs(&arguments(&place, "table", "60", &more)).ok().stdout;
     assert_eq!(output.as_bytes(), place.read("table/robustness.md"));
     assert!(
@@ -80,13 +80,13 @@ fn a_table_of_two_cases_is_that_of_trainings_by_hand_and_gone_on_with() {
     assert!(noisy > clean, "{noisy} {clean}");
     assert!(table["variants"][1]["deviation"]["psnr"].as_f64().unwrap() > 0.0);
     assert_eq!(table["variants"][1]["runs"][1]["seed"], 6);
-    // One case by hand.
+    // One case is trained separately with the same noise.
     let alone = ["--geometry-steps", "60", "--no-densify", "--seed", "6", "--set", "noise.normals=25"];
     sgs(&[&["train", &place.text("scene"), "-o", &place.text("alone"), "-q"], &alone[..]].concat()).ok();
     assert!(place.read("table/normals_seed6/scene.ply") == place.read("alone/scene.ply"));
     assert!(place.read("table/clean_seed6/scene.ply") != place.read("alone/scene.ply"));
 
-    // Interrupted in the second case, and gone on with.
+    // The series is interrupted in the second case and continued.
     let long = arguments(&place, "again", "60", &more);
     let mut child = start(&long);
     let reached = until(&mut child, || place.logged("again/normals_seed5").last().is_some_and(|s| *s >= 20));
@@ -99,7 +99,7 @@ fn a_table_of_two_cases_is_that_of_trainings_by_hand_and_gone_on_with() {
     assert_eq!(timeless(json(&place, "again/robustness.json")), timeless(table));
 }
 
-/// Every case with its usual noise, materials and all: each is a training of its own.
+/// Tests every case at its default noise, with materials. All cases give different splats.
 #[test]
 fn every_case_differs_and_has_materials() {
     let place = Place::new(room());
@@ -127,7 +127,7 @@ fn every_case_differs_and_has_materials() {
         let config = String::from_utf8(place.read(&format!("table/{name}_seed5/config.toml"))).unwrap();
         assert_eq!(config.contains("rotations = 0.5"), name == "poses", "{name}");
     }
-    // What has geometry alone is gone on with; what is done is not done again.
+    // A second run trains nothing again.
     let files =
         || names.map(|n| place.path(&format!("table/{n}_seed5/scene.ply")).metadata().unwrap().modified().unwrap());
     let before = files();
@@ -138,7 +138,7 @@ fn every_case_differs_and_has_materials() {
 }
 
 #[test]
-fn wrong_cases_and_noise_get_a_sentence() {
+fn invalid_cases_and_noise_are_refused() {
     let place = Place::new(Room::default());
     robustness(&place, &["--only", "clean,noise"]).refused(&["no case \"noise\"", "clean, positions, normals"]);
     robustness(&place, &["--only", "normals"]).refused(&["\"normals\" would differ from no other", "priors/normal"]);

@@ -1,4 +1,4 @@
-//! The semantic loss on a device against its reference.
+//! Semantic loss on the device against its reference.
 
 use half::f16;
 use sgs_passes::loss::NO_LABEL;
@@ -14,7 +14,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// A share of the largest gradient, and a relative one.
+/// Returns a tolerance with a share of the largest gradient and a relative part.
 fn tolerance(expected: &[f64]) -> Tolerance {
     let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
     Tolerance::new(2e-5 * largest, 1e-4)
@@ -39,7 +39,7 @@ fn check(gpu: &Gpu, what: &str, h: &reference::Head, v: &View, given: bool, larg
 }
 
 #[test]
-fn semantic_loss_at_odd_sizes() {
+fn semantic_loss_matches_reference_at_odd_sizes() {
     let gpu = Gpu::new();
     let sizes = [
         ([1, 1], [1, 1], 1),
@@ -66,10 +66,10 @@ fn semantic_loss_at_odd_sizes() {
     check(&gpu, "a small view of a large buffer", &h, &view([9, 7], [6, 8], &h, 1), false, [31, 20]);
 }
 
-/// A map of more samples than all workgroups take in one round would need 32768; rounds are the same at any number of
-/// workgroups, runs of the product over samples are not.
+/// Tests a map that needs several runs of the product over samples. Several rounds of all workgroups would need 32768
+/// samples. Rounds work alike at any number of workgroups; runs do not.
 #[test]
-fn semantic_loss_of_a_map_of_several_runs() {
+fn semantic_loss_of_a_map_of_several_runs_matches_reference() {
     let gpu = Gpu::new();
     let h = head(3, 4);
     let v = view([20, 15], [67, 41], &h, 4);
@@ -92,14 +92,14 @@ fn pixels_without_labels_are_skipped_and_counted() {
     for i in [0, 5, 9, 20] {
         assert_eq!((found.targets[i].inverse_norm, found.targets[i].label), (0.0, NO_LABEL));
     }
-    // Given labels: some are none, one is out of range.
+    // Of the given labels, some are absent and one is out of range.
     v.labels.iter_mut().step_by(3).for_each(|l| *l = None);
     v.labels[7] = Some(6);
     v.labels[8] = Some(5);
     let found = check(&gpu, "given labels", &h, &v, true, [11, 9]);
     assert_eq!(found.targets[7].label, NO_LABEL);
     assert_eq!(found.targets[8].label, 5);
-    // Features that are no number, which take the samples around them along.
+    // Non-finite features also exclude the samples around them.
     v.image[(4 * 11 + 5) * FEATURES + 3] = f64::NAN;
     v.image[(8 * 11 + 10) * FEATURES + 31] = f64::INFINITY;
     let found = check(&gpu, "bad features", &h, &v, true, [11, 9]);
@@ -130,7 +130,7 @@ fn semantic_loss_at_extremes() {
         v.labels = v.own_labels(&h);
         check(&gpu, &format!("targets times {scale}"), &h, &v, false, [6, 5]);
     }
-    // A decoder that decodes to nothing has no direction, and no gradient.
+    // A decoder of zeros has no direction and no gradient.
     let mut nothing = h.clone();
     nothing.decoder.fill(0.0);
     let found = check(&gpu, "a decoder of zeros", &nothing, &base, false, [6, 5]);
@@ -139,7 +139,7 @@ fn semantic_loss_at_extremes() {
     no_bias.decoder.iter_mut().skip(FEATURES).step_by(AUGMENTED).for_each(|b| *b = 0.0);
     let found = check(&gpu, "zero features without bias", &no_bias, &scaled(0.0), false, [6, 5]);
     assert!(found.image.iter().chain(&found.decoder).all(|&g| g == 0.0));
-    // What is left where columns that are almost alike cancel is rounding: it has no direction either.
+    // Columns that are almost alike cancel. Only rounding remains, which has no direction either.
     let mut alike = no_bias.clone();
     let mut rng = Pcg::new(9);
     for row in alike.decoder.chunks_mut(AUGMENTED) {
@@ -154,7 +154,7 @@ fn semantic_loss_at_extremes() {
     let found = check(&gpu, "features that cancel", &alike, &opposed, false, [6, 5]);
     let largest = found.image.iter().chain(&found.decoder).fold(0.0_f32, |m, g| m.max(g.abs()));
     assert!(largest == 0.0, "what rounding left pulls by {largest}");
-    // Sharp and flat softmax.
+    // Temperatures give sharp and flat softmax.
     for temperature in [1e-3, 0.01, 100.0] {
         let weights = Weights { temperature, ..WEIGHTS };
         let (terms, gradient) = reference::semantic_loss(&h, &base, &weights);
@@ -164,7 +164,7 @@ fn semantic_loss_at_extremes() {
             assert_close(&format!("temperature {temperature}"), e, f, Tolerance::new(t * largest, 1e-3));
         };
         assert_close("cross-entropy", &[terms.class], &[found.stats.semantic_class], Tolerance::new(1e-5, 1e-4));
-        // A logit has an error of 1e-7 over the temperature, and so have the probabilities.
+        // Logits and probabilities have an error of 1e-7 over the temperature.
         close(&gradient.image, &found.image, 1e-4 + 1e-6 / temperature);
         close(&gradient.decoder, &found.decoder, 1e-4 + 1e-6 / temperature);
     }
@@ -202,7 +202,7 @@ fn semantic_loss_gradient_is_the_finite_difference_of_the_reference() {
 }
 
 #[test]
-fn semantic_loss_is_the_same_every_time() {
+fn semantic_loss_is_deterministic() {
     let gpu = Gpu::new();
     let h = head(11, 7);
     let v = view([23, 17], [14, 19], &h, 7);
@@ -214,7 +214,8 @@ fn semantic_loss_is_the_same_every_time() {
     assert!((0..3).all(|_| once() == first));
 }
 
-/// The comparisons would notice a lost sample, a wrong label, a forgotten bias, or a weight off by a tenth of a percent.
+/// Tests that the comparisons detect planted errors. Errors are: a lost sample, a wrong label, a missing bias, a weight
+/// off by a tenth of a percent.
 #[test]
 fn semantic_checks_can_fail() {
     let h = head(7, 5);
@@ -244,9 +245,9 @@ fn semantic_checks_can_fail() {
     assert_eq!(differs(&other), [true, false]);
 }
 
-/// Gram matrices, loss, gradient and Adam together find a decoder that agrees with its targets.
+/// Tests that training fits a decoder to its targets. Gram matrices, loss, gradient and Adam work together.
 #[test]
-fn a_decoder_learns() {
+fn decoder_fits_its_targets() {
     let gpu = Gpu::new();
     let h = head(4, 12);
     let v = view([4, 4], [4, 4], &h, 12);

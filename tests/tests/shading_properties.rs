@@ -1,9 +1,9 @@
-//! One pixel under a few lights, every number of which is drawn log-uniformly, against the double-precision reference:
-//! radiance and all gradients. What fails is shrunk. The numbers are the same every time; `SGS_TEST_CASES` asks for more of
-//! them.
+//! One pixel under a few random lights: radiance and all gradients against the reference. The reference is in double
+//! precision. Every number is drawn log-uniformly, and failures are shrunk. Draws are the same in every run;
+//! `SGS_TEST_CASES` sets their number.
 //!
-//! What single precision may be off by is measured, not guessed: by how much the reference's own answer moves when normals,
-//! places and the camera move by a few units of the last place.
+//! The tolerance for single precision is measured. Normals, positions and the camera are perturbed by a few units in
+//! the last place, and the change of the reference is the tolerance.
 
 use proptest::prelude::*;
 use sgs_passes::reference::brdf::{Material, V3, along, cross, dot, unit};
@@ -13,18 +13,18 @@ use sgs_tests::Gpu;
 use sgs_tests::drawn::{Compared, runner, signed, spread};
 use sgs_tests::lit::{Lit, narrow, run};
 
-/// Of a value, beside what rounding of its inputs does to it.
+/// Relative tolerance of a value, in addition to the effect of input rounding.
 const RELATIVE: f64 = 3e-4;
 
-/// By how much inputs are moved, of unit vectors and of distances.
+/// Perturbation of inputs, relative to unit vectors and to distances.
 const MOVE: f64 = 1e-6;
 
-/// A share: near nothing, near all, or between.
+/// Draws a share: near zero, near one, or in between.
 fn share() -> impl Strategy<Value = f64> {
     prop_oneof![spread(-6.0, 0.0), spread(-6.0, 0.0).prop_map(|x| 1.0 - x), Just(0.0), Just(1.0)]
 }
 
-/// A direction by its cosine to the normal and the angle around it.
+/// Direction by its cosine to the normal and the angle around the normal.
 #[derive(Clone, Copy, Debug)]
 struct Way {
     cosine: f64,
@@ -47,10 +47,10 @@ prop_compose! {
     }
 }
 
-/// A lobe: where it points, seen from the pixel's direction, and its numbers.
+/// Lobe: its axis, relative to the direction between pixel and light, and its parameters.
 #[derive(Clone, Debug)]
 struct Lobe {
-    /// How far the axis is from the way to the pixel.
+    /// Offset of the axis from that direction.
     off: [f64; 3],
     length: f64,
     sharpness: f64,
@@ -91,7 +91,7 @@ prop_compose! {
         coverage in prop_oneof![4 => spread(-2.9, 0.0), 1 => spread(-6.0, -3.1)],
         albedo in [share(), share(), share()],
         roughness in spread(-2.5, 0.0),
-        // At none Fresnel's term at grazing incidence has a corner, where there is no gradient to compare.
+        // At metallic 0, the Fresnel term has a kink at grazing incidence and no gradient to compare.
         metallic in prop::option::of(prop_oneof![spread(-4.0, 0.0), Just(1.0)]),
         gradient in [signed(-8.0, 8.0), signed(-8.0, 8.0), signed(-8.0, 8.0)],
         lights in prop::collection::vec(light(), 1..4),
@@ -106,7 +106,7 @@ prop_compose! {
             let l = light.way.about(n);
             positions.extend(along(point, light.distance, l).map(narrow));
             for lobe in &light.lobes {
-                // Lobes are looked up by the way from the pixel to the light.
+                // Lobes are evaluated in the direction from the pixel to the light.
                 lobes.extend(unit(along(l, 1.0, lobe.off)).map(|x| narrow(lobe.length * x)));
                 lobes.push(narrow(lobe.sharpness));
                 lobes.extend(lobe.amplitude.map(narrow));
@@ -130,7 +130,7 @@ prop_compose! {
     }
 }
 
-/// What kernels leave, in one list.
+/// Results of the kernels, in one list.
 struct Answer {
     names: Vec<String>,
     values: Vec<f64>,
@@ -148,7 +148,7 @@ fn answer(case: &Lit, parts: [&[f64]; 7]) -> Answer {
     all
 }
 
-/// By the reference: radiance and its diffuse part, then gradients.
+/// Returns the reference's radiance, its diffuse part, and the gradients.
 fn truth(case: &Lit) -> Answer {
     let (camera, normalizer, lights) = (case.camera, case.normalizer(), case.lights());
     let [diffuse, specular] = reference::lights(&case.pixels, &lights, camera, normalizer);
@@ -162,7 +162,7 @@ fn truth(case: &Lit) -> Answer {
     answer(case, [&whole, &diffuse, &normal, &m[..4], &[metallic], &raw.positions, &raw.lobes])
 }
 
-/// By the device.
+/// Returns the device's results.
 fn found(gpu: &Gpu, case: &Lit) -> Answer {
     let own = Shape::for_device(gpu.tuning());
     let found = run(gpu, Shape { per_lane: 1, ..own }, case, [1, 1], None);
@@ -172,7 +172,7 @@ fn found(gpu: &Gpu, case: &Lit) -> Answer {
     answer(case, [&whole, &diffuse, &normal, &materials, &metallic, &wide(&found.positions), &wide(&found.lobes)])
 }
 
-/// The sums of magnitudes of what each light does to each color alone, and that of the loss.
+/// Returns magnitudes summed over lights and colors taken separately. The second number is the magnitude of the loss.
 fn alone(case: &Lit) -> (Vec<f64>, f64) {
     let (mut terms, mut loss) = (vec![0.0; truth(case).values.len()], 0.0);
     for light in 0..case.raw.gains.len() {
@@ -188,16 +188,16 @@ fn alone(case: &Lit) -> (Vec<f64>, f64) {
     (terms, loss)
 }
 
-/// What may be off of each number.
+/// Returns the tolerance of each number.
 fn slack(case: &Lit, truth_: &Answer) -> Vec<f64> {
     let mut slack: Vec<f64> = truth_.values.iter().map(|x| RELATIVE * x.abs()).collect();
-    // What cancels: lights and colors by themselves. And what lobes would send at their peak, 1e-20 of which is too small for numbers of
-    // 32 bits once it is multiplied with what else is small.
+    // Results may cancel, so lights and colors are taken separately. 1e-20 of a lobe's peak underflows in 32 bits after
+    // multiplication with other small numbers.
     let row = case.raw.model.row() as usize;
     let mut blunt = case.clone();
     blunt.raw.lobes.chunks_mut(row).for_each(|r| r[3] = -40.0);
     let ((terms, loss), (peaks, peak)) = (alone(case), alone(&blunt));
-    // Rounding of what the kernels compute with.
+    // Rounding of the kernels' inputs is simulated by perturbations.
     let point = case.pixels[0].point;
     let mut moved = |change: &dyn Fn(&mut Lit, f64)| {
         let by = [MOVE, -MOVE].map(|by| {
@@ -227,7 +227,8 @@ fn slack(case: &Lit, truth_: &Answer) -> Vec<f64> {
         }
     }
     for (((slack, term), peak_), name) in slack.iter_mut().zip(terms).zip(peaks).zip(&truth_.names) {
-        // What a light's place does counts in its distance, what a normal does in its cosine: each is a difference of terms of that size.
+        // A light's position acts through its distance, and a normal through its cosine. Each is a difference of terms
+        // of that size.
         let length = match name.split(' ').next() {
             Some("places") => nearest,
             Some("normal") => 0.1 * grazing,
@@ -238,7 +239,8 @@ fn slack(case: &Lit, truth_: &Answer) -> Vec<f64> {
     slack
 }
 
-/// With what a name begins a hundredth larger, if there is one.
+/// Compares the device's results with the reference. Numbers whose name starts with `planted` are first increased by 1
+/// %.
 fn check(gpu: &Gpu, case: &Lit, planted: Option<&str>, compared: &Compared) -> Result<(), TestCaseError> {
     let (expected, found) = (truth(case), found(gpu, case));
     let slack = slack(case, &expected);
@@ -259,7 +261,7 @@ fn shaded_lights_match_reference() {
     compared.check(1000, 0.6);
 }
 
-/// A hundredth is noticed, of every kind of number.
+/// Tests that an error of 1 % in each kind of number is detected.
 #[test]
 fn checks_of_lights_can_fail() {
     let gpu = Gpu::new();

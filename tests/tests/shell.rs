@@ -1,19 +1,20 @@
-//! What the program says of itself: help that fits 80 columns, completions, manual pages, and where they are installed.
+//! Help, completions and manual pages of the program. Help fits 80 columns. The test also checks where the files are
+//! installed.
 
 use sgs_tests::cli::{program, sgs};
 use std::path::Path;
 use std::process::Command;
 
-/// Every command, as `sgs --help` lists them.
+/// Returns every command that `sgs --help` lists.
 fn commands() -> Vec<String> {
     let help = sgs(&["--help"]).ok().stdout;
     let list = help.split("Commands:\n").nth(1).and_then(|l| l.split("\n\n").next()).expect("a list of commands");
-    // What goes on from the line before stands further in.
+    // Continuation lines have a larger indent.
     let names = list.lines().filter(|l| l.starts_with("  ") && !l.starts_with("   "));
     names.map(|l| l.split_whitespace().next().unwrap().to_owned()).filter(|n| n != "help").collect()
 }
 
-/// Lines that a terminal of 80 columns would break.
+/// Returns the lines of more than 80 columns.
 fn long_lines(text: &str) -> Vec<&str> {
     text.lines().filter(|l| l.chars().count() > 80).collect()
 }
@@ -31,12 +32,12 @@ fn help_fits_80_columns() {
         let help = sgs(&arguments).ok().stdout;
         assert_eq!(long_lines(&help), [""; 0], "sgs {arguments:?}");
         assert!(help.contains("Usage: sgs"), "{help}");
-        // The first line says what it does, not what the package is called.
+        // The first line describes the command, not the package.
         assert!(!help.starts_with("The SGS command line"));
     }
 }
 
-/// What bash would offer behind some words.
+/// Returns bash's completions after some words.
 fn offered(script: &Path, words: &[&str]) -> Vec<String> {
     let last = words.len() - 1;
     let line = format!(

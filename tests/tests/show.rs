@@ -1,5 +1,5 @@
-//! `show` and the display around it against the reference: every kind of image, gains, marks, letters, both orders of
-//! colors.
+//! `show` and the display against the reference. Cases cover every kind of image, gains, marks, letters, and both
+//! orders of colors.
 
 use half::f16;
 use sgs_engine::ImageFormat;
@@ -14,7 +14,7 @@ const LETTERS: Letters = Letters { cell: [5, 7], first: 65, count: 3 };
 const ROOM: DisplayRoom = DisplayRoom { columns: 7, rows: 3, marks: 4 };
 
 struct Case {
-    picture: Vec<[f16; 4]>,
+    image: Vec<[f16; 4]>,
     font: Vec<u8>,
     marks: Vec<Mark>,
     text: Vec<u8>,
@@ -23,9 +23,9 @@ struct Case {
 fn case() -> Case {
     let mut r = Rng::new(5);
     let mut half = |low: f64, high: f64| f16::from_f64(r.between(low, high));
-    let mut picture: Vec<[f16; 4]> =
+    let mut image: Vec<[f16; 4]> =
         (0..SIZE[0] * SIZE[1]).map(|_| [half(-0.2, 1.3), half(0.0, 1.0), half(0.0, 0.02), f16::ONE]).collect();
-    picture[3] = [f16::NAN, f16::INFINITY, f16::from_f32(0.5), f16::ONE];
+    image[3] = [f16::NAN, f16::INFINITY, f16::from_f32(0.5), f16::ONE];
     let font = (0..LETTERS.bytes() as usize).map(|i| (i * 37 % 256) as u8).collect();
     let mark = |at, radius, look| Mark { at, radius, look, color: [0.9, 0.4, 0.1] };
     let marks = vec![
@@ -34,16 +34,16 @@ fn case() -> Case {
         mark([60.0, 36.0], 5.0, MARK_HOLLOW),
         mark([-90.0, 2.0], 5.0, MARK_HOLLOW | MARK_RINGED),
     ];
-    // Letters that there are not, before the first and behind the last, leave the image.
+    // Letters outside the font, before its first or after its last, leave the image unchanged.
     let text = b"ABC\0D@A\0\0\0\0AB\0CCCCCCC".to_vec();
-    Case { picture, font, marks, text }
+    Case { image, font, marks, text }
 }
 
-/// The texels that a display makes.
+/// Returns the texels that a display draws.
 fn made(gpu: &Gpu, case: &Case, format: ImageFormat, kind: ShownKind, gain: f32, size: u32) -> Vec<[u8; 4]> {
     let font = Font::new(gpu.device(), LETTERS, &case.font).unwrap();
     let mut display = Display::new(gpu.device(), &font, SIZE, format, ROOM).unwrap();
-    gpu.device().upload_image(display.picture(), bytemuck::cast_slice(&case.picture)).unwrap();
+    gpu.device().upload_image(display.image(), bytemuck::cast_slice(&case.image)).unwrap();
     let visible = Shown { kind, gain, marks: &case.marks, text: &case.text, letter_size: size };
     for _ in 0..3 {
         display.submit(&visible).unwrap();
@@ -52,12 +52,12 @@ fn made(gpu: &Gpu, case: &Case, format: ImageFormat, kind: ShownKind, gain: f32,
     bytemuck::pod_collect_to_vec(&gpu.device().download_image(display.window()).unwrap())
 }
 
-/// The first texel that is wrong.
+/// Returns a description of the first wrong texel.
 fn wrong(case: &Case, texels: &[[u8; 4]], kind: ShownKind, gain: f32, size: u32, blue_first: bool) -> Option<String> {
-    let picture: Vec<[f64; 3]> =
-        case.picture.iter().map(|t| [0, 1, 2].map(|c| if t[c].is_finite() { t[c].to_f64() } else { 0.0 })).collect();
+    let image: Vec<[f64; 3]> =
+        case.image.iter().map(|t| [0, 1, 2].map(|c| if t[c].is_finite() { t[c].to_f64() } else { 0.0 })).collect();
     let text = Text { cells: &case.text, columns: 7, size: size as usize, letters: LETTERS, font: &case.font };
-    let expected = reference::show(&picture, SIZE[0] as usize, kind, f64::from(gain), &case.marks, Some(text));
+    let expected = reference::show(&image, SIZE[0] as usize, kind, f64::from(gain), &case.marks, Some(text));
     assert_eq!(expected.len(), texels.len());
     texels.iter().zip(expected).enumerate().find_map(|(i, (texel, expected))| {
         let order = if blue_first { [2, 1, 0] } else { [0, 1, 2] };
@@ -108,10 +108,10 @@ fn marks_and_letters_beyond_capacity_are_dropped() {
 fn smaller_images_are_interpolated() {
     let gpu = Gpu::new();
     let font = Font::new(gpu.device(), LETTERS, &case().font).unwrap();
-    let (window, picture) = ([60, 36], [20, 12]);
-    let mut display = Display::scaled(gpu.device(), &font, [window, picture], ImageFormat::Rgba8Unorm, ROOM).unwrap();
-    assert_eq!((display.picture().size(), display.window().size()), (picture, window));
-    // Ramps: bilinear interpolation keeps them between the centers of the outer pixels.
+    let (window, image) = ([60, 36], [20, 12]);
+    let mut display = Display::scaled(gpu.device(), &font, [window, image], ImageFormat::Rgba8Unorm, ROOM).unwrap();
+    assert_eq!((display.image().size(), display.window().size()), (image, window));
+    // Bilinear interpolation reproduces ramps between the centers of the outer pixels.
     let ramp = |x: f32, y: f32| [x / 20.0, y / 12.0, 0.5];
     let texels: Vec<[f16; 4]> = (0..12)
         .flat_map(|y| (0..20).map(move |x| (x, y)))
@@ -120,7 +120,7 @@ fn smaller_images_are_interpolated() {
             [r, g, b, f16::ONE]
         })
         .collect();
-    gpu.device().upload_image(display.picture(), bytemuck::cast_slice(&texels)).unwrap();
+    gpu.device().upload_image(display.image(), bytemuck::cast_slice(&texels)).unwrap();
     display.submit(&Shown { kind: ShownKind::Encoded, gain: 1.0, marks: &[], text: &[], letter_size: 1 }).unwrap();
     display.finish().unwrap();
     let found: Vec<[u8; 4]> = bytemuck::pod_collect_to_vec(&gpu.device().download_image(display.window()).unwrap());

@@ -1,4 +1,4 @@
-//! Two devices in one process, each training in a thread of its own: neither notices the other.
+//! Two devices in one process, each training in its own thread. Neither affects the other.
 
 use sgs_config::Settings;
 use sgs_engine::device::Objects;
@@ -20,14 +20,14 @@ fn settings(seed: u64) -> Settings {
     s
 }
 
-/// Everything that a training is: its reports and its result.
+/// Reports and result of a training.
 #[derive(PartialEq)]
 struct Outcome {
     reports: Vec<(u32, u32, u32, u32)>,
     splats: Splats,
 }
 
-/// Opens a device, trains on it, closes it.
+/// Opens a device, trains on it, and closes it.
 fn train(scene: &Scene, s: &Settings, started: Option<&Barrier>) -> Outcome {
     let objects = Objects::default();
     let select = std::env::var("SGS_TEST_DEVICE").ok();
@@ -70,7 +70,7 @@ fn concurrent_trainings_match_sequential_trainings() {
     }
 }
 
-/// Items that live as long as the process, outside tests.
+/// Returns the items outside tests that live as long as the process.
 fn globals(source: &str) -> Vec<String> {
     let tested = source.find("#[cfg(test)]").unwrap_or(source.len());
     let words = ["static ", "static mut ", "thread_local!", "lazy_static!"];
@@ -79,7 +79,7 @@ fn globals(source: &str) -> Vec<String> {
 }
 
 #[test]
-fn there_is_no_global_state() {
+fn crates_have_no_global_state() {
     assert_eq!(globals("pub static X: u32 = 1;\nthread_local! { }\nfn f(x: &'static str) {}").len(), 2);
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap();
     let mut open: Vec<_> = ["engine/src", "passes/src", "tools", "shaders-glsl/src"].map(|f| root.join(f)).to_vec();
@@ -99,6 +99,6 @@ fn there_is_no_global_state() {
             }
         }
     }
-    // A counter that gives temporary files of one process different names.
+    // The counter gives temporary files of a process distinct names.
     assert_eq!(found, ["atomic.rs: static COUNTER: AtomicU64 = AtomicU64::new(0);"]);
 }

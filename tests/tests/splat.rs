@@ -1,4 +1,4 @@
-//! Rendering against the double-precision reference, at ordinary and extreme inputs.
+//! Rendering at ordinary and extreme inputs, compared with the reference. The reference is in double precision.
 
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::reference::blend::{Blended, render};
@@ -7,8 +7,8 @@ use sgs_passes::scene::{FEATURES, Gaussians as GpuGaussians, Model};
 use sgs_passes::splat::Channels;
 use sgs_tests::{Gpu, scenes};
 
-/// Renders on the GPU and by the reference; returns the largest difference where nothing is doubtful, the share of doubtful
-/// pixels, and the PSNR over all.
+/// Compares the device's image with the reference. Returns the largest difference at conclusive pixels, the share of
+/// inconclusive pixels, and the PSNR over all pixels.
 fn compare(gpu: &Gpu, g: &Gaussians, camera: &Camera, depth: bool) -> (f64, f64, f64) {
     let degree = (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32;
     let model = Model { sh_degree: degree, normals: !g.normals.is_empty(), semantics: !g.semantics.is_empty() };
@@ -30,7 +30,7 @@ fn difference(image: &[f32], transmittance: &[f32], truth: &Blended, channels: u
     for (p, doubtful) in truth.doubtful.iter().enumerate() {
         for c in 0..channels {
             let t = truth.image[p * channels + c];
-            // Depth is in the scene's unit and its square grows with it: both are compared relatively.
+            // Depth has the scene's unit and its square grows with it. Both are compared relatively.
             let scale = if c < 3 { 1.0 } else { t.abs().max(1.0) };
             let d = (f64::from(image[p * channels + c]) - t).abs() / scale;
             if c < 3 {
@@ -91,7 +91,8 @@ fn a_planted_error_is_caught() {
     assert!(difference(&image, &transmittance, &truth, 3).0 > 2e-3);
 }
 
-/// Largest difference of features where the reference is sure of itself; rows of the truth end in them.
+/// Returns the largest difference of features at conclusive pixels. Features are the last channels of the reference's
+/// rows.
 fn feature_difference(found: &[f32], truth: &Blended) -> f64 {
     let channels = truth.image.len() / truth.doubtful.len();
     let pixels = truth.image.chunks(channels).zip(found.chunks(FEATURES)).zip(&truth.doubtful);
@@ -101,7 +102,7 @@ fn feature_difference(found: &[f32], truth: &Blended) -> f64 {
     differences.fold(0.0, f64::max)
 }
 
-/// One renderer, views of several sizes, room for entries that does not suffice at first.
+/// Tests one renderer with views of several sizes. Its entry capacity is too small at first.
 #[test]
 fn features_are_blended_at_every_pixel() {
     let gpu = Gpu::new();
@@ -122,13 +123,13 @@ fn features_are_blended_at_every_pixel() {
         let d = feature_difference(&found, &truth);
         assert!(d < 2e-3, "{size:?}: largest difference {d}");
         assert!(truth.doubtful.iter().filter(|d| !**d).count() > pixels / 2, "{size:?} shows too little");
-        // What is compared must be able to differ.
+        // The comparison detects a changed feature.
         let mut other = found.clone();
         let sure = truth.doubtful.iter().position(|d| !*d).unwrap();
         other[sure * FEATURES + 31] += 0.01;
         assert!(feature_difference(&other, &truth) > 5e-3);
     }
-    // Gaussians without features in the same renderer, and with them again.
+    // Gaussians without features use the same renderer, followed by those with features.
     let plain = GpuGaussians::new(device, Model { semantics: false, ..model }, g.len() as u32, false).unwrap();
     plain.upload(device, &scenes::data(&g)).unwrap();
     let camera = scenes::gpu_camera(&scenes::camera([33, 20]));
@@ -138,7 +139,7 @@ fn features_are_blended_at_every_pixel() {
     assert!(renderer.features().is_some() && with.image == without.image);
 }
 
-/// Colors that nobody asks for are left out; all else keeps its bits.
+/// Tests that images without colors keep all other channels bit for bit.
 #[test]
 fn views_without_colors_have_the_same_depth_and_normals() {
     let gpu = Gpu::new();

@@ -1,4 +1,5 @@
-//! Gradients of the whole render (projection, harmonics, blending) against central differences of the reference.
+//! Gradients of the whole render against central differences of the reference. The render consists of projection,
+//! harmonics and blending.
 
 use glam::{DMat3, DVec3};
 use sgs_passes::Accuracy;
@@ -7,7 +8,8 @@ use sgs_passes::splat::BackwardKernel;
 use sgs_tests::gradients::{Case, parameters};
 use sgs_tests::{Gpu, finite_difference, scenes};
 
-/// Central difference at two steps; none where they disagree, because a threshold lies between.
+/// Returns the central difference at the smaller of two step sizes. Returns `None` where the two disagree because a
+/// threshold lies between.
 fn difference(case: &Case, group: Group, i: usize) -> Option<f64> {
     let mut g = case.gaussians.clone();
     let mut at = |h: f64| {
@@ -22,14 +24,11 @@ fn difference(case: &Case, group: Group, i: usize) -> Option<f64> {
     ((coarse - fine).abs() <= 1e-3 * (1.0 + fine.abs())).then_some(fine)
 }
 
-/// What a gradient may be off by, of itself, of the largest of its group, and at all.
-fn tolerance(case: &Case) -> [f64; 3] {
-    // The reference's exponential is exact.
-    if case.accuracy.fast_exp { [2e-3, 2e-4, 1e-5] } else { [1e-3, 5e-5, 1e-6] }
-}
+/// Tolerances of gradients: relative to the gradient, relative to the largest of its group, and absolute.
+const TOLERANCE: [f64; 3] = [1e-3, 5e-5, 1e-6];
 
 fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
-    let [relative, share, absolute] = tolerance(case);
+    let [relative, share, absolute] = TOLERANCE;
     let (groups, pose) = case.gpu_gradients(gpu, which);
     let (mut compared, mut skipped) = (0, 0);
     for group in Group::ALL {
@@ -50,7 +49,7 @@ fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
         }
     }
     assert!(skipped * 5 < compared, "{skipped} of {compared} lie at thresholds");
-    // The camera: rows of the rotation as nine free numbers, then the translation.
+    // The pose has the rotation's rows as nine independent numbers, and then the translation.
     let scale = pose.iter().fold(0.0_f64, |m, v| m.max(f64::from(v.abs())));
     for i in 0..12 {
         let mut x = [0.0];
@@ -77,7 +76,7 @@ fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
     }
 }
 
-/// All that the device can run.
+/// Returns the backward kernels that the device can run.
 fn kernels(gpu: &Gpu) -> Vec<BackwardKernel> {
     let all = [BackwardKernel::Pixel, BackwardKernel::Splat, BackwardKernel::Atomic];
     all.into_iter().filter(|k| k.runs_on(gpu.device().info())).collect()
@@ -93,7 +92,7 @@ fn gradients_of_all_kernels_match_reference() {
     }
 }
 
-/// What is left out for speed is left out of the gradient as well, and nothing else is.
+/// Tests that gradients omit exactly the terms that the render omits for speed.
 #[test]
 fn gradients_at_other_accuracies_match_reference() {
     let gpu = Gpu::new();
@@ -102,8 +101,8 @@ fn gradients_at_other_accuracies_match_reference() {
         Accuracy { transmittance_min: 0.3, keep_last: true, ..exact },
         Accuracy { transmittance_min: 0.3, ..exact },
         Accuracy { alpha_min: 1.0 / 16.0, ..exact },
-        Accuracy { fast_exp: true, depth_bits: 24, ..exact },
-        Accuracy { color_bits: 16, feature_bits: 16, ..exact },
+        Accuracy { depth_bits: 24, ..exact },
+        Accuracy { color_bits: 16, ..exact },
         Accuracy::BALANCED,
         Accuracy::FAST,
     ] {
@@ -124,10 +123,10 @@ fn gradients_with_semantic_features_match_reference() {
     check(&gpu, &Case::new(g, [21, 18], true), BackwardKernel::Pixel);
 }
 
-/// Where features may not move opacities and footprints, these have the gradients that they have without features, bit for
-/// bit, and the features have those that they have with.
+/// Tests features that may not move geometry. All other gradients equal those without features bit for bit. Gradients
+/// of the features equal those with moving geometry.
 #[test]
-fn features_that_do_not_move_geometry_leave_its_gradients_alone() {
+fn features_that_do_not_move_geometry_leave_its_gradients_unchanged() {
     let gpu = Gpu::new();
     let mut wide = Case::new(scenes::with_semantics(scenes::ordinary(40, 0, true, 15), 6), [30, 21], true);
     let (moving, _) = wide.gpu_gradients(&gpu, BackwardKernel::Pixel);
@@ -151,7 +150,7 @@ fn backward_kernels_agree_on_many_gaussians_bit_for_bit() {
     for which in kernels(&gpu) {
         let (other, _) = case.gpu_gradients(&gpu, which);
         agree(&pixel, &other, which);
-        // Atomics do not repeat, but agree.
+        // Results with atomics do not repeat bit for bit, but agree.
         if which == BackwardKernel::Atomic {
             continue;
         }

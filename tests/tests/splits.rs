@@ -1,4 +1,4 @@
-//! `--split`: which views are held out, what the run records of it, and what is refused.
+//! `--split`: held-out views, the recorded split, and refusals.
 
 use sgs_run::RunDirectory;
 use sgs_scene::SplitRule;
@@ -6,7 +6,7 @@ use sgs_tests::Place;
 use sgs_tests::cli::{sgs, sgs_after};
 use sgs_tests::rooms::Room;
 
-/// The names of the views that `sgs eval` measures.
+/// Returns the names of the views that `sgs eval` measures.
 fn measured(place: &Place, run: &str, split: &str) -> Vec<String> {
     let found = sgs(&["eval", &place.text(run), "--split", split, "--json"]).ok().json();
     found["views"].as_array().unwrap().iter().map(|v| v["name"].as_str().unwrap().to_owned()).collect()
@@ -19,7 +19,7 @@ fn a_split_is_recorded_and_kept() {
     assert_eq!(RunDirectory::open(&place.path("run")).unwrap().settings().unwrap().split, SplitRule::Every(3));
     assert_eq!(measured(&place, "run", "test"), ["000", "003", "006"]);
     assert_eq!(measured(&place, "run", "train"), ["001", "002", "004", "005", "007"]);
-    // Resuming keeps the split, and another split is another run.
+    // Resuming keeps the split, and another split is refused.
     place.resume("run").ok();
     let (scene, run) = (place.text("scene"), place.text("run"));
     let other = ["train", &scene, "-o", &run, "--resume", "--split", "linspace:2"];
@@ -34,9 +34,9 @@ fn a_split_is_recorded_and_kept() {
     sgs(&["plan", &scene, "--split", "linspace:2"]).ok();
 }
 
-/// The path of a split is that of the training, not of whoever measures.
+/// Tests that a split file is relative to the training's working directory.
 #[test]
-fn a_split_file_is_found_from_anywhere() {
+fn a_split_file_is_found_from_any_directory() {
     let place = Place::new(Room::default());
     std::fs::write(place.path("folds.json"), r#"{"train": ["001", "002", "004"], "test": ["007"]}"#).unwrap();
     let preparation = format!("cd '{}'", place.path(".").display());

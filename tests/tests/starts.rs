@@ -1,4 +1,4 @@
-//! Checks before the first step of a training: inputs that are refused, and warnings about a bad start.
+//! Checks before the first step of a training: refused inputs, and warnings.
 
 use sgs_run::read_lights;
 use sgs_scene::{Image, Splats, write_png};
@@ -7,7 +7,7 @@ use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::rooms::{Room, write_json};
 use std::path::Path;
 
-/// Changes the places of the cameras and of the points of a room.
+/// Transforms the positions of a room's cameras and points.
 fn move_room(scene: &Path, cameras: impl Fn(f64) -> f64, points: impl Fn(f64) -> f64) {
     let file = scene.join("transforms.json");
     let mut value: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
@@ -34,7 +34,7 @@ fn train(place: &Place, more: &[&str]) -> Finished {
     sgs(&[&["train", &scene, "-o", &run, "--geometry-steps", "1", "--no-densify", "--force"], more].concat())
 }
 
-/// Trains both stages in a few steps.
+/// Trains both stages for a few steps.
 fn train_all(place: &Place, run: &str) {
     let small = [
         "geometry.densify.from=10",
@@ -50,9 +50,10 @@ fn train_all(place: &Place, run: &str) {
     sgs(&[&["train", &scene, "-o", &run], &steps[..], &sets].concat()).ok();
 }
 
-/// In millimeters and in units of eight kilometers a room is trained alike, and files keep its units.
+/// Tests that the unit of a scene does not affect training. Units are millimeters and eight kilometers. Files keep the
+/// scene's units.
 #[test]
-fn the_units_of_a_scene_change_nothing() {
+fn scene_units_do_not_change_training() {
     let place = Place::new(Room::default());
     let scene = place.path("scene");
     Room::default().write_materials(&scene);
@@ -74,7 +75,7 @@ fn the_units_of_a_scene_change_nothing() {
     assert!(a.len() > 100);
     assert!(scaled(&a.means, small / large) == b.means.as_flattened());
     assert!(a.sh == b.sh && a.rotations == b.rotations && a.opacity_logits == b.opacity_logits);
-    // Logarithms of scales are rounded between the stages, and Adam makes whole steps of gradients that are next to nothing.
+    // Logarithms of scales are rounded between the stages, and Adam takes full steps for gradients near zero.
     let near = |a: &[f32], b: &[f32], by: f32| {
         let off = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(off < by, "{off} of {by}");
@@ -90,7 +91,7 @@ fn the_units_of_a_scene_change_nothing() {
         assert_eq!(a.gain * by * by, b.gain);
         near(&a.lobes[0].amplitude, &b.lobes[0].amplitude, 1e-2 * a.lobes[0].amplitude[0]);
     }
-    // Images are those of the room in its own unit.
+    // Metrics equal those of the room in its own unit.
     let psnr = |metrics: &serde_json::Value, of: &str| metrics["mean"][of]["psnr"].as_f64().unwrap();
     let own = metrics_of_moved(&place, &scene, small);
     for of in ["nvs", "pbr"] {
@@ -98,7 +99,7 @@ fn the_units_of_a_scene_change_nothing() {
         assert!((all[0] - all[1]).abs() < 1e-3, "{of}: {all:?}");
         assert!((all[0] - psnr(&own, of)).abs() < 0.6, "{of}: {all:?} and {}", psnr(&own, of));
     }
-    // Cameras of a file say nothing of the scene's size.
+    // Cameras of a file do not determine the scene's size.
     let (run, out) = (place.text("small"), place.text("out"));
     move_room(&scene, |v| small * v, |v| small * v);
     let cameras = place.text("scene/transforms.json");
@@ -107,10 +108,10 @@ fn the_units_of_a_scene_change_nothing() {
     let first = first.filter(|p| p.extension().is_some_and(|e| e == "png")).min().unwrap();
     let image = image::open(&first).unwrap().to_rgb8();
     let mean = image.iter().map(|v| f64::from(*v)).sum::<f64>() / image.len() as f64 / 255.0;
-    assert!(mean > 0.1, "the picture is black: {mean}");
+    assert!(mean > 0.1, "the image is black: {mean}");
 }
 
-/// Measures of the run "own", whose room is brought back to its own unit first.
+/// Returns metrics of the run "own" after scaling the room back to its own unit.
 fn metrics_of_moved(place: &Place, scene: &Path, from: f64) -> serde_json::Value {
     move_room(scene, |v| v / from, |v| v / from);
     sgs(&["eval", &place.text("own"), "--json"]).ok().json()
@@ -126,7 +127,7 @@ fn scenes_in_two_units_are_refused() {
     move_room(&scene, |v| v, |v| 1e4 * v);
     let output = train(&place, &[]).ok().stderr;
     assert!(output.lines().all(|line| !line.contains("WARN") || line.contains(" not run: ")), "{output}");
-    // Points of another reconstruction.
+    // Points belong to another reconstruction.
     move_room(&scene, |v| v, |v| v + 1000.0);
     std::fs::remove_dir_all(place.path("run")).unwrap();
     train(&place, &[]).refused_with(42, &["no training view sees any", "same reconstruction", "same units"]);
@@ -168,7 +169,7 @@ fn insufficient_images_and_priors_are_warned_of() {
         output.contains("no priors of normals or materials") && output.contains("docs/guide/priors.md"),
         "{output}"
     );
-    // An evaluation starts from nothing.
+    // An evaluation does not warn about the start of a training.
     std::fs::remove_file(place.path("scene/points.ply")).unwrap();
     let output = train(&place, &["--set", "random_points=500"]).ok().stderr;
     assert!(output.contains("starting from 500 random points"), "{output}");
@@ -177,7 +178,7 @@ fn insufficient_images_and_priors_are_warned_of() {
 }
 
 #[test]
-fn a_scene_that_has_moved_is_named_by_an_option() {
+fn a_moved_scene_is_found_by_the_scene_option() {
     let place = Place::new(Room::default());
     train(&place, &[]).ok();
     std::fs::rename(place.path("scene"), place.path("moved")).unwrap();
@@ -186,14 +187,14 @@ fn a_scene_that_has_moved_is_named_by_an_option() {
         sgs(&command).refused_with(1, &["no longer at", "/scene\"", "--scene DIR"]);
         sgs(&[&command[..], &["--scene", &moved]].concat()).ok();
     }
-    // Found out before minutes of work.
+    // The error is reported before minutes of work.
     if std::fs::File::create("/proc/sgs.html").is_err() {
         sgs(&["report", &run, "-o", "/proc/a.html", "--scene", &moved]).refused(&["/proc/a.html", "cannot be written"]);
     }
 }
 
 #[test]
-fn folders_of_photographs_get_the_commands_that_find_cameras() {
+fn folders_of_photographs_are_refused_with_commands_for_poses() {
     let place = Place::new(Room::default());
     std::fs::create_dir(place.path("photos")).unwrap();
     std::fs::rename(place.path("scene/images"), place.path("photos/images")).unwrap();

@@ -1,11 +1,11 @@
-//! Exit statuses, and errors as `--json` prints them. Interruptions have theirs in `interruptions.rs`.
+//! Exit statuses, and errors as `--json` prints them. `interruptions.rs` tests statuses of interruptions.
 
 use sgs_tests::Place;
 use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 
 #[test]
-fn wrong_options_settings_presets_values_and_devices_are_wrong_usage() {
+fn invalid_options_settings_and_devices_have_the_usage_status() {
     let place = Place::new(Room::default());
     let (scene, run) = (place.text("scene"), place.text("run"));
     let train = |more: &[&str]| sgs(&[&["train", &scene, "-o", &run], more].concat());
@@ -25,7 +25,7 @@ fn wrong_options_settings_presets_values_and_devices_are_wrong_usage() {
 }
 
 #[test]
-fn inputs_that_can_never_work_have_a_status_of_their_own() {
+fn invalid_inputs_have_their_own_status() {
     let place = Place::new(Room::default());
     let run = place.text("run");
     sgs(&["train", &place.text("none"), "-o", &run]).refused_with(42, &["does not exist"]);
@@ -38,7 +38,7 @@ fn inputs_that_can_never_work_have_a_status_of_their_own() {
     std::fs::write(place.path("a.ply"), b"ply").unwrap();
     let cameras = place.text("scene/transforms.json");
     sgs(&["render", &place.text("a.ply"), "--cameras", &cameras, "-o", &run]).refused_with(42, &["a.ply"]);
-    // What may be there another time has the general one.
+    // Inputs that may exist later have the general status.
     sgs(&["eval", &place.text("empty")]).refused_with(1, &["not a run directory"]);
 }
 

@@ -1,4 +1,4 @@
-//! Every pipeline requests its subgroup size, and kernels run at the size that they are specialized for.
+//! Subgroup sizes: every pipeline requests its own. Kernels run at the size that they are specialized for.
 
 use sgs_engine::Error;
 use sgs_engine::device::PipelineInfo;
@@ -8,7 +8,7 @@ use sgs_tests::Gpu;
 use sgs_tests::gpu::subgroup_faults;
 use sgs_tests::kernels::kernel;
 
-/// Every kernel, compiled for the device's subgroup size.
+/// Tests every kernel, compiled for the device's subgroup size.
 #[test]
 fn every_kernel_requests_its_subgroup_size() {
     let gpu = Gpu::new();
@@ -24,7 +24,7 @@ fn every_kernel_requests_its_subgroup_size() {
     for pipeline in &made {
         assert_eq!((pipeline.requested, pipeline.subgroup_size), (control, size), "{pipeline:?}");
     }
-    // `Gpu` checks the same of every pipeline of every other test.
+    // `Gpu` checks every pipeline of every other test the same way.
     assert_eq!(subgroup_faults(gpu.device()), [""; 0]);
 }
 

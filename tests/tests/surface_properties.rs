@@ -1,9 +1,9 @@
-//! What a view sees of surfaces, its matrix of weights and materials through it, of Gaussians whose every number is drawn
-//! log-uniformly, against the double-precision reference. What fails is shrunk. The numbers are the same every time;
-//! `SGS_TEST_CASES` asks for more of them.
+//! Surfaces, weight matrices and materials of random Gaussians. They are tested against the reference in double
+//! precision. Every number is drawn log-uniformly, and failures are shrunk. Draws are the same in every run;
+//! `SGS_TEST_CASES` sets their number.
 //!
-//! What single precision may be off by is measured: by how much the reference's own answer moves when Gaussians move by some
-//! units of the last place.
+//! The tolerance for single precision is measured. Gaussians are perturbed by some units in the last place, and the
+//! change of the reference is the tolerance.
 
 use glam::DVec3;
 use proptest::prelude::*;
@@ -17,13 +17,13 @@ use sgs_tests::gbuffer::{Case, Found, ROOM, run};
 use sgs_tests::lit::narrow;
 use sgs_tests::{Gpu, scenes};
 
-/// Of what covers a pixel, beside what rounding of Gaussians does to it.
+/// Tolerance of a pixel's coverage, besides the effect of rounding of Gaussians.
 const COVERAGE: f64 = 3e-6;
-/// What numbers of 32 bits leave of a sum of a few terms.
+/// Tolerance of a sum of a few terms in 32 bits, relative to its magnitude.
 const SUM: f64 = 1e-6;
 
 prop_compose! {
-    /// Normals, raw materials and gradients of either sign, between far powers of ten.
+    /// Draws normals, raw materials and gradients of either sign and any magnitude.
     fn case()(
         (scene, camera) in scene(),
         seed in any::<u32>(),
@@ -40,7 +40,7 @@ prop_compose! {
         };
         let (n, pixels) = (scene.len(), (camera.size[0] * camera.size[1]) as usize);
         let normals = many(3 * n, [-9.0, 9.0]);
-        // Beyond 80 either way a sigmoid is not told from its end.
+        // Beyond 80 in either direction, a sigmoid equals its limit.
         let raw = [-3.0, 1.9];
         let metallic = if metals { many(n, raw) } else { vec![] };
         let raw = Materials { albedo: many(3 * n, raw), roughness: many(n, raw), metallic, albedo_range: [0.01, 0.98] };
@@ -49,7 +49,7 @@ prop_compose! {
     }
 }
 
-/// What the reference says of every pixel.
+/// The reference's results for every pixel.
 struct Truth {
     points: Vec<DVec3>,
     normals: Vec<DVec3>,
@@ -74,7 +74,7 @@ fn truth(case: &Case, scene: &Gaussians) -> Truth {
     }
 }
 
-/// What is asked of each Gaussian's materials, before their slopes, and the sum of magnitudes.
+/// Returns each Gaussian's weighted gradients, before slopes. Each comes with the sum of magnitudes.
 fn gathered(case: &Case, rows: &[Vec<(usize, f64)>]) -> Vec<[[f64; 2]; 5]> {
     let mut sums = vec![[[0.0; 2]; 5]; case.scene.len()];
     for (row, gradient) in rows.iter().zip(&case.gradient) {
@@ -88,15 +88,16 @@ fn gathered(case: &Case, rows: &[Vec<(usize, f64)>]) -> Vec<[[f64; 2]; 5]> {
     sums
 }
 
-/// How fast materials grow with raw ones: the derivative of the sigmoid, without differences of nearly equal numbers.
+/// Returns the derivatives of materials with respect to raw ones. The derivative of the sigmoid avoids differences of
+/// nearly equal numbers.
 fn slopes(raw: &Materials, i: usize) -> [f64; 5] {
     let slope = |x: f64| 1.0 / ((1.0 + (-x).exp()) * (1.0 + x.exp()));
     let [r, g, b] = [0, 1, 2].map(|c| raw.albedo_range[1] * slope(raw.albedo[3 * i + c]));
     [r, g, b, 0.9 * slope(raw.roughness[i]), raw.metallic.get(i).map_or(0.0, |x| slope(*x))]
 }
 
-/// The case with nothing asked of pixels of which double precision is not sure, the reference's answer and what rounding may
-/// make of it.
+/// Zeroes the gradients of inconclusive pixels. Returns the case, the reference's results, and those after simulated
+/// rounding.
 fn prepared(mut case: Case) -> (Case, Truth, Vec<Truth>) {
     let mut sure = truth(&case, &case.scene);
     let others: Vec<Truth> = (0..4).map(|way| truth(&case, &rounded(&case.scene, &case.camera, way))).collect();
@@ -110,12 +111,12 @@ fn prepared(mut case: Case) -> (Case, Truth, Vec<Truth>) {
     (case, sure, others)
 }
 
-/// Of a weight in 16 bits.
+/// Returns the quantization step of weights, zero for 32 bits.
 fn part(case: &Case) -> f64 {
     if case.bits == 16 { 1.0 / 65535.0 } else { 0.0 }
 }
 
-/// Points, normals, the matrix and materials; how many pixels were compared.
+/// Compares points, normals, the matrix and materials. Returns the number of compared pixels.
 fn check_pixels(case: &Case, sure: &Truth, others: &[Truth], found: &Found) -> Result<usize, TestCaseError> {
     prop_assert_eq!(found.flags, 0);
     let origin = case.camera.rotation.transpose() * case.camera.translation;
@@ -172,12 +173,12 @@ fn check_pixels(case: &Case, sure: &Truth, others: &[Truth], found: &Found) -> R
     Ok(compared)
 }
 
-/// Gradients of raw materials.
+/// Compares the gradients of raw materials.
 fn check_gradients(case: &Case, sure: &Truth, others: &[Truth], found: &Found) -> Result<(), TestCaseError> {
     let retained = |t: &Truth| if case.bits == 16 { stored_rows(&t.rows) } else { t.rows.clone() };
     let here = gathered(case, &retained(sure));
     let moved: Vec<_> = others.iter().map(|t| gathered(case, &retained(t))).collect();
-    // What every weight may be off by, as a share of its pixel, times what the pixel asks.
+    // The tolerance is each weight's error, relative to its pixel, times the pixel's gradient.
     let mut slack = vec![[0.0; 5]; here.len()];
     let mut most = 1.0_f64;
     for ((row, coverage), gradient) in sure.rows.iter().zip(&sure.coverage).zip(&case.gradient) {
@@ -194,7 +195,7 @@ fn check_gradients(case: &Case, sure: &Truth, others: &[Truth], found: &Found) -
         for (c, (found, slope)) in found.zip(slopes(&case.raw, i)).enumerate() {
             let [sum, size] = sums[c];
             let rounding = moved.iter().map(|m| (m[i][c][0] - sum).abs()).fold(0.0, f64::max);
-            // The exponential of a sigmoid, and what numbers of 32 bits are too small for.
+            // The sigmoid's exponential adds an error, and tiny results underflow in 32 bits.
             let slack = slope * (slack[i][c] + 4.0 * rounding + SUM * size + 1e-4 * sum.abs()) + 1e-37 * most;
             let (found, expected) = (f64::from(*found), slope * sum);
             let off = (found - expected).abs();
@@ -232,7 +233,7 @@ fn surfaces_weights_and_materials_match_reference() {
     assert!(cases > 48 && compared > all / 2 && visible > all / 10, "{:?}", counts.get());
 }
 
-/// A hundredth is noticed, of every kind of number.
+/// Tests that an error of 1 % in each kind of number is detected.
 #[test]
 fn checks_of_surfaces_can_fail() {
     let gpu = Gpu::new();

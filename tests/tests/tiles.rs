@@ -1,4 +1,4 @@
-//! Tiles of every size that settings can ask for: other entries, the same training but for the order of sums.
+//! Tile sizes that settings allow: entries differ, and training differs only by the order of sums.
 
 use sgs_config::{Backward, Settings};
 use sgs_passes::pipeline::IntrinsicReport;
@@ -10,7 +10,7 @@ use sgs_train::{Geometry, Intrinsic, Progress};
 
 const STEPS: u32 = 12;
 
-/// Fails unless losses are those of another training up to what rounding has become in some steps.
+/// Fails if losses differ from another training by more than accumulated rounding.
 fn assert_same_course(what: &str, found: &[f32], expected: &[f32]) {
     assert_eq!((found.len(), expected.len()), (STEPS as usize, STEPS as usize), "{what}");
     for (step, (a, b)) in found.iter().zip(expected).enumerate() {
@@ -19,7 +19,7 @@ fn assert_same_course(what: &str, found: &[f32], expected: &[f32]) {
 }
 
 #[test]
-fn geometry_is_learned_in_tiles_of_every_size() {
+fn geometry_training_is_equal_for_every_tile_size() {
     let room = Room { priors: true, ..Room::default() };
     let place = Place::new(room);
     Meaning::default().write(&room, &place.path("scene"));
@@ -52,7 +52,7 @@ fn geometry_is_learned_in_tiles_of_every_size() {
 }
 
 #[test]
-fn materials_are_learned_in_tiles_of_every_size() {
+fn material_training_is_equal_for_every_tile_size() {
     let (place, _) = intrinsic::place();
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
@@ -75,7 +75,7 @@ fn materials_are_learned_in_tiles_of_every_size() {
 }
 
 #[test]
-fn other_sizes_are_refused() {
+fn invalid_tile_sizes_are_refused() {
     for rows in [1, 4, 12, 64] {
         let mut s = Settings::default();
         s.train.tile_rows = rows;

@@ -1,4 +1,4 @@
-//! Traced visibility on a device against the product over all Gaussians.
+//! Traced visibility on the device against the product over all Gaussians.
 
 use proptest::prelude::*;
 use sgs_engine::graph::Graph;
@@ -11,7 +11,7 @@ use sgs_tests::lit::{Lit, SPARE, narrow};
 use sgs_tests::splats::{doubt, random_splats, splat_data};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
-/// How far above surfaces rays begin; exact in 32 bits.
+/// Distance of ray origins above surfaces; exact in 32 bits.
 const OFFSET: f32 = 0.015625;
 
 struct Found {
@@ -87,13 +87,13 @@ fn visibility_is_the_product_over_all_gaussians() {
 #[test]
 fn occluders_attenuate_lights() {
     let gpu = Gpu::new();
-    // Of a single light, radiance is what it would be times how much of it is seen.
+    // Radiance under a single light is unoccluded radiance times visibility.
     let c = case([8, 7], 1, 11);
     let found = run(&gpu, &c, &random_splats(200, 12));
     let right: Vec<f64> =
         found.plain.iter().enumerate().map(|(i, x)| f64::from(*x) * f64::from(found.visibility[i / 3])).collect();
     assert_close("direct", &right, &found.traced, Tolerance::new(1e-7, 1e-5));
-    // Something is dimmed, and a comparison with plain light notices.
+    // Some pixels are dimmed, and a comparison with unoccluded radiance fails.
     let plain: Vec<f64> = found.plain.iter().map(|x| f64::from(*x)).collect();
     assert!(worst(&plain, &found.traced, Tolerance::new(1e-7, 1e-5)).unwrap().3 > 1.0);
 }
@@ -102,7 +102,7 @@ fn occluders_attenuate_lights() {
 fn a_surface_does_not_shadow_itself_but_a_wall_does() {
     let gpu = Gpu::new();
     let mut c = case([8, 8], 2, 21);
-    // A floor of sheets, thicker than the offset, with points on it, seen from aslant; a light above, and one behind a wall.
+    // Points lie on a floor of sheets that is thicker than the offset. One light is above, and one is behind a wall.
     for (i, p) in c.pixels.iter_mut().enumerate() {
         p.point = [0.1 * (i % 8) as f64 - 0.35, 0.1 * (i / 8) as f64 - 0.35, 0.0].map(narrow);
         p.normal = [0.0, 0.0, 1.0];
@@ -139,17 +139,17 @@ fn invisible_gaussians_are_not_in_the_bvh() {
     splats[4].log_scale[1] = f64::INFINITY;
     splats[5].opacity_logit = f64::INFINITY;
     assert_eq!(TracedTree::new(&splat_data(&splats)).unwrap().splats(), splats[6..].iter().filter(visible).count());
-    // Many in one place are still a tree.
+    // Many coincident Gaussians still form a tree.
     let heap = vec![Splat { opacity_logit: 1.0, ..random_splats(1, 1)[0] }; 5000];
     assert_eq!(TracedTree::new(&splat_data(&heap)).unwrap().splats(), 5000);
 }
 
-/// Some units of the last place, one way or the other.
+/// Perturbs values by up to a few units in the last place of `size`.
 fn jitter(rng: &mut Pcg, v: &mut [f64], size: f64) {
     v.iter_mut().for_each(|x| *x += 4e-7 * size * rng.range(-1.0, 1.0));
 }
 
-/// By how much the reference's answer moves when what it is made from is rounded otherwise.
+/// Returns four times the reference's largest change under perturbed inputs.
 fn slack(splats: &[Splat], from: V3, to: V3, right: f64) -> f64 {
     let mut rng = Pcg::new(9);
     let length = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -172,7 +172,8 @@ fn slack(splats: &[Splat], from: V3, to: V3, right: f64) -> f64 {
     4.0 * moved.fold(0.0, f64::max)
 }
 
-/// Scales e^-17 to e^9, quaternions of any length, places near and far.
+/// Draws Gaussians over a wide range. Scales are e^-17 to e^9, quaternions have any length, and positions are near and
+/// far.
 fn drawn() -> impl Strategy<Value = Splat> {
     let axis = || prop_oneof![4 => signed(-3.0, 0.3), 1 => signed(0.3, 4.0)];
     (
@@ -189,7 +190,7 @@ fn drawn() -> impl Strategy<Value = Splat> {
         })
 }
 
-/// The numbers are the same every time; `SGS_TEST_CASES` asks for more of them.
+/// Tests random Gaussians. Draws are the same in every run; `SGS_TEST_CASES` sets their number.
 #[test]
 fn rays_through_random_gaussians_match_reference() {
     let gpu = Gpu::new();

@@ -1,5 +1,5 @@
-//! Training under lights that Gaussians may hide: radiance and gradients against the reference's, each pair times what its
-//! ray found; in one stretch and in several.
+//! Training under lights with traced visibility: radiance and gradients against the reference. Each pair of light and
+//! pixel is multiplied by the visibility of its ray. Views are processed in one stretch and in several.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::reference::lights as reference;
@@ -15,9 +15,9 @@ use sgs_tests::splats::{doubt, random_splats, splat_data};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
 const MODEL: LightModel = LightModel { lights: 5, lobes: 3, axes: Axes::Free };
-/// How far above surfaces rays begin; exact in 32 bits.
+/// Distance of ray origins above surfaces; exact in 32 bits.
 const OFFSET: f32 = 0.015625;
-/// How far before lights they end.
+/// Distance between ray ends and lights.
 const CLEARANCE: f32 = 0.0625;
 
 #[derive(PartialEq)]
@@ -32,7 +32,7 @@ struct Found {
     normals: Vec<f32>,
     /// Mean over the lights that are on.
     visibility: Vec<f32>,
-    /// By light and pixel, as shading read it; empty where it was not kept.
+    /// Visibility by light and pixel, as shading read it; empty if not stored.
     seen: Vec<f64>,
 }
 
@@ -103,7 +103,7 @@ fn scale(x: &[f64]) -> f64 {
     (x.iter().map(|x| x * x).sum::<f64>() / x.len().max(1) as f64).sqrt()
 }
 
-/// What rays found is what the reference's find, but for the byte.
+/// Compares visibility with the reference, up to 8-bit rounding. Returns the number of occluded rays.
 fn check_rays(case: &Lit, splats: &[Splat], seen: &[f64]) -> usize {
     let (n, mut hidden) = (case.pixels.len(), 0);
     for (l, light) in case.lights().iter().enumerate() {
@@ -128,7 +128,7 @@ fn check_rays(case: &Lit, splats: &[Splat], seen: &[f64]) -> usize {
     hidden
 }
 
-/// Everything the kernels leave is the reference's, visibility held where it was found.
+/// Compares the kernels' results with the reference at the visibility found.
 fn check(case: &Lit, found: &Found, relative: f64) {
     let n = case.pixels.len();
     let lights = case.lights();
@@ -152,7 +152,7 @@ fn check(case: &Lit, found: &Found, relative: f64) {
         materials.iter_mut().zip(&part).for_each(|(sum, p)| (0..5).for_each(|k| sum[k] += p[k]));
         let part =
             reference::lights_normals_bwd(&case.pixels, &alone, case.camera, case.normalizer(), &gradient).concat();
-        // Without a normal differences see lights that a step in any direction would face.
+        // At a zero normal, the reference's differences include lights that a step in any direction would face.
         let there = |i: usize| case.pixels[i / 3].normal != [0.0; 3];
         (0..3 * n).filter(|i| there(*i)).for_each(|i| normals[i] += part[i]);
         let mut raw = case.raw.clone();
@@ -165,7 +165,7 @@ fn check(case: &Lit, found: &Found, relative: f64) {
         assert_close(what, expected, is, Tolerance::new(1e-2 * relative * scale(expected) + 1e-20, relative));
     };
     close("radiance", &whole, &found.direct, relative);
-    close("radiance of a picture", &whole, &found.whole, relative);
+    close("radiance of an image", &whole, &found.whole, relative);
     close("diffuse", &diffuse, &found.diffuse, relative);
     assert_close("mean", &mean, &found.visibility, Tolerance::new(1e-6, 1e-6));
     for k in 0..4 {
@@ -193,7 +193,7 @@ fn own(gpu: &Gpu) -> Shape {
 }
 
 #[test]
-fn radiance_and_gradients_at_odd_sizes() {
+fn radiance_and_gradients_match_reference_at_odd_sizes() {
     let gpu = Gpu::new();
     let splats = random_splats(300, 3);
     for (i, size) in [[1, 1], [7, 1], [9, 8], [31, 9]].into_iter().enumerate() {
@@ -211,9 +211,10 @@ fn radiance_and_gradients_at_odd_sizes() {
     }
 }
 
-/// Views larger than what there is room for give what they give at once: pixels bit by bit, sums up to their order.
+/// Tests that results do not depend on the capacity for visibility. Pixels are equal bit for bit, sums up to their
+/// order.
 #[test]
-fn stretches_change_nothing() {
+fn results_are_independent_of_stretches() {
     let gpu = Gpu::new();
     let splats = random_splats(200, 5);
     let case = Lit::random([37, 11], MODEL, true, 9);
@@ -231,7 +232,7 @@ fn stretches_change_nothing() {
             let wide: Vec<f64> = b.iter().map(|x| f64::from(*x)).collect();
             assert_close("sums", &wide, a, Tolerance::new(1e-5 * scale(&wide), 1e-5));
         }
-        // The same every time.
+        // A second run gives the same bits.
         assert!(run(&gpu, &case, &splats, [40, 12], shape, blocks * block * u64::from(MODEL.lights)) == cut);
     }
 }
@@ -239,7 +240,7 @@ fn stretches_change_nothing() {
 type Change<'a> = &'a dyn Fn(&mut Lit, &mut Vec<Splat>);
 
 #[test]
-fn extremes() {
+fn radiance_and_gradients_match_reference_at_extremes() {
     let gpu = Gpu::new();
     let row = MODEL.row() as usize;
     let all = |c: &mut Lit, at: usize, v: f64| c.raw.lobes.chunks_mut(row).for_each(|r| r[at] = narrow(v));
@@ -277,7 +278,7 @@ fn traced_light_checks_can_fail() {
     check(&case, &found, 2e-4);
     let fails =
         |found: &Found| std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| check(&case, found, 2e-4))).is_err();
-    // One ray that found something else.
+    // One ray has another visibility.
     let at = found.seen.iter().position(|s| *s > 0.2 && *s < 0.9).unwrap();
     found.seen[at] += 0.1;
     assert!(fails(&found));

@@ -19,16 +19,17 @@ fn settings() -> Settings {
     s
 }
 
-/// It learns under traced shadows, the same every time, interrupted or not, and otherwise than without them.
+/// Tests that training under traced shadows learns and is deterministic. An interruption changes nothing, and training
+/// without shadows differs.
 #[test]
-fn training_sees_shadows() {
+fn training_uses_traced_shadows() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let gpu = Gpu::new();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut geometry = Geometry::new(gpu.device(), &scene, &settings(), None).unwrap();
     geometry.train(20, |_| {}, || true).unwrap();
     let mut splats = geometry.splats().unwrap();
-    // Surfaces that hide what is behind them.
+    // Opaque surfaces occlude what is behind them.
     splats.opacity_logits.iter_mut().for_each(|o| *o = o.max(1.0));
     let train = |kind: VisibilityKind, resumed_at: Option<u32>| {
         let mut s = settings();
@@ -54,7 +55,7 @@ fn training_sees_shadows() {
     assert!(without.2[0] != losses[0] && without.1 != first.1);
 }
 
-fn picture(place: &Place, file: &str) -> Image {
+fn rendered(place: &Place, file: &str) -> Image {
     read_exr(&place.path(file)).unwrap().image
 }
 
@@ -91,11 +92,11 @@ fn a_run_with_traced_shadows_is_measured_rendered_and_relit() {
     let mut all: serde_json::Value = serde_json::from_slice(&place.read("scene/transforms.json")).unwrap();
     all["frames"].as_array_mut().unwrap().truncate(1);
     std::fs::write(place.path("cameras.json"), all.to_string()).unwrap();
-    let to = place.text("pictures");
+    let to = place.text("images");
     let run = place.text("run");
     let channels = ["--channels", "visibility,direct", "--format", "exr"];
     sgs(&[&["render", &run, "--cameras", &cameras, "-o", &to][..], &channels].concat()).ok();
-    let seen = picture(&place, "pictures/000_visibility.exr");
+    let seen = rendered(&place, "images/000_visibility.exr");
     assert!(seen.data.iter().all(|v| (0.0..=1.0).contains(v)) && seen.data.iter().any(|v| *v > 0.01));
 
     let relit = |run: &str, edit: serde_json::Value, into: &str, more: &[&str]| {
@@ -105,17 +106,17 @@ fn a_run_with_traced_shadows_is_measured_rendered_and_relit() {
         sgs(&[&a[..], &["--channels", "direct"], more].concat())
     };
     relit("run", json!({}), "same", &[]).ok();
-    assert_eq!(picture(&place, "same/000_direct.exr"), picture(&place, "pictures/000_direct.exr"));
+    assert_eq!(rendered(&place, "same/000_direct.exr"), rendered(&place, "images/000_direct.exr"));
     relit("run", json!({}), "none", &["--visibility", "none"]).ok();
-    let [shadow, none] = ["same", "none"].map(|d| light(&picture(&place, &format!("{d}/000_direct.exr"))));
+    let [shadow, none] = ["same", "none"].map(|d| light(&rendered(&place, &format!("{d}/000_direct.exr"))));
     assert!(shadow < none, "{shadow} {none}");
     relit("run", json!({}), "no", &["--visibility", "learned"]).refused(&["no learned visibility", "traced or none"]);
     assert!(!place.path("no").exists());
 
-    // What was learned is of the run's own lights: where none of them is left, rays decide.
+    // A learned field holds for the run's own lights. If none of them is left, rays are traced.
     train("learned", "field").ok();
     let bulb = json!({"position": [0.1, 0.2, 0.1], "intensity": [1, 1, 1]});
-    let of = |into: &str| picture(&place, &format!("{into}/000_direct.exr"));
+    let of = |into: &str| rendered(&place, &format!("{into}/000_direct.exr"));
     for (edit, name, same) in [
         (json!({"lights": {"off": true, "add": [bulb]}}), "new", "traced"),
         (json!({"lights": {"add": [bulb]}}), "more", "learned"),

@@ -1,4 +1,4 @@
-//! Training as a whole: that it learns, and that the result depends on scene, settings and seed alone.
+//! Training as a whole: the loss falls, and the result depends on scene, settings and seed alone.
 
 use sgs_config::Settings;
 use sgs_engine::{Device, DeviceOptions};
@@ -23,7 +23,7 @@ fn device() -> Device {
 }
 
 #[test]
-fn settings_and_seed_decide() {
+fn result_depends_on_settings_and_seed_alone() {
     let place = Place::new(Room::default());
     sgs(&place.arguments("a", 40, &["--seed", "3"])).ok();
     sgs(&place.arguments("b", 40, &["--seed", "3"])).ok();
@@ -36,21 +36,21 @@ fn settings_and_seed_decide() {
     sgs(&place.arguments("d", 40, &["--seed", "4"])).ok();
     assert_ne!(place.read("a/scene.ply"), place.read("d/scene.ply"), "the seed changes nothing");
 
-    // Resuming with other settings would give neither run.
+    // Resuming with other settings would match neither run.
     let other = ["train", &place.text("scene"), "-o", &place.text("a"), "--resume", "--seed", "9"];
     sgs(&other).refused(&["seed = 3", "9", "resume"]);
     place.assert_same("a", "b");
-    // Training over an old run forgets it: what is killed before its first checkpoint resumes as itself.
+    // Training over an old run removes its files. A kill before the first checkpoint leaves none of the old run.
     let mut child =
-        start(&place.arguments("d", 4000, &["--seed", "3", "--force", "--set", "geometry.checkpoint_interval=0"]));
+        start(&place.arguments("d", 4000, &["--seed", "3", "--force", "--set", "train.checkpoint_interval=0"]));
     let begun = until(&mut child, || place.logged("d").last() == Some(&10));
     signal(&child, "KILL");
     wait(child);
     assert!(begun && !place.path("d/scene.ply").exists() && !place.path("d/checkpoint/geometry.safetensors").exists());
 }
 
-/// Room for one entry, for almost all, and for more than enough: overflows, growth and repeated steps leave no trace,
-/// not even when they happen beside densification, resets and resuming.
+/// Tests entry capacities of one, of almost all entries, and of more than enough. Overflows, growth and repeated steps
+/// do not affect the result, also beside densification, resets and resumes.
 #[test]
 fn initial_entry_capacity_does_not_change_results() {
     let place = Place::new(Room::default());
@@ -90,7 +90,8 @@ fn initial_entry_capacity_does_not_change_results() {
     }
 }
 
-/// Room for Gaussians grows with their number; where it stood before must not decide who is refined.
+/// Tests that the capacity for Gaussians does not decide which are refined. Capacity grows with the number of
+/// Gaussians.
 #[test]
 fn gaussian_capacity_does_not_change_results() {
     let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
@@ -99,8 +100,8 @@ fn gaussian_capacity_does_not_change_results() {
     let device = device();
     let mut s = settings(12);
     s.geometry.sh_degree = 0.into();
-    // At first some are too faint and the rest is refined: the number stays about what it was, but not the room that
-    // would be made for it. Then all are refined until there is no room.
+    // At first, some Gaussians are too faint and pruned, and the others are refined. Their number stays about the same,
+    // unlike the capacity that would be allocated. Then all are refined until the capacity is exhausted.
     (s.geometry.densify.grad_threshold, s.geometry.densify.interval) = (0.0, 1);
     (s.geometry.densify.max_gaussians, s.geometry.densify.prune_weight) = (100_000, 0.0);
     s.geometry.densify.prune_opacity = 0.16;
@@ -132,7 +133,7 @@ fn gaussian_capacity_does_not_change_results() {
     }
 }
 
-/// Trains by the library and measures at the test views.
+/// Trains with the library and evaluates at the test views.
 fn learn(place: &Place, s: &Settings) -> (Vec<f32>, Evaluation) {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let device = device();
@@ -166,7 +167,7 @@ fn training_learns_the_room_and_its_normals() {
     assert!(degrees < 15.0, "normals are {degrees} degrees off");
     assert!(guided.mean.depth_rel.unwrap() < 0.15);
 
-    // Without the prior the surface's own normals are all there is, and they are rough.
+    // Without the prior, normals come from the surface alone and are rough.
     s.geometry.normals = false;
     let (_, without) = learn(&place, &s);
     let rough = without.mean.normal_mae_deg.unwrap();
@@ -175,7 +176,7 @@ fn training_learns_the_room_and_its_normals() {
     assert!(without.mean.nvs.psnr > 24.0, "PSNR {}", without.mean.nvs.psnr);
 }
 
-/// Depth terms need no priors. Each has a switch, and with both off a step has neither loss.
+/// Tests that depth terms need no priors. Each has a switch, and with both off a step has neither loss.
 #[test]
 fn depth_terms_train_without_normal_priors() {
     let place = Place::new(Room::default());
@@ -207,7 +208,7 @@ fn depth_terms_train_without_normal_priors() {
     }
 }
 
-/// What has no ground truth is absent from the metrics, not zero.
+/// Tests that metrics without ground truth are absent, not zero.
 #[test]
 fn metrics_contain_only_available_values() {
     for (priors, truth) in [(true, true), (true, false), (false, true)] {
@@ -242,9 +243,9 @@ fn metrics_contain_only_available_values() {
     }
 }
 
-/// Ground truth of a view in which nothing is known is like none.
+/// Tests that ground truth without a known pixel counts as absent.
 #[test]
-fn truth_without_a_single_pixel_is_absent() {
+fn ground_truth_without_known_pixels_is_absent() {
     let place = Place::new(Room { priors: true, truth: true, ..Room::default() });
     let empty = sgs_scene::Image::new(32, 24, 3);
     let (_, test) = Room::default().split();
@@ -257,7 +258,7 @@ fn truth_without_a_single_pixel_is_absent() {
 }
 
 #[test]
-fn a_run_under_validation_is_silent() {
+fn validation_reports_nothing_during_a_run() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let run = sgs(&place.arguments("run", 30, &["--validate"]));
     if run.stderr.contains("validation layer is not installed") {
@@ -268,9 +269,9 @@ fn a_run_under_validation_is_silent() {
     sgs(&["eval", &place.text("run"), "--validate"]).ok();
 }
 
-/// Dense Adam moves what a step did not see, in silence, and repeats bit for bit.
+/// Tests that dense Adam updates unseen Gaussians and repeats bit for bit. Validation reports nothing.
 #[test]
-fn dense_adam_is_another_run_and_repeats() {
+fn dense_adam_differs_and_is_deterministic() {
     let place = Place::new(Room::default());
     let dense = ["--validate", "--set", "geometry.dense_adam=true"];
     sgs(&place.arguments("sparse", 20, &[])).ok();
@@ -280,7 +281,7 @@ fn dense_adam_is_another_run_and_repeats() {
     assert_eq!(place.read("again/scene.ply"), place.read("dense/scene.ply"));
 }
 
-/// Choosing the backward kernel times both on the scene, and leaves every parameter as it was.
+/// Tests that choosing the backward kernel changes no parameter. The choice times both kernels on the scene.
 #[test]
 fn choosing_the_backward_kernel_changes_no_parameter() {
     let place = Place::new(Room::default());
@@ -297,9 +298,9 @@ fn choosing_the_backward_kernel_changes_no_parameter() {
     assert_ne!(training.splats().unwrap(), before);
 }
 
-/// Gradients that are added by atomics train as those that are added in order, in less memory; a device that has none is refused.
+/// Tests that atomic gradients train like ordered ones, in less memory. A device without float atomics is refused.
 #[test]
-fn atomics_train_as_well_in_less_memory() {
+fn atomic_gradients_match_ordered_losses_in_less_memory() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let (gpu, scene) = (device(), Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap());
     let with = |backward: sgs_config::Backward| {
@@ -332,9 +333,9 @@ fn atomics_train_as_well_in_less_memory() {
     }
 }
 
-/// The relative path of a scene is that of the training, not of whoever measures.
+/// Tests that a scene's relative path refers to the training's working directory.
 #[test]
-fn a_run_remembers_where_its_scene_is() {
+fn relative_scene_path_is_resolved_from_training_directory() {
     let place = Place::new(Room::default());
     let scene = place.text("scene");
     let run = place.text("run");

@@ -1,5 +1,5 @@
-//! Failure on purpose while training: typed errors, whole files, and the same end when training goes on from the last
-//! checkpoint on the same device.
+//! Injected faults during training: errors are typed, and files stay complete. Training continues from the last
+//! checkpoint on the same device, with the same result.
 
 use sgs_config::Settings;
 use sgs_engine::device::{Fault, FaultKind, Faults, Objects};
@@ -17,7 +17,7 @@ const SAVED: u32 = 3;
 fn settings() -> Settings {
     let mut s = Settings::default();
     s.geometry.steps = STEPS;
-    // Entries overflow at once, and Gaussians are added twice and reset once.
+    // Entries overflow at once. Gaussians are added twice, and opacities are reset once.
     s.geometry.entry_capacity = 8;
     let d = &mut s.geometry.densify;
     (d.from, d.interval, d.reset_interval, d.grad_threshold, d.max_gaussians) = (5, 5, 6, 5e-5, 3000);
@@ -36,7 +36,7 @@ fn open(faults: &Faults, objects: &Objects) -> Device {
     Device::open(&options).unwrap()
 }
 
-/// Trains from the checkpoint to the end; the training is the caller's to drop.
+/// Trains from the checkpoint to the end. The caller drops the training.
 fn go_on(device: &Device, scene: &Scene, place: &Place) -> Result<(Splats, Geometry), TrainError> {
     let mut training = Geometry::new(device, scene, &settings(), None)?;
     training.restore(&place.path("state"))?;
@@ -47,7 +47,7 @@ fn go_on(device: &Device, scene: &Scene, place: &Place) -> Result<(Splats, Geome
 }
 
 #[test]
-fn a_training_that_fails_goes_on_from_its_checkpoint() {
+fn failed_training_continues_from_its_checkpoint() {
     let place = Place::new(Room::default());
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let (faults, objects) = (Faults::default(), Objects::default());
@@ -62,12 +62,13 @@ fn a_training_that_fails_goes_on_from_its_checkpoint() {
 
     faults.record();
     let (splats, training) = go_on(&device, &scene, &place).unwrap();
-    // What is called while the training goes away can fail too, but there is nobody to tell.
+    // Calls during the drop of the training can fail too, but have no way to report.
     let calls = faults.take_record();
     assert!(splats == straight, "a checkpoint was to change nothing");
     drop(training);
     let later = place.read("later").len();
-    // Each call for each thing fails once, now the first time and now the last; the code changes from one to the next.
+    // Each call for each object fails once, at its first or last occurrence in turn. The error code changes from case
+    // to case.
     let mut places: BTreeMap<(&str, &str), Vec<usize>> = BTreeMap::new();
     for (n, call) in calls.iter().enumerate() {
         places.entry((call.call, &call.what)).or_default().push(n);
@@ -105,7 +106,7 @@ fn a_training_that_fails_goes_on_from_its_checkpoint() {
     assert!(go_on(&device, &scene, &place).unwrap().0 == straight);
     assert_eq!(place.read("later").len(), later);
 
-    // A lost device is lost for good; a fresh one goes on.
+    // A lost device stays lost; training continues on a new one.
     faults.inject(Fault { call: "vkQueueSubmit2", skip: 60, result: FaultKind::DeviceLost });
     assert!(matches!(go_on(&device, &scene, &place), Err(TrainError::Engine(Error::DeviceLost(_)))));
     assert!(matches!(go_on(&device, &scene, &place), Err(TrainError::Engine(Error::DeviceLost(_)))));
@@ -120,7 +121,7 @@ fn a_training_that_fails_goes_on_from_its_checkpoint() {
     assert_eq!(messages.take(), Vec::<String>::new());
 }
 
-/// Room for more Gaussians that is refused ends densification, not training.
+/// Tests that refused capacity for Gaussians ends densification, not training.
 #[test]
 fn refused_gaussian_capacity_ends_densification() {
     let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
@@ -144,7 +145,7 @@ fn refused_gaussian_capacity_ends_densification() {
     let all: Vec<usize> =
         (0..calls.len()).filter(|&n| calls[n].call == "vkAllocateMemory" && calls[n].what == "sh0_moments").collect();
     assert!(all.len() > 1, "{all:?}");
-    // By its number among its like: what a device has made once it may not have to make again.
+    // The call is counted among allocations alone, because a device need not create cached objects again.
     let like = calls[..all[1]].iter().filter(|c| c.call == "vkAllocateMemory").count();
     faults.inject(Fault { call: "vkAllocateMemory", skip: like as u64, result: FaultKind::OutOfDeviceMemory });
     let (again, bound, count) = train().unwrap();
@@ -155,12 +156,12 @@ fn refused_gaussian_capacity_ends_densification() {
 }
 
 #[test]
-fn the_program_says_one_sentence_and_its_files_stay_whole() {
+fn cli_timeouts_report_one_error_and_keep_files() {
     let place = Place::new(Room::default());
-    // A time limit that no work can keep.
+    // The time limit is too short for any work.
     sgs(&place.arguments("run", 6, &["--timeout", "0.000000001"])).refused(&["did not finish within"]);
     assert!(!place.path("run/scene.ply").exists());
-    // A run whose files are there keeps them.
+    // A run keeps its existing files.
     sgs(&place.arguments("run", 20, &[])).ok();
     let before = ["run/scene.ply", "run/log.jsonl", "run/config.toml"].map(|f| place.read(f));
     let text = place.text("run");

@@ -1,4 +1,4 @@
-//! The trainer as a library: stops, pauses and checkpoints change no result.
+//! Trainer as a library: stops, pauses and checkpoints change no result.
 
 use sgs_config::Settings;
 use sgs_scene::{Scene, SceneOptions};
@@ -7,10 +7,10 @@ use sgs_tests::{Gpu, Place};
 use sgs_train::{Event, Observer, Outcome, Stage, Trainer, TrainerOptions};
 use std::sync::Arc;
 
-/// Stops before the first step and from the third on, pauses after every step, and counts what it hears.
+/// Observer that stops before the first step and from the third on. It pauses after every step and counts events.
 #[derive(Default)]
 struct Fickle {
-    asked: u32,
+    requested: u32,
     steps: Vec<u32>,
     pauses: u32,
     finished: u32,
@@ -26,8 +26,8 @@ impl Observer for Fickle {
     }
 
     fn should_stop(&mut self) -> bool {
-        self.asked += 1;
-        self.asked == 1 || self.steps.last().is_some_and(|step| *step >= 3)
+        self.requested += 1;
+        self.requested == 1 || self.steps.last().is_some_and(|step| *step >= 3)
     }
 
     fn should_pause(&mut self) -> bool {
@@ -42,8 +42,9 @@ impl Observer for Fickle {
 
 fn settings(place: &Place, steps: u32) -> Settings {
     let mut settings = Settings { scene: place.path("scene"), ..Settings::default() };
+    settings.train.checkpoint_interval = 2;
     let g = &mut settings.geometry;
-    (g.steps, g.sh_degree, g.densify.enabled, g.checkpoint_interval) = (steps, 1.into(), false, 2);
+    (g.steps, g.sh_degree, g.densify.enabled) = (steps, 1.into(), false);
     settings
 }
 
@@ -63,14 +64,14 @@ fn stops_and_pauses_change_no_result() {
     let mut fickle = Fickle::default();
     let mut disturbed = trainer(&gpu, &place, 8, TrainerOptions { run, ..Default::default() }).unwrap();
     let stage = sgs_run::StageKind::Geometry;
-    // A stop before the stage leaves nothing behind and takes nothing away.
+    // A stop before the stage writes no files and changes no result.
     assert_eq!(disturbed.run(&mut fickle).unwrap(), Outcome::Stopped { stage, step: 0 });
     assert!(!disturbed.is_finished() && !place.path("run").exists());
     let stopped = disturbed.run(&mut fickle).unwrap();
     let Outcome::Stopped { step, .. } = stopped else { panic!("{stopped:?}") };
     assert!((3..8).contains(&step), "stopped after step {step}");
     assert!(fickle.pauses > 0 && place.path("run/checkpoint/geometry.safetensors").is_file());
-    // The same trainer continues, and so does another one from the checkpoint.
+    // The same trainer continues, and so does another trainer from the checkpoint.
     assert_eq!(disturbed.run(&mut ()).unwrap(), Outcome::Finished);
     assert!(disturbed.is_finished() && disturbed.splats().unwrap() == expected);
     assert_eq!(disturbed.run(&mut ()).unwrap(), Outcome::Finished);
@@ -78,7 +79,7 @@ fn stops_and_pauses_change_no_result() {
     std::fs::remove_file(place.path("run/training.json")).unwrap();
     let options = TrainerOptions { run: Some(place.path("run")), resume: true, ..Default::default() };
     let mut resumed = trainer(&gpu, &place, 8, options).unwrap();
-    let mut counted = Fickle { asked: 1, ..Default::default() };
+    let mut counted = Fickle { requested: 1, ..Default::default() };
     assert_eq!(resumed.run(&mut counted).unwrap(), Outcome::Finished);
     assert_eq!((counted.steps.len(), counted.finished), (0, 1));
     assert!(resumed.splats().unwrap() == expected);
@@ -95,7 +96,7 @@ fn a_checkpoint_beyond_the_last_step_is_refused() {
     let mut shorter = trainer(&gpu, &place, 3, options).unwrap();
     let error = shorter.run(&mut ()).unwrap_err().to_string();
     assert!(error.contains("after step 4") && error.contains("geometry.steps is 3"), "{error}");
-    // An error ends a trainer.
+    // A trainer cannot run again after an error.
     assert!(!shorter.is_finished());
     assert!(shorter.run(&mut ()).unwrap_err().to_string().contains("ended with an error"));
 }

@@ -1,4 +1,4 @@
-//! Views into images: what the renderer gives, texel for texel; room that is made late; what is refused.
+//! Views into images: texels against the renderer, late growth of capacity, and refusals.
 
 use sgs_engine::ImageFormat;
 use sgs_engine::graph::ImageState;
@@ -95,7 +95,7 @@ fn entry_capacity_grows_for_the_next_frame() {
 }
 
 #[test]
-fn what_cannot_be_shown_is_refused() {
+fn invalid_view_inputs_are_refused() {
     let gpu = Gpu::new();
     let gaussians = upload(&gpu, 10, false);
     let make = |o| View::new(gpu.device(), gpu.tuning(), &gaussians, o).err();

@@ -1,4 +1,4 @@
-//! Cameras that `sgs render` and `sgs relight` choose from a scene, and videos of what they see.
+//! Cameras that `sgs render` and `sgs relight` derive from a scene, and videos.
 
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs, start_with, wait};
@@ -7,14 +7,14 @@ use sgs_tests::runs::{Parts, fabricate};
 use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
 
-/// A run without training, and a room whose cameras it can be seen from.
+/// Creates an untrained run and a room with cameras that see it.
 fn place() -> Place {
     let place = Place::new(Room { views: 4, ..Room::default() });
     fabricate(&place.path("run"), Parts::NONE);
     place
 }
 
-/// Arguments of a command on the run, with the room as its scene.
+/// Returns the arguments of a command on the run, with the room as its scene.
 fn arguments(place: &Place, command: &str, more: &[&str]) -> Vec<String> {
     let mut all: Vec<String> =
         [command, &place.text("run"), "--scene", &place.text("scene"), "--json"].map(String::from).into();
@@ -26,7 +26,7 @@ fn run(place: &Place, command: &str, more: &[&str]) -> Finished {
     sgs(&arguments(place, command, more))
 }
 
-/// Names of the files that a command has written.
+/// Returns the names of the files that a command has written.
 fn written(finished: Finished) -> Vec<String> {
     let answer = finished.ok().json();
     let name = |file: &serde_json::Value| {
@@ -46,13 +46,13 @@ fn views_of_the_scene_are_rendered_by_split() {
     assert_eq!(written(run(&place, "render", &["-o", &out, "--views", "all"])), all);
     let train = written(run(&place, "relight", &["-o", &out, "--views", "train"]));
     assert_eq!(train, ["000_relit.png", "002_relit.png", "003_relit.png"]);
-    // The same as with a file of the cameras.
+    // A camera file gives the same images.
     let cameras = place.text("scene/transforms.json");
     sgs(&["render", &place.text("run"), "--cameras", &cameras, "-o", &place.text("by_file")]).ok();
     for name in all {
         assert!(place.read(&format!("out/{name}")) == place.read(&format!("by_file/{name}")), "{name}");
     }
-    // Without a place of the scene there is nothing to look from.
+    // Without a scene, a command has no cameras.
     sgs(&["render", &place.text("run"), "-o", &out]).refused(&["--scene", "--cameras"]);
     sgs(&["render", &place.text("run/scene.ply"), "-o", &out]).refused(&["is no run", "--scene", "--cameras"]);
     sgs(&["relight", &place.text("run"), "--orbit", "3", "-o", &out]).refused(&["--scene"]);
@@ -77,7 +77,7 @@ fn orbits_and_paths_are_rendered_and_written_as_videos() {
     assert_eq!(path, ["path_000_relit.png", "path_001_relit.png", "path_002_relit.png", "path.gif"]);
     let bytes = place.read("path.gif");
     assert!(bytes.starts_with(b"GIF89a") && bytes.ends_with(b";"));
-    // Without a directory the video is all.
+    // Without an output directory, only the video is written.
     let depth = ["--channels", "depth", "--orbit", "2", "--video", &gif];
     assert_eq!(written(run(&place, "render", &depth)), ["path.gif"]);
     run(&place, "render", &["--channels", "rgb,depth", "--video", &gif]).refused_with(2, &["--video", "one channel"]);
@@ -94,7 +94,7 @@ fn mp4_needs_ffmpeg_and_says_so() {
     let with_path = |a: &[String], path: &str| wait(start_with(a, &[("PATH", path)]));
     with_path(&plain, "/nowhere").refused(&["orbit.mp4", "ffmpeg", ".gif"]);
     assert!(!place.path("orbit.mp4").exists());
-    // A stand-in that keeps what it is sent.
+    // The stand-in for `ffmpeg` writes its input to the output file.
     std::fs::create_dir(place.path("bin")).unwrap();
     let program = place.path("bin/ffmpeg");
     let script = "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor last; do :; done\ncat > \"$last\"\n";
@@ -103,7 +103,7 @@ fn mp4_needs_ffmpeg_and_says_so() {
     let path = format!("{}:/usr/bin:/bin", place.text("bin"));
     assert_eq!(written(with_path(&answered, &path)), ["orbit.mp4"]);
     assert_eq!(place.read("orbit.mp4").len(), 3 * 32 * 24 * 3);
-    // One that fails says why.
+    // If `ffmpeg` fails, its message is reported.
     std::fs::write(&program, script.replace("cat", "echo no codec >&2; exit 1; cat")).unwrap();
     with_path(&plain, &path).refused(&["orbit.mp4", "ffmpeg failed", "no codec"]);
 }

@@ -1,4 +1,4 @@
-//! The visibility field on a device against its reference: values, and its Adam.
+//! Visibility field on the device against its reference: values and Adam.
 
 use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
@@ -49,7 +49,7 @@ fn visibility_rows_match_reference() {
             for pixel in first..(first + count).min(100) {
                 let point = if moved { jittered(&case, pixel) } else { Case::wide(case.points[pixel]) };
                 let row = &found[(pixel - first) * 32..][..32];
-                // Where a moved point lies depends on the device's logarithms and cosines.
+                // A jittered point depends on the device's logarithms and cosines.
                 let tolerance = if moved { Tolerance::new(1e-3, 1e-3) } else { Tolerance::new(1e-5, 1e-5) };
                 assert_close("row", &field.point_share(point), row, tolerance);
             }
@@ -57,7 +57,7 @@ fn visibility_rows_match_reference() {
     }
 }
 
-/// Tables that are looked up in 16 bits, of every size that halves have and beyond: the reference's, which rounds them too.
+/// Tests 16-bit tables at every magnitude of halves and beyond. The reference rounds the tables as well.
 #[test]
 fn visibility_of_16_bit_tables_matches_reference() {
     let gpu = Gpu::new();
@@ -78,7 +78,7 @@ fn visibility_of_16_bit_tables_matches_reference() {
             assert!(off > 0.0 || size < 1e-4, "tables times {size}: nothing is rounded");
         }
     }
-    // What `Accuracy` promises.
+    // `Accuracy` guarantees this bound.
     assert!(largest > 1e-5 && largest < 1e-3, "{largest}");
     let mut wild = Case::random(SMALL, 64, 2, 3);
     wild.table_bits = 16;
@@ -86,7 +86,7 @@ fn visibility_of_16_bit_tables_matches_reference() {
     assert!(wild.forward(&gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v)));
 }
 
-/// At the light, beyond the box, with weights that saturate, and without anything to do.
+/// Tests edge cases: points at a light and outside the bounds, saturated weights, and no pixels.
 #[test]
 fn values_are_finite_at_the_edges() {
     let gpu = Gpu::new();
@@ -105,8 +105,8 @@ fn values_are_finite_at_the_edges() {
     let found = case.forward(&gpu, Some(0), true);
     assert!(found.iter().all(|v| (0.0..=1.0).contains(v)));
     assert_close("saturated", &case.expected(Some(0)), &found, Tolerance::new(2e-3, 0.0));
-    // Under layers 300 times as large as at the start tables of 1e30 leave the range of numbers, and infinities of both signs have no
-    // sum. Where they have one it is a share.
+    // With layers 300 times as large as initial ones, tables of 1e30 overflow. Infinities of both signs have no sum;
+    // every result that is a number is a share.
     case.tables.fill(1e30);
     assert!(case.forward(&gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v) || v.is_nan()));
     let mut none = Case::random(SMALL, 64, 4, 6);
@@ -117,10 +117,10 @@ fn values_are_finite_at_the_edges() {
     assert!(found[..3].iter().all(|v| *v == 0.0) && found[3..].iter().all(|v| v.to_bits() == u32::MAX));
 }
 
-/// What 16-bit operands of the second layer cost, as cooperative matrices take them: with layers as they start, and with such as
-/// leave nothing but black and white.
+/// Tests the error of 16-bit operands in the second layer. Cooperative matrices take such operands. Layers are initial
+/// ones, larger ones, and ones so large that visibility is 0 or 1.
 #[test]
-fn half_operands_cost_little() {
+fn half_operand_error_is_bounded() {
     for (scale, most, usual) in [(1.0_f32, 2e-4, 3e-5), (4.0, 2e-3, 1e-4), (1e5, 1.0, 0.1)] {
         let mut case = Case::random(SMALL, 500, 6, 9);
         let (inputs, width) = (case.config.inputs(), 32);
@@ -141,13 +141,13 @@ fn half_operands_cost_little() {
         println!(
             "layers times {scale}: off by {worst:.2e} at most, {mean:.2e} in the mean, {wrong} of 3000 on another side"
         );
-        // Black and white are the same in both.
+        // Visibilities of 0 and 1 are equal in both.
         assert!((worst > 0.0) == (scale < 100.0) && worst <= most && mean < usual, "{worst} {mean}");
         assert!(wrong < 30, "{wrong} of 3000 are on another side");
     }
 }
 
-/// The comparison would notice a weight that is not used, and an entry.
+/// Tests that the comparison detects table entries that are off by 1 %.
 #[test]
 #[should_panic(expected = "mean: element")]
 fn a_wrong_entry_is_noticed() {
@@ -158,10 +158,11 @@ fn a_wrong_entry_is_noticed() {
     assert_close("mean", &other.expected(None), &case.forward(&gpu, None, true), VALUES);
 }
 
-/// What [`visibility_adam`] leaves: tables, their moments, layers, their moments, words of gradients and of bits.
+/// Results of [`visibility_adam`]. They are tables, their moments, layers, their moments, words of gradients and of
+/// bits.
 type Stepped = (Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>);
 
-/// One step with gradients as they were found, from moments that are not zero.
+/// Runs one step with the gradients of `found`, from nonzero moments.
 fn step_sparse(case: &Case, gpu: &Gpu, found: &Found, scale: [f32; 2], flag: u32) -> Stepped {
     let (mut g, mut inputs) = (Graph::new("visibility_adam"), Vec::new());
     let mut provided = |g: &mut Graph, name: &str, data: Vec<u8>| {
@@ -192,7 +193,7 @@ fn step_sparse(case: &Case, gpu: &Gpu, found: &Found, scale: [f32; 2], flag: u32
     visibility_adam(&mut g, gpu.tuning(), &field, &gradients, &moments).unwrap();
     let out = gpu.run(g, &inputs);
     if let Some(packed) = packed {
-        // Whatever has moved, the copy is what the tables round to.
+        // After every step, the copy equals the rounded tables.
         assert!(out.get::<u32>(packed) == packed_tables(&out.get::<f32>(tables)), "the copy is another");
     }
     (
@@ -209,7 +210,7 @@ fn moments_of(scalars: usize) -> Vec<[f32; 2]> {
     (0..scalars).map(|i| [(i as f32).sin() * 1e-3, 1e-5 * (1 + i % 7) as f32]).collect()
 }
 
-/// The same with a dense Adam that skips zeros.
+/// Runs one step of a dense Adam that skips zeros.
 fn step_dense(case: &Case, gpu: &Gpu, parameters: &[f32], gradient: &[f32]) -> (Vec<u32>, Vec<u32>) {
     let mut g = Graph::new("adam");
     let words = 4 * parameters.len() as u64;
@@ -243,9 +244,9 @@ fn step_dense(case: &Case, gpu: &Gpu, parameters: &[f32], gradient: &[f32]) -> (
     (out.get(a.parameters), out.get(a.moments))
 }
 
-/// What moves is the same whether or not there is a copy in 16 bits, of numbers of every size; and the copy is looked at, each time.
+/// Tests that a 16-bit copy does not affect the step, for numbers of every size. The copy itself is checked as well.
 #[test]
-fn a_copy_in_16_bits_follows_the_tables() {
+fn copy_of_tables_in_16_bits_is_updated() {
     let gpu = Gpu::new();
     let mut case = Case::random(SMALL, 30, 2, 12);
     case.step = FieldStep { rate: 4e-3, correction1: 2.5, correction2: 300.0, ..case.step };
@@ -263,8 +264,8 @@ fn a_copy_in_16_bits_follows_the_tables() {
     }
 }
 
-/// Tables and layers move as a dense Adam that skips zeros would move them, bit for bit; gradients are zero afterwards; a raised
-/// flag holds everything but clears as well.
+/// Tests that sparse Adam equals dense Adam that skips zeros, bit for bit. The step zeroes the gradients. With a raised
+/// flag, it only zeroes the gradients.
 #[test]
 fn sparse_adam_is_dense_adam_that_skips_zeros() {
     let gpu = Gpu::new();
@@ -277,7 +278,7 @@ fn sparse_adam_is_dense_adam_that_skips_zeros() {
     let scale = [found.scale, 1.0 / found.scale];
     let (tables, moments, mlp, mlp_moments, words, touched) = step_sparse(&case, &gpu, &found, scale, 0);
     assert!(words.iter().chain(&touched).all(|w| *w == 0));
-    // As the kernel makes floats of whole numbers.
+    // The conversion to floating point matches the kernel's.
     let float = |w: &[u32]| {
         let value = (u64::from(w[0]) | u64::from(w[1]) << 32) as i64;
         let (size, sign) = (value.unsigned_abs(), if value < 0 { -1.0 } else { 1.0 });

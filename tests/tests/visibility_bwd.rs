@@ -1,4 +1,4 @@
-//! Gradients of the visibility field on a device against its reference, alone and under lights.
+//! Gradients of the visibility field on the device against its reference.
 
 use sgs_passes::shade::visibility::FieldConfig;
 use sgs_tests::Gpu;
@@ -21,7 +21,7 @@ fn visibility_gradients_match_reference() {
     }
 }
 
-/// Where tables are looked up in 16 bits gradients are those at the rounded numbers, at ordinary ones and at the edges.
+/// Tests gradients with 16-bit tables against those at the rounded tables. Points include edge cases.
 #[test]
 fn gradients_of_16_bit_tables_match_reference() {
     let gpu = Gpu::new();
@@ -38,7 +38,8 @@ fn gradients_of_16_bit_tables_match_reference() {
     }
 }
 
-/// Two runs, and runs with another number of workgroups where only tables are compared: their sums have no order.
+/// Tests that a second run gives the same bits. Runs with another order of pixels give the same table gradients,
+/// because their sums do not depend on the order.
 #[test]
 fn visibility_gradients_are_deterministic() {
     let gpu = Gpu::new();
@@ -48,7 +49,7 @@ fn visibility_gradients_are_deterministic() {
     let (a, b) = (case.backward(&gpu, &requested), case.backward(&gpu, &requested));
     assert!(bytes(&a.mlp) == bytes(&b.mlp) && bytes(&a.lights) == bytes(&b.lights));
     assert!(a.words == b.words && a.touched == b.touched);
-    // The same pixels in the other order: other workgroups have them, in another order. Without the draw of each pixel.
+    // In reverse order, other workgroups process the pixels. The random draw of each pixel is off.
     let mut requested = requested;
     requested.options.regularized = false;
     let a = case.backward(&gpu, &requested);
@@ -63,9 +64,10 @@ fn visibility_gradients_are_deterministic() {
     );
 }
 
-/// At the light, beyond the box, saturated, with huge and tiny gradients: finite, and the reference's where that means something.
+/// Tests edge cases: gradients are finite, and match the reference where it is meaningful. Points lie at a light and
+/// outside the bounds, weights saturate, and gradients are huge and tiny.
 #[test]
-fn gradients_at_the_edges() {
+fn visibility_gradients_match_reference_at_the_edges() {
     let gpu = Gpu::new();
     let mut case = Case::random(SMALL, 48, 4, 16);
     case.points[0] = case.lights[0];
@@ -95,8 +97,8 @@ fn gradients_at_the_edges() {
     assert!(zero(&found.mlp) && zero(&found.lights) && found.words.iter().chain(&found.touched).all(|w| *w == 0));
 }
 
-/// A share of the pairs, counted for as many: some of them in each draw, and the mean over draws is the whole. So it is for what a jitter
-/// of places is asked for alone.
+/// Tests sampling of pairs, weighted by the inverse share. A draw takes some pairs, and the mean over draws equals the
+/// full gradient. The regularizer at jittered positions is tested alone as well.
 #[test]
 fn sampled_pairs_are_unbiased() {
     let gpu = Gpu::new();
@@ -109,7 +111,7 @@ fn sampled_pairs_are_unbiased() {
         let [mut all, mut mean] = [0, 1].map(|_| vec![0.0_f64; case.mlp.len()]);
         let mut first = [vec![], vec![]];
         for seed in 0..draws {
-            // The jitter is another one with each seed.
+            // The jitter changes with the seed.
             case.step.seed = seed;
             let found = [1, 3].map(|sample| {
                 requested.options.sample = sample;
@@ -129,7 +131,7 @@ fn sampled_pairs_are_unbiased() {
     }
 }
 
-/// The comparison would notice an entry's gradient that is off by a hundredth.
+/// Tests that the comparison detects an entry's gradient that is off by 1 %.
 #[test]
 #[should_panic(expected = "tables: element")]
 fn a_wrong_gradient_is_noticed() {

@@ -1,5 +1,5 @@
-//! Lights seen through the visibility field: what they send is that of lights that nothing hides times visibility, and what
-//! the field learns of it are the reference's gradients.
+//! Lights with visibility from the field. Radiance is unoccluded radiance times visibility, and the field's gradients
+//! match the reference.
 
 use sgs_engine::MatrixShape;
 use sgs_engine::graph::{Buffer, Graph};
@@ -31,7 +31,7 @@ fn model() -> LightModel {
     LightModel { lights: LIGHTS as u32, lobes: 2, ..Default::default() }
 }
 
-/// A field's case with surfaces.
+/// Case of a field, with surfaces.
 struct Scene {
     case: Case,
     normals: Vec<[f32; 3]>,
@@ -57,13 +57,13 @@ impl Scene {
         }
     }
 
-    /// The lights with these gains, and what holds what.
+    /// Declares the lights with these gains; returns them with their inputs.
     fn declare(&self, gpu: &Gpu, g: &mut Graph, metallic: bool, gains: &[f32]) -> (Lights, Vec<(Buffer, Vec<u8>)>) {
         let (lights, _, inputs) = self.declare_with(gpu, g, metallic, gains);
         (lights, inputs)
     }
 
-    /// The same with their raw parameters.
+    /// Declares the lights like [`Self::declare`]; also returns their raw parameters.
     fn declare_with(
         &self,
         gpu: &Gpu,
@@ -116,7 +116,7 @@ impl Scene {
         f
     }
 
-    /// Radiance under each light alone, with nothing in the way.
+    /// Returns the radiance under each light alone, without occlusion.
     fn unshadowed(&self, gpu: &Gpu, metallic: bool) -> Vec<Vec<f32>> {
         let alone = |j: usize| {
             let gains: Vec<f32> = (0..LIGHTS).map(|i| f32::from(i == j)).collect();
@@ -130,7 +130,7 @@ impl Scene {
     }
 }
 
-/// Images by a field, in every way that there is, against each light's alone times what `visibility` says.
+/// Compares images with unoccluded radiance times `visibility`. Images come from every lighting pass.
 fn seen_as(gpu: &Gpu, tuning: Tuning, scene: &Scene, visibility: impl Fn(usize, usize) -> f64, tolerance: Tolerance) {
     for metallic in [false, true] {
         let alone = scene.unshadowed(gpu, metallic);
@@ -145,14 +145,14 @@ fn seen_as(gpu: &Gpu, tuning: Tuning, scene: &Scene, visibility: impl Fn(usize, 
         let (what, mut inputs) = scene.declare(gpu, &mut g, metallic, &[1.0; LIGHTS]);
         let field = scene.field(&mut g, &mut inputs);
         let [image, direct, split, diffuse] =
-            ["picture", "direct", "split", "diffuse"].map(|n| g.external(n, 12 * PIXELS as u64));
+            ["image", "direct", "split", "diffuse"].map(|n| g.external(n, 12 * PIXELS as u64));
         lights_field(&mut g, tuning, &what, &field, image).unwrap();
         lights_split_field(&mut g, tuning, &what, &field, split, diffuse).unwrap();
         let sums = lights_train_field(&mut g, tuning, &what, &field, direct).unwrap();
         let retained = g.external("kept", PIXELS as u64 * if metallic { 48 } else { 24 });
         g.copy("keep", sums.buffer, retained).unwrap();
         let out = gpu.run(g, &inputs);
-        assert_close("picture", &expected, &out.get(image), tolerance);
+        assert_close("image", &expected, &out.get(image), tolerance);
         assert_close("in training", &expected, &out.get(direct), tolerance);
         assert_close("in parts", &expected, &out.get(split), tolerance);
         let (whole, diffuse) = (out.get::<f32>(split), out.get::<f32>(diffuse));
@@ -170,7 +170,7 @@ fn light_visibility_matches_field() {
     seen_as(&gpu, gpu.tuning(), &scene, visibility, Tolerance::new(1e-7, 1e-4));
 }
 
-/// And as a field says whose tables are looked up in 16 bits, which is another.
+/// Tests a field with 16-bit tables. Its visibility differs from that with 32-bit tables.
 #[test]
 fn light_visibility_matches_16_bit_tables() {
     let gpu = Gpu::new();
@@ -182,15 +182,15 @@ fn light_visibility_matches_16_bit_tables() {
     let apart = (0..PIXELS).map(|i| (of(&field, i, 0) - of(&exact, i, 0)).abs()).fold(0.0, f64::max);
     assert!(apart > 1e-5 && apart < 1e-3, "{apart}");
     seen_as(&gpu, gpu.tuning(), &scene, |i, j| of(&field, i, j), Tolerance::new(1e-7, 1e-4));
-    // And with pieces of 16-bit operands.
+    // The second layer also uses tiles of 16-bit operands.
     let own = gpu.tuning().with(Accuracy { visibility_operands: 16, ..Accuracy::EXACT });
     let matrices = Matrices { shape: MatrixShape { rows: 16, columns: 8, depth: 16 }, units: false };
     let half = |i, j| field.visibility_half(at(&scene.case.points, i), at(&scene.case.lights, j));
     seen_as(&gpu, Tuning { matrices: Some(matrices), ..own }, &scene, half, Tolerance::new(1e-7, 2e-4));
 }
 
-/// The same with the second layer in pieces of 16-bit operands; the reference rounds them too. Layers are large enough for exact ones
-/// to be noticed.
+/// Tests a second layer with tiles of 16-bit operands; the reference rounds them too. Layers are so large that exact
+/// operands would be detected.
 #[test]
 fn light_visibility_matches_half_precision_field() {
     let gpu = Gpu::new();
@@ -213,7 +213,7 @@ fn light_visibility_matches_half_precision_field() {
 }
 
 #[test]
-fn the_field_learns_from_lights() {
+fn field_gradients_under_lights_match_reference() {
     let gpu = Gpu::new();
     let mut scene = Scene::new();
     for (metallic, regularizer, table_bits) in [(false, 0.0, 32), (true, 2e-3, 32), (true, 0.0, 16)] {
@@ -240,7 +240,7 @@ fn the_field_learns_from_lights() {
         inputs.push((gradient, bytes(&scene.gradient)));
         inputs.push((into.tables, vec![0; 16 * entries]));
         inputs.push((into.touched, vec![0; 4 * entries.div_ceil(32)]));
-        // Added to what the lights' own gradients have left there.
+        // The pass adds to the lights' own gradients.
         inputs.push((into.lights, bytes(&[[100.0_f32; 3]; LIGHTS])));
         let options = BackwardOptions { add_places: true, ..options };
         visibility_lights_bwd(&mut g, gpu.tuning(), &what, &field, gradient, &options, &into).unwrap();
@@ -254,15 +254,15 @@ fn the_field_learns_from_lights() {
             touched: out.get(into.touched),
             scale: scale[0],
         };
-        // What is added to 100 keeps 17 bits after the point.
+        // A value added to 100 keeps 17 bits after the binary point.
         found.check(&expected, false, 2e-5);
         let lights = expected.lights.as_flattened();
         assert_close("lights", lights, &found.lights, Tolerance::new(2e-5, 1e-3));
     }
 }
 
-/// Radiance is proportional to amplitudes, so a light's gradients by their logarithms add up to what the light sends times what is
-/// asked, channel by channel: visibility included.
+/// Tests gradients of amplitudes. Radiance is proportional to amplitudes. Gradients of a light's logarithmic amplitudes
+/// thus add up, per channel, to its radiance times the image's gradient, visibility included.
 #[test]
 fn light_gradients_scale_with_visibility() {
     let gpu = Gpu::new();
@@ -303,7 +303,7 @@ fn learn_as_seen(gpu: &Gpu, scene: &Scene) {
     assert_close("amplitudes", &expected, &sums, Tolerance::new(1e-5 * largest, 1e-4));
 }
 
-/// What is asked of normals is what each light alone would ask, times how far it is seen.
+/// Tests gradients of normals. They are the gradients under each light alone, times its visibility.
 #[test]
 fn normal_gradients_scale_with_visibility() {
     let gpu = Gpu::new();

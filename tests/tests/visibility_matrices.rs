@@ -1,16 +1,16 @@
-//! The visibility field with 16-bit operands in its second layer, as matrix units take them.
+//! Visibility field with 16-bit operands in its second layer. Matrix units take such operands.
 //!
-//! The kernels for the units and those that multiply the same pieces by ordinary instructions are one source; they differ in three
-//! operations on pieces. The latter run here, in every shape and at every width of subgroups that devices have, against the
-//! reference that rounds as they do and against the portable kernel. On a device with units, with a compiler that knows them, the former
-//! run too; elsewhere the tests say why they do not.
+//! Kernels for matrix units and kernels that multiply the same tiles with ordinary instructions share one source. They
+//! differ in three operations on tiles. The latter run here in every shape and at every subgroup size of devices. They
+//! are tested against the reference that rounds alike and against the portable kernel. On a device with matrix units,
+//! and with a compiler that supports them, the former run too. Elsewhere the tests print why they are skipped.
 
 use sgs_engine::MatrixShape;
 use sgs_passes::{Accuracy, Matrices, Tuning};
 use sgs_tests::field::{Case, SMALL};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
-/// Rows, columns, depth.
+/// Rows, columns and depth of each shape.
 const SHAPES: [[u32; 3]; 5] = [[8, 8, 8], [16, 16, 16], [16, 8, 16], [16, 8, 8], [32, 32, 16]];
 
 fn by_pieces(own: Tuning, subgroup_size: u32, [rows, columns, depth]: [u32; 3], units: bool) -> Tuning {
@@ -19,7 +19,7 @@ fn by_pieces(own: Tuning, subgroup_size: u32, [rows, columns, depth]: [u32; 3], 
     Tuning { subgroup_size, matrices, accuracy, ..own }
 }
 
-/// A field whose layers after the first are larger.
+/// Creates a field whose layers after the first are larger.
 fn scaled(pixels: usize, lights: usize, scale: f32) -> Case {
     let mut case = Case::random(SMALL, pixels, lights, 9);
     let first = 32 * case.config.inputs();
@@ -27,14 +27,14 @@ fn scaled(pixels: usize, lights: usize, scale: f32) -> Case {
     case
 }
 
-/// Largest and mean difference.
+/// Returns the largest and the mean difference.
 fn apart(a: &[f64], b: &[f32]) -> (f64, f64) {
     let off = || a.iter().zip(b).map(|(a, b)| (a - f64::from(*b)).abs());
     (off().fold(0.0, f64::max), off().sum::<f64>() / a.len() as f64)
 }
 
-/// Numbers of the first layer that single precision leaves on the other side of a rounding are few: the mean says whether the kernel
-/// rounds what the reference rounds.
+/// Fails unless the kernel rounds like the reference. In few places, single precision moves a number of the first layer
+/// across a rounding boundary. The mean difference therefore shows whether the kernel rounds alike.
 fn rounds_as_the_reference(name: &str, case: &Case, one: Option<u32>, found: &[f32]) {
     let (exact, half) = (case.expected(one), case.expected_half(one));
     let single: Vec<f32> = half.iter().map(|v| *v as f32).collect();
@@ -49,7 +49,7 @@ fn rounds_as_the_reference(name: &str, case: &Case, one: Option<u32>, found: &[f
 #[test]
 fn matrix_tiles_of_every_shape_match() {
     let gpu = Gpu::new();
-    // With tables of 16 bits as well.
+    // Tables of 16 bits are tested as well.
     for table_bits in [32, 16] {
         let case = Case { table_bits, ..scaled(100, 5, 4.0) };
         let with = |subgroup_size, shape| {
@@ -57,7 +57,7 @@ fn matrix_tiles_of_every_shape_match() {
         };
         let first = with(8, SHAPES[0]);
         rounds_as_the_reference("mean", &case, None, &first);
-        // Every element is summed in the same order, whoever does it.
+        // All shapes sum each element in the same order.
         let wider = [(32, SHAPES[1]), (64, SHAPES[2]), (16, SHAPES[4])];
         for (subgroup_size, shape) in SHAPES[1..].iter().map(|shape| (8, *shape)).chain(wider) {
             assert!(with(subgroup_size, shape) == first, "{subgroup_size} lanes, {shape:?}");
@@ -74,14 +74,15 @@ fn operand_rounding_matches_reference() {
         rounds_as_the_reference("mean", &case, None, &case.forward_with(&gpu, tuning, None, true));
         let found = case.forward_with(&gpu, tuning, Some(3), true);
         rounds_as_the_reference("one light", &case, Some(3), &found);
-        // What this costs against the portable kernel: see half_operands_cost_little for the same of the reference.
+        // This bounds the error against the portable kernel. `half_operand_error_is_bounded` bounds it for the
+        // reference.
         let portable: Vec<f64> = case.forward(&gpu, Some(3), true).into_iter().map(f64::from).collect();
         let bound = if scale > 1.0 { 1e-2 } else { 1e-3 };
         assert_close("portable", &portable, &found, Tolerance::new(bound, 0.0));
     }
 }
 
-/// The measure would notice if nothing were rounded.
+/// Tests that a kernel without rounding is detected.
 #[test]
 #[should_panic(expected = "the portable kernel")]
 fn operands_that_are_not_rounded_are_noticed() {
@@ -90,11 +91,11 @@ fn operands_that_are_not_rounded_are_noticed() {
     rounds_as_the_reference("the portable kernel", &case, None, &case.forward(&gpu, None, true));
 }
 
-/// At the light, beyond the box, with layers that 16 bits do not hold, and without anything to do.
+/// Tests edge cases: points at a light and outside the bounds, layers beyond the range of 16 bits, and no pixels.
 #[test]
 fn values_are_finite_at_the_edges() {
     let gpu = Gpu::new();
-    // Columns that no pixel has.
+    // The tile has columns without a pixel.
     let tuning = by_pieces(gpu.tuning(), 8, SHAPES[1], false);
     let mut case = Case::random(SMALL, 67, 4, 6);
     case.points[0] = case.lights[0];
@@ -118,19 +119,19 @@ fn values_are_finite_at_the_edges() {
     assert!(found[..3].iter().all(|v| *v == 0.0) && found[3..].iter().all(|v| v.to_bits() == u32::MAX));
 }
 
-/// Where the setting allows 16 bits and there are no units, the portable kernel runs, bit for bit; and where there are units, but 32
-/// bits are asked for.
+/// Tests that the portable kernel runs without matrix units. It runs where 16 bits are allowed but units are missing,
+/// and where units exist but 32 bits are requested. Results are equal bit for bit.
 #[test]
-fn without_units_nothing_changes() {
+fn portable_kernel_runs_without_matrix_units() {
     let gpu = Gpu::new();
     let case = scaled(100, 5, 4.0);
     let own = gpu.tuning();
     let portable = case.forward_with(&gpu, Tuning { matrices: None, ..own }, None, true);
-    let asked = Tuning { matrices: None, ..by_pieces(own, own.subgroup_size, SHAPES[1], false) };
-    assert!(asked.field_matrices().is_none() && case.forward_with(&gpu, asked, None, true) == portable);
+    let requested = Tuning { matrices: None, ..by_pieces(own, own.subgroup_size, SHAPES[1], false) };
+    assert!(requested.field_matrices().is_none() && case.forward_with(&gpu, requested, None, true) == portable);
     let exact = by_pieces(own, own.subgroup_size, SHAPES[1], false).with(Accuracy::EXACT);
     assert!(exact.field_matrices().is_none() && case.forward_with(&gpu, exact, None, true) == portable);
-    // Units that this program has no kernels for are none.
+    // Matrix units are used only if this build has kernels for them.
     let units = by_pieces(own, own.subgroup_size, SHAPES[1], true);
     assert_eq!(units.field_matrices().is_some(), Matrices::compiled());
     match Matrices::for_device(gpu.device().info()) {
@@ -142,9 +143,9 @@ fn without_units_nothing_changes() {
     }
 }
 
-/// On a device that has units, if this program was built with a compiler that knows them.
+/// Tests matrix units of the device. The test requires a device with units and a build whose compiler supports them.
 #[test]
-fn units_multiply_as_ordinary_instructions_do() {
+fn matrix_units_match_ordinary_instructions() {
     let gpu = Gpu::new();
     let own = match Matrices::for_device(gpu.device().info()) {
         Ok(m) => Tuning { matrices: Some(m), ..gpu.tuning() },
@@ -167,9 +168,10 @@ fn units_multiply_as_ordinary_instructions_do() {
     }
 }
 
-/// The kernels for units have the interface of those that do the same without, and say in their code what they are for.
+/// Tests the interface and the code of kernels for matrix units. The interface equals that of the kernels without
+/// units.
 #[test]
-fn kernels_for_units_are_what_they_should_be() {
+fn matrix_unit_kernels_have_the_expected_interface_and_types() {
     let names = ["visibility", "lights_field", "lights_split_field", "lights_train_field"];
     for name in names {
         let listed = sgs_shaders::OPTIONAL.iter().find(|o| o.name == format!("{name}_cooperative")).unwrap();
@@ -187,7 +189,7 @@ fn kernels_for_units_are_what_they_should_be() {
     assert_eq!(sgs_shaders::OPTIONAL.len(), names.len());
 }
 
-/// The instructions of a module, without their first word.
+/// Returns opcode and operands of each instruction of a module.
 fn instructions(words: &[u32]) -> Vec<(u32, &[u32])> {
     let (mut rest, mut found) = (&words[5..], vec![]);
     while let Some(head) = rest.first() {
@@ -198,14 +200,15 @@ fn instructions(words: &[u32]) -> Vec<(u32, &[u32])> {
     found
 }
 
-/// Fails unless a module multiplies matrices whose sizes are specialization constants, with 16-bit operands and 32-bit sums.
+/// Fails unless a module multiplies cooperative matrices of the expected types. Operands have 16 bits and sums 32 bits;
+/// sizes are specialization constants.
 fn check_units(name: &str, words: &[u32]) {
     let all = instructions(words);
     let of = |opcode: u32| all.iter().filter(move |(o, _)| *o == opcode).map(|(_, i)| *i);
     // OpCapability Float16, CooperativeMatrixKHR.
     let capabilities: Vec<u32> = of(17).map(|i| i[0]).collect();
     assert!(capabilities.contains(&9) && capabilities.contains(&6022), "{name}: {capabilities:?}");
-    // Ids of specialization constants by their number, and widths of floats.
+    // Constants map ids to specialization constants, float widths and values.
     let spec = |id: u32| of(71).find(|i| i[0] == id && i[1] == 1).map(|i| i[2]);
     let bits = |id: u32| of(22).find(|i| i[0] == id).map(|i| i[1]);
     let value = |id: u32| of(43).find(|i| i[1] == id).map(|i| i[2]);
@@ -219,6 +222,6 @@ fn check_units(name: &str, words: &[u32]) {
         (Some(2), Some(32), subgroup, rows, columns),
     ];
     assert_eq!(types, expected, "{name}");
-    // OpCooperativeMatrixMulAddKHR, and two loads and a store around it.
+    // OpCooperativeMatrixMulAddKHR with two loads and a store.
     assert_eq!([4459, 4457, 4458].map(|o| of(o).count()), [1, 2, 1], "{name}");
 }

@@ -1,4 +1,4 @@
-//! Visibility is decided once: projection follows the bits that the first pass writes, whatever they are.
+//! Visibility of splats is decided once. Projection follows the bits of the first pass, whatever they are.
 
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::kernel::stage;
@@ -13,7 +13,7 @@ const COUNT: usize = 700;
 const WORKGROUP: usize = 256;
 const BLOCKS: usize = COUNT.div_ceil(WORKGROUP);
 
-/// What the second pass leaves, by visible splat.
+/// Results of the second pass, by visible splat.
 #[derive(Debug, PartialEq)]
 struct Projected {
     ids: Vec<u32>,
@@ -33,7 +33,7 @@ struct Case {
 }
 
 impl Case {
-    /// Splats of which every fifth lies behind the camera and every seventh is too faint.
+    /// Creates splats, some of them invisible. Every fifth is behind the camera and every seventh too faint.
     fn new() -> Case {
         let gpu = Gpu::new();
         let mut g = scenes::ordinary(COUNT, 0, false, 5);
@@ -55,7 +55,7 @@ impl Case {
         Tuning { workgroup: WORKGROUP as u32, ..self.gpu.tuning() }.with(Accuracy::EXACT)
     }
 
-    /// The buffers that both passes read.
+    /// Declares the buffers that both passes read.
     fn declare(&self, g: &mut Graph) -> (Buffer, Buffer, [Buffer; 5], Inputs) {
         let step = g.uniform("step", size_of::<Step>() as u64);
         let work = g.input("gaussians", 16);
@@ -69,7 +69,7 @@ impl Case {
         (step, work, groups, inputs)
     }
 
-    /// Bits and counts of the first pass.
+    /// Returns the bits and counts of the first pass.
     fn count(&self) -> (Vec<u32>, Vec<u32>) {
         let t = self.tuning();
         let mut g = Graph::new("count");
@@ -96,7 +96,7 @@ impl Case {
         (out.get(visible_bits), out.get(block_counts))
     }
 
-    /// The second pass by these bits.
+    /// Runs the second pass with the given bits.
     fn project(&self, bits: &[u32]) -> Projected {
         let t = self.tuning();
         let mut g = Graph::new("project");
@@ -155,12 +155,12 @@ impl Case {
     }
 }
 
-/// Gaussians whose bits are set.
+/// Returns the Gaussians whose bits are set.
 fn listed(bits: &[u32]) -> Vec<u32> {
     (0..32 * bits.len() as u32).filter(|i| bits[*i as usize / 32] >> (i % 32) & 1 == 1).collect()
 }
 
-/// The largest opacity of a splat at a pixel's center, in double precision.
+/// Returns the largest opacity of a splat at any pixel's center. Computes in double precision.
 fn largest_alpha(splat: &Splat, [width, height]: [u32; 2]) -> f64 {
     let [u11, u12, u22] = splat.factor.map(f64::from);
     let alpha = |x: u32, y: u32| {
@@ -180,7 +180,7 @@ fn projection_follows_the_bits_of_the_first_pass() {
     assert_eq!(counts, (0..BLOCKS).map(by_block).collect::<Vec<_>>());
     let own = case.project(&bits);
     assert_eq!(own.ids[..seen.len()], seen);
-    // The box of a footprint beside a corner of the image may touch pixels that the footprint does not.
+    // Near a corner of the image, a footprint's box may touch pixels that the footprint does not.
     for (v, splat) in own.splats[..seen.len()].iter().enumerate() {
         let brightest = largest_alpha(splat, case.step.camera.size);
         let touches = own.tile_counts[v] > 0;
@@ -188,7 +188,7 @@ fn projection_follows_the_bits_of_the_first_pass() {
     }
     assert_eq!(own.ids[seen.len()..], vec![u32::MAX; COUNT - seen.len()], "slots past the last are written");
 
-    // Every third visible splat loses its bit, and some culled ones get one: what two roundings could do.
+    // Every third visible splat loses its bit and some culled ones gain one, as different rounding could do.
     let mut altered = bits.clone();
     seen.iter().step_by(3).for_each(|i| altered[*i as usize / 32] &= !(1 << (i % 32)));
     let added: Vec<u32> = (0..COUNT as u32).filter(|i| i % 35 == 0).collect();

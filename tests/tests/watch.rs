@@ -1,5 +1,5 @@
-//! `sgs train --watch`: the page follows the training in a browser, the training does not mind, and nothing is open that was
-//! not asked for.
+//! `sgs train --watch`: the page follows the training in a browser. Watching does not change the training, and no port
+//! is open without the option.
 
 use sgs_tests::Place;
 use sgs_tests::browser::Browser;
@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::Child;
 use std::time::{Duration, Instant};
 
-/// Arguments of a training of both stages.
+/// Returns the arguments of a training of both stages.
 fn arguments(place: &Place, run: &str, steps: [u32; 2]) -> Vec<String> {
     let mut a = place.arguments(run, steps[0], &["--stage", "all"]);
     a.extend(["--intrinsic-steps".into(), steps[1].to_string()]);
@@ -27,7 +27,7 @@ fn arguments(place: &Place, run: &str, steps: [u32; 2]) -> Vec<String> {
     a
 }
 
-/// The addresses that a program listens on, as the system writes them.
+/// Returns the addresses that a process listens on, in the system's notation.
 fn listening(child: &Child) -> Vec<String> {
     let mut sockets = Vec::new();
     for file in std::fs::read_dir(format!("/proc/{}/fd", child.id())).into_iter().flatten().flatten() {
@@ -47,7 +47,7 @@ fn listening(child: &Child) -> Vec<String> {
     all
 }
 
-/// Where the page of a training is, as it says itself.
+/// Returns the page's address as the training prints it.
 fn address(child: &mut Child) -> String {
     let mut output = BufReader::new(child.stderr.take().expect("a pipe"));
     let mut line = String::new();
@@ -55,12 +55,12 @@ fn address(child: &mut Child) -> String {
         line.clear();
         assert!(output.read_line(&mut line).expect("text") > 0, "it never says where the page is");
     }
-    // What else it says is not to fill the pipe.
+    // Further output must not fill the pipe.
     std::thread::spawn(move || output.lines().for_each(drop));
     line.split_whitespace().find(|w| w.starts_with("http://")).expect("an address").to_owned()
 }
 
-/// Asks the page until an answer is as wanted.
+/// Evaluates an expression in the page until it is true.
 #[track_caller]
 fn until_page(browser: &mut Browser, expression: &str) {
     let begun = Instant::now();
@@ -70,7 +70,7 @@ fn until_page(browser: &mut Browser, expression: &str) {
     }
 }
 
-/// What is answered at a port to somebody who names a host.
+/// Returns the answer at a port to a request with a given host.
 fn answer(port: u16, host: &str) -> String {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).expect("it listens");
     write!(stream, "GET / HTTP/1.1\r\nHost: {host}\r\n\r\n").expect("it reads");
@@ -80,7 +80,7 @@ fn answer(port: u16, host: &str) -> String {
 }
 
 #[test]
-fn a_page_follows_the_training() {
+fn page_follows_the_training() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let mut a = arguments(&place, "run", [1_000_000, 10]);
     let mut plain = start(&a);
@@ -96,10 +96,10 @@ fn a_page_follows_the_training() {
     let port = page.trim_end_matches('/').rsplit(':').next().expect("a port").to_owned();
     let number: u16 = port.parse().expect("a number");
     if cfg!(target_os = "linux") {
-        // 127.0.0.1, the lowest byte first.
+        // The address is 127.0.0.1, lowest byte first.
         assert_eq!(listening(&child), [format!("0100007F:{number:04X}")]);
     }
-    // The port is another's: one sentence before anything is made.
+    // A port in use is reported before anything is created.
     let mut second = arguments(&place, "second", [10, 10]);
     second.extend(["--watch".into(), port]);
     sgs(&second).refused(&["in use", "--watch=PORT"]);
@@ -116,7 +116,7 @@ fn a_page_follows_the_training() {
     until_page(&mut browser, "document.querySelectorAll('#views .slider').length === 2");
     let whole = "[...document.images].every(i => i.complete && i.naturalWidth > 0)";
     until_page(&mut browser, whole);
-    // Curves grow, other images come, and a slider that was moved stays.
+    // Curves grow, images change, and a moved slider stays in place.
     let [last, visible] = [
         "[...document.querySelectorAll('#curves svg')][0].lastElementChild.textContent",
         "document.querySelector('#views p').textContent",
@@ -137,7 +137,7 @@ fn a_page_follows_the_training() {
     let curve =
         "[...document.querySelectorAll('#curves figcaption')].some(c => c.textContent.startsWith('PSNR of held'))";
     until_page(&mut browser, curve);
-    // A page at a forwarded port asks with that port as host.
+    // A page at a forwarded port sends that port in its host header.
     assert!(answer(number, &format!("localhost:{}", number ^ 1)).contains("200 OK"));
     assert!(answer(number, "elsewhere.example").contains("403"));
 
@@ -148,9 +148,9 @@ fn a_page_follows_the_training() {
     assert!(TcpListener::bind(("127.0.0.1", number)).is_ok(), "the port is still open");
     until_page(&mut browser, "document.body.classList.contains('finished')");
     until_page(&mut browser, "document.querySelector('#summary').textContent.includes('stopped after step')");
-    let asked = browser.complaints().len();
+    let requested = browser.complaints().len();
     std::thread::sleep(Duration::from_millis(4500));
-    assert_eq!(browser.complaints().len(), asked, "the page goes on asking");
+    assert_eq!(browser.complaints().len(), requested, "the page goes on asking");
     assert!(browser.eval("document.querySelectorAll('#curves svg').length > 1") == true, "it does not stay");
 }
 
@@ -162,7 +162,7 @@ fn watching_does_not_change_training() {
     a.push("--watch=0".into());
     let output = sgs(&a).ok();
     assert!(output.stderr.contains("watch it at http://127.0.0.1:"), "{}", output.stderr);
-    assert!(!output.stderr.contains("no more pictures"), "{}", output.stderr);
+    assert!(!output.stderr.contains("no more images"), "{}", output.stderr);
     place.assert_same("plain", "watched");
     for file in ["lights.json", "environment.exr", "visibility.safetensors"] {
         assert!(place.read(&format!("plain/{file}")) == place.read(&format!("watched/{file}")), "{file}");

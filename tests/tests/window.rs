@@ -1,5 +1,5 @@
-//! `sgs view` in a real window, under Xvfb, by real input: what the screen shows, what the mouse and the keys do, that edits
-//! and images are those of the other commands, and what is refused.
+//! `sgs view` in a real window under Xvfb, with real input. Cases cover the screen's contents, mouse and keys, and
+//! refusals. Edits and images must match those of the other commands.
 
 use glam::{DMat3, DVec3};
 use sgs_relight::Edit;
@@ -14,7 +14,7 @@ use std::path::Path;
 
 const SIZE: [u32; 2] = [240, 160];
 
-/// Sees all of a fabricated run, its lights as well.
+/// Returns a camera that sees all of a fabricated run, including its lights.
 fn camera() -> Camera {
     let [width, height] = SIZE;
     let (fx, fy, cx, cy) = (200.0, 200.0, 120.0, 80.0);
@@ -22,7 +22,7 @@ fn camera() -> Camera {
     Camera { name: "first".into(), width, height, fx, fy, cx, cy, rotation, translation, near: sgs_scene::NEAR }
 }
 
-/// A run with materials and lights, and cameras for it.
+/// Creates a run with materials and lights, and cameras for it.
 fn place() -> Place {
     let place = Place::new(Room { views: 4, ..Room::default() });
     fabricate(&place.path("run"), Parts::ALL);
@@ -33,11 +33,11 @@ fn place() -> Place {
 }
 
 fn bytes(path: &Path) -> (u32, Vec<u8>) {
-    let picture = image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())).to_rgb8();
-    (picture.width(), picture.into_raw())
+    let rendering = image::open(path).unwrap_or_else(|e| panic!("{}: {e}", path.display())).to_rgb8();
+    (rendering.width(), rendering.into_raw())
 }
 
-/// Largest difference of two images in 255ths, and how much of them differs by more than 8.
+/// Compares two images. Returns the largest difference in 255ths and the share of values that differ by more than 8.
 fn apart(a: &Path, b: &Path) -> (u8, f64) {
     let ((width, a), (other, b)) = (bytes(a), bytes(b));
     assert_eq!((width, a.len()), (other, b.len()));
@@ -45,7 +45,7 @@ fn apart(a: &Path, b: &Path) -> (u8, f64) {
     (each().max().unwrap_or(0), each().filter(|d| *d > 8).count() as f64 / a.len() as f64)
 }
 
-/// The one camera of a file.
+/// Returns the first camera of a file.
 fn camera_of(path: &Path) -> Camera {
     Camera::read_transforms(path).unwrap().remove(0)
 }
@@ -93,9 +93,11 @@ fn an_exported_glb_is_shown() {
     }
 }
 
-/// The part of the screen below the lines of text, against an image of the window's size.
-fn on_screen(screen: &Image, picture: &Path, at: [usize; 2]) -> f64 {
-    let (width, texels) = bytes(picture);
+/// Returns the share of pixels where the screen differs from an image. The image has the window's size. Rows with text
+/// are skipped.
+/// skipped.
+fn on_screen(screen: &Image, rendering: &Path, at: [usize; 2]) -> f64 {
+    let (width, texels) = bytes(rendering);
     let rows = texels.len() / 3 / width as usize;
     let mut wrong = 0;
     for y in 48..rows {
@@ -110,7 +112,7 @@ fn on_screen(screen: &Image, picture: &Path, at: [usize; 2]) -> f64 {
 }
 
 #[test]
-fn the_window_is_used_as_people_do() {
+fn mouse_and_keys_control_the_view() {
     let Some(screen) = Screen::start([500, 400]) else { return };
     let place = place();
     let (run, cameras, out) = (place.text("run"), place.text("cameras.json"), place.text("out"));
@@ -132,17 +134,16 @@ fn the_window_is_used_as_people_do() {
     };
     let [left, top] = corner();
 
-    // Color, as it is rendered; and on the screen the same, in the right order of colors.
+    // The saved image equals the rendered one. The screen shows the same image with the correct order of colors.
     let (first, seen_with) = saved(0);
     assert!(seen_with.rotation.abs_diff_eq(camera().rotation, 1e-9) && (seen_with.fx - 200.0).abs() < 1e-9);
     sgs(&["render", &run, "--cameras", &place.text("out/view-000.json"), "-o", &place.text("r0")]).ok();
     assert!(apart(&first, &place.path("r0/view-000_rgb.png")).0 <= 1);
-    screen.until("the picture on the screen", || {
-        on_screen(&screen.picture(), &first, [left as usize, top as usize]) < 1e-3
-    });
-    assert!(on_screen(&screen.picture(), &first, [left as usize + 3, top as usize]) > 0.1, "anything passes");
+    screen
+        .until("the image on the screen", || on_screen(&screen.image(), &first, [left as usize, top as usize]) < 1e-3);
+    assert!(on_screen(&screen.image(), &first, [left as usize + 3, top as usize]) > 0.1, "anything passes");
 
-    // Light, from elsewhere: dragging the background turns the view around.
+    // The shaded image is seen from elsewhere: dragging the background orbits the camera.
     key("2");
     screen.drag("1", [left + 6.0, top + 150.0], [left + 36.0, top + 140.0]);
     let (turned, seen_with) = saved(1);
@@ -154,7 +155,8 @@ fn the_window_is_used_as_people_do() {
     };
     assert!(apart(&turned, &render(1, "pbr")).0 <= 1);
 
-    // A light is taken and moved, dimmed up and colored: the image follows, and relighting by the edit gives the same.
+    // A light is moved, brightened and colored. The image follows, and `sgs relight` with the saved edit gives the same
+    // image.
     let before = read_lights(&place.path("run/lights.json")).unwrap();
     let at = seen_with.project(DVec3::from(before.lights[3].position.map(f64::from))).expect("in front");
     let (from, to) = ([left + at.x, top + at.y], [left + at.x + 24.0, top + at.y - 18.0]);
@@ -168,7 +170,7 @@ fn the_window_is_used_as_people_do() {
     let edit = Edit::read(&file).unwrap();
     let [change] = &edit.lights.change[..] else { panic!("{edit:?}") };
     assert_eq!((change.light, change.on, edit.environment.scale), (Some(3), None, Some(1.25)), "{edit:?}");
-    // A notch made by XTEST may count twice: it has no valuators as those of mice, and its release is a notch as well.
+    // A wheel click by XTEST may count twice: it lacks a mouse's valuators, and its release counts as a click as well.
     let notches = change.intensity.expect("it was dimmed up").ln() / 1.1f32.ln();
     assert!([3.0, 6.0].iter().any(|n| (notches - n).abs() < 0.01) && change.color.is_some(), "{edit:?}");
     let now = DVec3::from(change.to.expect("it was moved").map(f64::from));
@@ -179,11 +181,11 @@ fn the_window_is_used_as_people_do() {
     let (most, _) = apart(&moved, &place.path("relit/view-002_relit.png"));
     assert!(most <= 1, "{most}");
     assert!(apart(&moved, &turned).1 > 0.02, "the edit changes nothing");
-    // All light back.
+    // The key resets all lights.
     key("z");
     assert!(apart(&saved(3).0, &turned).0 <= 1);
 
-    // Exposure, the next camera, walking; another size; hidden and shown again.
+    // Exposure, the next camera, walking, another window size, and hiding and showing the window.
     ["plus", "n"].into_iter().for_each(key);
     let (brighter, second) = saved(4);
     assert!(
@@ -204,11 +206,11 @@ fn the_window_is_used_as_people_do() {
     assert_eq!([walked.width, walked.height], [301, 203]);
     assert!((walked.position() - second.position()).dot(second.forward()) > 1e-3, "{walked:?}");
     assert!(apart(&larger, &render(5, "pbr")).0 <= 1);
-    // Without handles, it fills the window once the camera rests, at full resolution.
+    // Handles are hidden. Once the camera rests, the image fills the window at full resolution.
     key("l");
     let [left, top] = corner();
-    screen.until("the picture in the larger window", || {
-        on_screen(&screen.picture(), &larger, [left as usize, top as usize]) < 1e-3
+    screen.until("the image in the larger window", || {
+        on_screen(&screen.image(), &larger, [left as usize, top as usize]) < 1e-3
     });
 
     assert!(child.try_wait().unwrap().is_none());
@@ -218,7 +220,7 @@ fn the_window_is_used_as_people_do() {
 }
 
 #[test]
-fn what_cannot_be_shown_is_refused() {
+fn invalid_viewer_arguments_are_refused() {
     let place = Place::new(Room { views: 4, ..Room::default() });
     fabricate(&place.path("run"), Parts::NONE);
     let run = place.text("run");

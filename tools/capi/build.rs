@@ -1,4 +1,4 @@
-//! The shared library names its own interface, so that programs find the version they were linked with.
+//! Sets the SONAME of the shared library. Programs then find the version that they were linked with.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");

@@ -1,4 +1,6 @@
-//! `engine-bench ceiling`: peak rates measured on the device. Other commands report shares of this ceiling.
+//! Peak rates measured on the device: `engine-bench ceiling`.
+//!
+//! Other commands report fractions of this ceiling.
 
 use crate::ceiling::Ceiling;
 use crate::common::Common;
@@ -10,25 +12,29 @@ use sgs_engine::graph::{Graph, GraphError};
 use sgs_passes::kernel::{groups, stage};
 use sgs_shaders::{fill, fma_probe};
 
-/// Invocations of a workgroup of the probes.
+/// Invocations per workgroup of the probes.
 const WORKGROUP: u32 = 256;
 
-/// Operations of an invocation and round of `fma_probe`.
+/// Operations per invocation and round of `fma_probe`.
 const PROBE_OPERATIONS: f64 = 128.0;
 
-/// Repetitions at least: on a shared machine one in many runs undisturbed.
+/// Minimum number of repetitions. On a shared machine, some of them run undisturbed.
 const REPEATS: u32 = 24;
 
-/// Bytes of a copy, invocations and rounds of the arithmetic probe: some milliseconds of work, and on a processor so
-/// little that some repetitions fit between two interruptions.
+/// Returns bytes of a copy, and invocations and rounds of the arithmetic probe.
+///
+/// On a GPU this is some milliseconds of work. On a CPU it is little enough that some repetitions run without an
+/// interruption.
 fn sizes(device: &Device) -> (u64, u32, u32) {
-    // The copy is larger than caches are, and what it copies can be bound as a whole.
+    // Larger than caches, yet the copied range still fits in one storage binding.
     let (bytes, invocations, rounds) =
         if device.info().kind == "cpu" { (64 << 20, 1 << 14, 64) } else { (256 << 20, 1 << 20, 1024) };
     (u64::min(bytes, device.info().max_storage_range / 256 * 256), invocations, rounds)
 }
 
-/// Measures the ceiling of a device: the best of some repetitions, since nothing makes a device faster than it is.
+/// Measures the ceiling of a device: the best of several repetitions.
+///
+/// Disturbances only make a device slower, so the best repetition is the least disturbed.
 ///
 /// # Errors
 /// If the device fails, or a probe's result is wrong.
@@ -47,7 +53,9 @@ pub fn measure_ceiling(device: &Device) -> anyhow::Result<Ceiling> {
     })
 }
 
-/// Seconds of the only pass of a graph: by the device's clock, or by the host's where the device has none.
+/// Returns seconds of the only pass of a graph.
+///
+/// Uses the device's clock, or the host's if the device has no timestamps.
 fn seconds(rig: &mut Rig, warmup: u32, repeats: u32) -> anyhow::Result<Summary> {
     let (times, wall) = rig.measure(warmup, repeats)?;
     let samples = times.first().map(|t| t.nanoseconds.clone()).filter(|s| !s.is_empty()).unwrap_or(wall);
@@ -87,7 +95,7 @@ fn multiply_adds(device: &Device, invocations: u32, rounds: u32, warmup: u32, re
     let mut g = Graph::new("multiply_adds");
     let result = g.external("result", 4 * u64::from(invocations));
     let bindings = fma_probe::Bindings { result: result.into() };
-    // The chains run towards summand / (1 - factor) = 4, for eight lanes 32.
+    // The chains converge to summand / (1 - factor) = 4; the sum of eight lanes is 32.
     let push = fma_probe::Push { rounds, factor: 0.75, summand: 1.0 };
     let specs = fma_probe::Specs { workgroup: WORKGROUP };
     stage(&mut g, "fma_probe", &fma_probe::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
@@ -99,8 +107,10 @@ fn multiply_adds(device: &Device, invocations: u32, rounds: u32, warmup: u32, re
     Ok(time)
 }
 
-/// Nanoseconds of a replay of so many tiny dispatches, each after the one before or all at once: the least, since it is
-/// a fixed cost that is looked for.
+/// Returns nanoseconds of a replay of `count` tiny dispatches.
+///
+/// They run one after the other if `ordered`, else concurrently. The minimum is returned, since the overhead is a
+/// constant.
 fn dispatches(device: &Device, count: u32, ordered: bool, warmup: u32, repeats: u32) -> anyhow::Result<f64> {
     let mut g = Graph::new("dispatches");
     let target = g.external("target", 256 * u64::from(count));
@@ -141,7 +151,7 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Overhead of a dispatch, a barrier and a submission without work.
+/// Adds the overhead of a dispatch, a barrier and a submission without work.
 fn overheads(device: &Device, report: &mut Report, warmup: u32, repeats: u32) -> anyhow::Result<()> {
     let (few, many) = (32, 512);
     let slope = |ordered: bool| -> anyhow::Result<f64> {

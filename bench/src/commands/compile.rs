@@ -1,4 +1,4 @@
-//! Host cost of a large plan: compilation, proof and replay.
+//! Host cost of a large plan: compilation, verification and replay.
 
 use crate::harness::Rig;
 use crate::report::Report;
@@ -9,17 +9,19 @@ use sgs_passes::kernel::stage;
 use sgs_shaders::fill;
 use std::time::Instant;
 
-/// Passes of the plan.
+/// Number of passes of the plan.
 const PASSES: u32 = 1000;
 
-/// A step of so many small passes, none of which can be dropped: kernels, and copies of recent or old results.
+/// Builds a step of [`PASSES`] small passes, none of which can be culled.
+///
+/// They are kernels, and copies of recent or old results.
 fn large() -> Result<Graph, GraphError> {
     let mut g = Graph::new("thousand");
     let (bytes, kinds) = (256, 24);
     let stored: Vec<_> =
         (0..kinds).map(|i| g.external(format!("kept{i}"), bytes * (PASSES as u64 / kinds + 1))).collect();
     let transients: Vec<_> = (0..PASSES / 4).map(|i| g.transient(format!("transient{i}"), bytes)).collect();
-    // Where a pass leaves its result: every pass but each fourth has a place of its own.
+    // Every pass except each fourth stores its result in a range of its own.
     let own = |pass: u64| stored[(pass % kinds) as usize].slice(pass / kinds * bytes, bytes);
     for i in 0..u64::from(PASSES) {
         let (made, name) = (transients[i as usize / 4], format!("pass{i}"));
@@ -41,7 +43,7 @@ fn large() -> Result<Graph, GraphError> {
     Ok(g)
 }
 
-/// Adds compilation, proof and replay of such a plan.
+/// Adds compilation, verification and replay of such a plan to the report.
 ///
 /// # Errors
 /// If the device fails.

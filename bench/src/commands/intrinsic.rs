@@ -1,4 +1,6 @@
-//! `engine-bench step --stage intrinsic`: a whole step of the intrinsic stage, pass by pass, through the trainer itself.
+//! Step of the intrinsic stage, pass by pass: `engine-bench step --stage intrinsic`.
+//!
+//! The trainer itself submits the steps.
 
 use super::ceiling::measure_ceiling;
 use super::step::Args;
@@ -89,7 +91,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Current size of the model; settings are upper bounds.
+/// Adds the current size of the model; settings are upper bounds.
 fn modeled(report: &mut Report, training: &Intrinsic) -> anyhow::Result<()> {
     let (options, required) = (training.options(), training.required());
     match &options.lights {

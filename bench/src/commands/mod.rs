@@ -1,4 +1,4 @@
-//! The commands, one a file.
+//! Commands, one file each.
 
 pub mod ceiling;
 pub mod compile;

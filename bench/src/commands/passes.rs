@@ -1,4 +1,4 @@
-//! `engine-bench passes`: single stages at stated sizes.
+//! Single stages at stated sizes: `engine-bench passes`.
 
 use super::ceiling::measure_ceiling;
 use super::step::Args as StepArgs;
@@ -10,22 +10,22 @@ use sgs_passes::Tuning;
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Only stages whose names contain this.
+    /// Measure only stages whose names contain S.
     #[arg(long, value_name = "S")]
     pub filter: Option<String>,
-    /// Elements of the primitives.
+    /// Number of elements of the primitives.
     #[arg(long, value_name = "N", default_value_t = 1 << 20, value_parser = clap::value_parser!(u32).range(1..=1 << 28))]
     pub elements: u32,
-    /// Gaussians of the other stages; 20000 on a processor, 1000000 elsewhere.
+    /// Number of Gaussians of the other stages; 20000 on a CPU, 1000000 elsewhere.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=50_000_000))]
     pub gaussians: Option<u32>,
-    /// Size of their view; 320x240 on a processor, 1920x1080 elsewhere.
+    /// View size of the other stages; 320x240 on a CPU, 1920x1080 elsewhere.
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     pub size: Option<[u32; 2]>,
-    /// With normals and depth.
+    /// Include normals and depth.
     #[arg(long)]
     pub normals: bool,
-    /// Write the case of `lights` and its results to a folder, for `bench/peers`.
+    /// Write the test case of `lights` and its results to a folder, for `bench/peers`.
     #[arg(long, value_name = "FOLDER")]
     pub dump: Option<std::path::PathBuf>,
 }

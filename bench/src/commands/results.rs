@@ -1,4 +1,6 @@
-//! `engine-bench join` and `engine-bench table`: from reports to one file a device, and to the table of docs/project/benchmarks.md.
+//! Files and table of reports: `engine-bench join` and `engine-bench table`.
+//!
+//! Joins reports to one file per device, and prints the table of docs/project/benchmarks.md.
 
 use crate::report::set::{ReportSet, table};
 use std::path::PathBuf;
@@ -6,10 +8,10 @@ use std::path::PathBuf;
 /// Options of `join`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Join {
-    /// Reports of one device.
+    /// Report files of one device.
     #[arg(required = true)]
     reports: Vec<PathBuf>,
-    /// Where all of them go.
+    /// File for all reports.
     #[arg(short, long, value_name = "FILE.json")]
     output: PathBuf,
 }
@@ -17,7 +19,7 @@ pub struct Join {
 /// Options of `table`.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Table {
-    /// Files of reports.
+    /// Report files.
     #[arg(required = true)]
     files: Vec<PathBuf>,
 }
@@ -25,7 +27,7 @@ pub struct Table {
 /// Writes one file with all reports.
 ///
 /// # Errors
-/// If they cannot be read, do not belong together, or the file cannot be written.
+/// If the reports cannot be read or joined, or the file cannot be written.
 pub fn join(a: &Join) -> anyhow::Result<()> {
     let sets = a.reports.iter().map(|path| ReportSet::read(path)).collect::<anyhow::Result<_>>()?;
     let text = serde_json::to_string_pretty(&ReportSet::join(sets)?)?;

@@ -1,9 +1,13 @@
-//! `engine-bench savings`: time of each exact optimization of the intrinsic stage, with and without it.
+//! Optimizations of the intrinsic stage, timed with and without each: `engine-bench savings`.
 //!
-//! Both forms are timed on the same data and must agree. Measured: the split first layer of the visibility network,
-//! irradiance and Fresnel's factor out of the sum over lights, lights behind the surface, lights that are off, and views'
-//! weights stored from step to step. Two are approximate, at stated errors: culling of faint lights, and supervision of the
-//! field by a sample of pairs.
+//! Both forms run on the same data and must agree. Exact optimizations:
+//! - The first layer of the visibility network is split.
+//! - Irradiance and the Fresnel factor are moved out of the sum over lights.
+//! - Lights behind the surface and lights that are off are skipped.
+//! - Blending weights of views are stored from step to step.
+//!
+//! Two are approximate, with stated errors: culling of faint lights, and supervision of the field by a sample of
+//! pairs.
 
 use super::ceiling::measure_ceiling;
 use super::step::Args as StepArgs;
@@ -29,18 +33,18 @@ use std::time::Instant;
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Size of the view; 320x240 on a processor, 1920x1080 elsewhere.
+    /// Size of the view; 320x240 on a CPU, 1920x1080 elsewhere.
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     pub size: Option<[u32; 2]>,
-    /// Steps of training that are measured, of each form; 0 leaves these out.
+    /// Number of measured training steps per form; 0 skips these measurements.
     #[arg(long, value_name = "N", default_value_t = 12)]
     pub steps: u32,
-    /// Largest share by which faint lights may darken white, where they are left out.
+    /// Maximum fraction by which culling of faint lights may darken white.
     #[arg(long, value_name = "SHARE", default_value_t = 0.002)]
     pub cull_error: f32,
 }
 
-/// A form of a computation: its times, its result.
+/// Times and result of one form of a computation.
 struct Form {
     times: Summary,
     result: Vec<f32>,
@@ -72,7 +76,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Adds the times of both forms, and their ratio.
+/// Adds the times of both forms and their ratio.
 fn add(report: &mut Report, name: &str, plain: Summary, saved: Summary) {
     report.time(&format!("{name}: without"), "ms", plain.scaled(1e-6));
     report.time(&format!("{name}: with"), "ms", saved.scaled(1e-6));
@@ -110,7 +114,7 @@ impl Bench<'_> {
         Ok(Form { times: Summary::of(&sums), result: rig.get(result)? })
     }
 
-    /// The network's first layer: a point's response computed once, or for each light.
+    /// Times the first layer: a point's response computed once, or for each light.
     fn first_layer(&self, report: &mut Report) -> anyhow::Result<()> {
         let config = FieldConfig::default();
         let n = self.lit.points.len() as u64;
@@ -152,7 +156,7 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Factors taken out of the sum over lights, each separately and all together.
+    /// Times the factors moved out of the sum over lights, separately and combined.
     fn sums(&self, report: &mut Report) -> anyhow::Result<()> {
         let form = |irradiance: bool, fresnel: bool, facing: bool| {
             let mut g = Graph::new("sums");
@@ -193,7 +197,9 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Shading for training under lights of these gains, lights that are too faint left out.
+    /// Shades for training with the given gains.
+    ///
+    /// `missing`: bound on the irradiance that culling may remove; 0 disables culling.
     fn shaded(&self, gains: &[f32], missing: f32) -> anyhow::Result<Form> {
         let mut g = Graph::new("shaded");
         let mut b: Bound = bind(&mut g, self.lit, self.size, self.model);
@@ -220,7 +226,7 @@ impl Bench<'_> {
         self.measure(g, b.inputs, "lights_train", direct)
     }
 
-    /// Three of ten lights switched off, as in views under other lights.
+    /// Times three of ten lights switched off, as in views under other lights.
     fn off(&self, report: &mut Report) -> anyhow::Result<()> {
         let gains: Vec<f32> = (0..self.model.lights).map(|i| f32::from(u8::from(i % 10 >= 3))).collect();
         let faint: Vec<f32> = gains.iter().map(|g| g.max(1e-20)).collect();
@@ -231,16 +237,16 @@ impl Bench<'_> {
         Ok(())
     }
 
-    /// Faint lights culled per block of pixels.
+    /// Times faint lights culled per block of pixels.
     fn culled(&self, report: &mut Report, error: f32) -> anyhow::Result<()> {
         let gains = vec![1.0; self.model.lights as usize];
-        // The share is of the brightest diffuse white there is.
+        // The error is relative to the brightest diffuse white surface.
         let plain = self.shaded(&gains, 0.0)?;
         let white = plain.result.iter().fold(0.0_f32, |a, b| a.max(*b));
         let missing = error * white * std::f32::consts::PI * self.model.lights as f32;
         let saved = self.shaded(&gains, missing)?;
         let worst = plain.result.iter().zip(&saved.result).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        // Specular light is short of 1 / (2 roughness^6) times the bound at most; materials here are 0.3 rough and more.
+        // Specular light lacks at most 1 / (2 roughness^6) times the bound. Roughness is 0.3 or more here.
         let most = error * white * (1.0 + 0.5 / 0.3_f32.powi(6));
         ensure!(worst <= most, "Culling changed radiance by {worst}, but may by {most}.");
         add(report, "faint lights left out (not exact)", plain.times, saved.times);
@@ -250,7 +256,9 @@ impl Bench<'_> {
     }
 }
 
-/// Training steps with views' weights stored and recomputed, and with one pair of 16 supervising the field.
+/// Times training steps with views' weights stored and recomputed.
+///
+/// Also times supervision of the field by one of 16 pairs.
 fn steps(common: &Common, a: &Args, size: [u32; 2], report: &mut Report) -> anyhow::Result<()> {
     let mut base = lit_settings(None)?;
     let lit = LitScene::open(None, None, size, &mut base)?;

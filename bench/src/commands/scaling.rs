@@ -1,4 +1,4 @@
-//! `engine-bench scaling`: how a step's time and memory grow with Gaussians and with pixels.
+//! Growth of a step's time and memory with Gaussians and pixels: `engine-bench scaling`.
 
 use super::step::Args as StepArgs;
 use crate::common::{Common, parse_size};
@@ -13,18 +13,18 @@ use sgs_passes::splat::BackwardKernel;
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Gaussians in the middle of the range; 20000 on a processor, 1000000 elsewhere.
+    /// Number of Gaussians in the middle of the range; 20000 on a CPU, 1000000 elsewhere.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(400..=12_500_000))]
     pub gaussians: Option<u32>,
-    /// Size in the middle of the range; 320x240 on a processor, 1920x1080 elsewhere.
+    /// View size in the middle of the range; 320x240 on a CPU, 1920x1080 elsewhere.
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     pub size: Option<[u32; 2]>,
-    /// With normals and depth, their losses, and normal priors.
+    /// Include normals and depth, their losses, and normal priors.
     #[arg(long)]
     pub normals: bool,
 }
 
-/// One size.
+/// Measurement at one size.
 #[derive(Clone, Copy)]
 struct Point {
     gaussians: f64,
@@ -108,7 +108,7 @@ fn point(common: &Common, device: &Device, report: &mut Report, room: &Synthetic
     })
 }
 
-/// Slope of the line of least squares.
+/// Returns the slope of the least-squares line.
 fn line(points: &[(f64, f64)]) -> f64 {
     let n = points.len().max(1) as f64;
     let mean = |f: &dyn Fn(&(f64, f64)) -> f64| points.iter().map(f).sum::<f64>() / n;
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_slope_of_a_line_is_found_through_noise() {
+    fn slope_of_a_noisy_line_is_recovered() {
         let noisy: Vec<_> = (0..100).map(|i| (f64::from(i), 3.0 * f64::from(i) + f64::from(i % 2))).collect();
         assert!((line(&noisy) - 3.0).abs() < 1e-2);
         assert_eq!(line(&[(1.0, 1.0)]), 0.0);

@@ -1,4 +1,4 @@
-//! `engine-bench step`: a whole training step and a whole render, pass by pass, and what they cost the host.
+//! Training step and render, pass by pass, with their host cost: `engine-bench step`.
 
 use super::ceiling::measure_ceiling;
 use crate::ceiling::Ceiling;
@@ -24,41 +24,41 @@ use std::path::PathBuf;
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// Gaussians of the synthetic room; 20000 on a processor, 1000000 elsewhere.
+    /// Number of Gaussians of the synthetic room; 20000 on a CPU, 1000000 elsewhere.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=50_000_000))]
     pub gaussians: Option<u32>,
-    /// Size of its views; 320x240 on a processor, 1920x1080 elsewhere.
+    /// View size of the synthetic room; 320x240 on a CPU, 1920x1080 elsewhere.
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     pub size: Option<[u32; 2]>,
-    /// A scene directory in place of the synthetic room.
+    /// Scene directory, in place of the synthetic room.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["gaussians", "size"])]
     pub scene: Option<PathBuf>,
-    /// Which step.
+    /// Stage whose step is measured.
     #[arg(long, value_enum, default_value = "geometry")]
     pub stage: Stage,
-    /// Geometry of the intrinsic stage, a PLY file; the scene's points by default.
+    /// PLY file with the geometry of the intrinsic stage; by default the scene's points.
     #[arg(long, value_name = "FILE.ply")]
     pub geometry: Option<PathBuf>,
-    /// Settings of the intrinsic stage from a TOML file, as config.toml of a run.
+    /// TOML file with settings of the intrinsic stage, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
-    /// A run of the intrinsic stage in place of scene, geometry and settings: its current step, without the disabled
-    /// components.
+    /// Run of the intrinsic stage, in place of scene, geometry and settings. Measures its current step, without the
+    /// disabled components.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "geometry", "config", "gaussians", "size"])]
     pub run: Option<PathBuf>,
-    /// Steps to measure, in place of --repeats.
+    /// Number of steps to measure, in place of --repeats.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub steps: Option<u32>,
-    /// Gather the statistics of densification, and measure densification itself.
+    /// Accumulate the statistics of densification, and measure densification itself.
     #[arg(long)]
     pub densify: bool,
-    /// With normals and depth, their losses, and normal priors.
+    /// Include normals and depth, their losses, and normal priors.
     #[arg(long)]
     pub normals: bool,
-    /// With the semantic loss; the scene must have the priors.
+    /// Include the semantic loss. The scene must have the priors.
     #[arg(long, requires = "scene")]
     pub semantics: bool,
-    /// With two pseudo-views, and correspondence of a region.
+    /// Include two pseudo-views and the correspondence of a region.
     #[arg(long, requires = "semantics")]
     pub pseudo: bool,
     /// Degree of the spherical harmonics.
@@ -70,12 +70,12 @@ pub struct Args {
     /// Write a Chrome trace of one step and one render.
     #[arg(long, value_name = "FILE.json")]
     pub trace: Option<PathBuf>,
-    /// Write the plan of the step, with measured times, as a page.
+    /// Write the plan of the step, with measured times, as an HTML page.
     #[arg(long, value_name = "FILE.html")]
     pub html: Option<PathBuf>,
 }
 
-/// Which step.
+/// Stage whose step is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Stage {
     /// Geometry and appearance.
@@ -84,14 +84,14 @@ pub enum Stage {
     Intrinsic,
 }
 
-/// Which backward kernel.
+/// Backward kernel of blending, by the assignment of its lanes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Backward {
-    /// Lanes are pixels.
+    /// One pixel per lane.
     Pixel,
-    /// Lanes are splats.
+    /// One splat per lane.
     Splat,
-    /// Lanes are pixels, sums by atomics.
+    /// One pixel per lane; atomic sums.
     Atomic,
 }
 
@@ -106,17 +106,17 @@ impl From<Backward> for BackwardKernel {
 }
 
 impl Args {
-    /// Sizes that suit a device: small on a processor, and on a GPU large enough to fill it.
+    /// Returns sizes that suit a device: small on a CPU, and large enough to fill a GPU.
     pub fn sizes(device: &Device, gaussians: Option<u32>, size: Option<[u32; 2]>) -> (u32, [u32; 2]) {
         let cpu = device.info().kind == "cpu";
         let gaussians = gaussians.unwrap_or(if cpu { 20_000 } else { 1_000_000 });
         (gaussians, size.unwrap_or(if cpu { [320, 240] } else { [1920, 1080] }))
     }
 
-    /// The scene, and its sizes in the report.
+    /// Loads or creates the scene, and adds its sizes to the report.
     ///
     /// # Errors
-    /// If it cannot be read or made.
+    /// If the scene cannot be read or created.
     pub fn workload(&self, device: &Device, report: &mut Report) -> anyhow::Result<Workload> {
         let workload = match &self.scene {
             Some(path) => directory(
@@ -170,7 +170,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
 
     let capacity = first_entry_capacity(workload.start.len());
     let mut trainer = Trainer::new(&device, &workload, a.backward.into(), capacity)?;
-    // Once around the views, so that no view finds too little room later.
+    // Once through all views, so that no later step grows the entry capacity.
     trainer.run(common.warmup.max(workload.views.len() as u32))?;
     let plain = trainer.run(steps)?;
     host(&mut report, &plain)?;
@@ -215,7 +215,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Means over the measured steps. How many pixels an entry meets is counted on the host in three of the views.
+/// Returns the mean counts over the measured steps.
+///
+/// Pixels per entry are counted on the host in about three of the views.
 fn counts(
     device: &Device,
     workload: &Workload,
@@ -267,7 +269,7 @@ fn counts(
     Ok(counts)
 }
 
-/// Host times without timestamps, and checks of the steady state.
+/// Adds host times without timestamps, and checks the steady state.
 fn host(report: &mut Report, run: &Run) -> anyhow::Result<()> {
     let wall = Summary::of(&run.wall);
     let host = Summary::of(&run.host);
@@ -297,7 +299,7 @@ fn host(report: &mut Report, run: &Run) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Composition of a plan.
+/// Adds the composition of a plan.
 pub(super) fn shape(report: &mut Report, what: &str, plan: &Plan) {
     let passes: usize = plan.groups.iter().map(|g| g.passes.len()).sum();
     let barriers = plan.groups.iter().filter(|g| g.barrier.is_some()).count();
@@ -308,7 +310,9 @@ pub(super) fn shape(report: &mut Report, what: &str, plan: &Plan) {
     );
 }
 
-/// Memory in total and per Gaussian; the slope comes from the same scene with half of the Gaussians.
+/// Adds memory in total and per Gaussian.
+///
+/// The slope comes from the same scene with half of the Gaussians.
 fn memory(report: &mut Report, device: &Device, workload: &Workload, trainer: &mut Trainer<'_>) -> anyhow::Result<()> {
     let count = workload.start.len();
     let (used, _) = device.memory_use();
@@ -337,7 +341,7 @@ fn memory(report: &mut Report, device: &Device, workload: &Workload, trainer: &m
     Ok(())
 }
 
-/// The first so many Gaussians.
+/// Returns the first `count` Gaussians.
 fn part_of(w: &Workload, count: usize) -> sgs_passes::scene::GaussianData {
     let mut data = w.start.clone();
     for group in w.model.groups() {
@@ -346,7 +350,7 @@ fn part_of(w: &Workload, count: usize) -> sgs_passes::scene::GaussianData {
     data
 }
 
-/// The same views.
+/// Returns the same views without Gaussians.
 fn shallow(w: &Workload) -> Workload {
     Workload {
         name: w.name.clone(),
@@ -361,21 +365,21 @@ fn shallow(w: &Workload) -> Workload {
     }
 }
 
-/// Checks that training reduces the loss: a wrong step may be fast.
+/// Checks that training reduces the loss: an incorrect step may be fast.
 fn losses(report: &mut Report, first: &Run, last: &Run) -> anyhow::Result<()> {
     let mean = |run: &Run| {
         run.reports.iter().map(|r| f64::from(r.losses.total)).sum::<f64>() / run.reports.len().max(1) as f64
     };
     let (before, after) = (mean(first), mean(last));
     report.fact("loss, mean of the first and the last steps", format!("{before:.4}, {after:.4}"));
-    // Views differ, so that few steps may be worse by chance; but not by much.
+    // Views differ, so the loss over few steps may rise by chance, but not by much.
     let enough = if first.reports.len() >= 10 { 1.0 } else { 1.2 };
     anyhow::ensure!(after <= enough * before, "Training makes the loss grow from {before} to {after}.");
     report.check("every step reported finite losses and gradients, no overflow, and the loss went down");
     Ok(())
 }
 
-/// Renders of the trained Gaussians; each pass, and the whole with the image read back.
+/// Renders the trained Gaussians. Adds each pass, and the total with readback of the image.
 fn render(
     device: &Device,
     common: &Common,

@@ -1,4 +1,4 @@
-//! `adam` on the widest group, scalar by scalar against its reference.
+//! Benchmark of `adam` on the widest group. Every scalar is checked against the reference.
 
 use super::Context;
 use super::view::work_of;
@@ -14,7 +14,7 @@ use sgs_shaders::structs::{Step, Work};
 
 const RATE: f64 = 1e-3;
 
-/// One step of one group.
+/// Measures one step of one group.
 pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let width = Group::Sh3.width();
     let count = c.workload.start.len() as u32;
@@ -62,7 +62,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
     let counts = Counts { elements: scalars as f64, ..Default::default() };
     add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
-    // Every replay was a step with the same rates and gradients; the reference takes as many.
+    // Every replay is a step with the same rates and gradients; the reference takes as many steps.
     let steps = c.warmup.max(1) + c.repeats;
     let (found, stored): (Vec<f32>, Vec<[f32; 2]>) = (rig.get(parameters)?, rig.get(moments)?);
     for i in 0..scalars {

@@ -1,4 +1,6 @@
-//! `project`, `intersect` and `blend` of one view, pixel by pixel against the CPU reference's image.
+//! Benchmark of `project`, `intersect` and `blend` in one view.
+//!
+//! Every pixel is checked against the image of the CPU reference.
 
 use super::Context;
 use super::view::{Subject, overlap};
@@ -10,20 +12,20 @@ use sgs_passes::cost::Counts;
 use sgs_passes::reference::blend::{Blended as Truth, render};
 use sgs_passes::splat::{Blended, Channels, blend};
 
-/// Where no threshold is near, single and double precision may differ by this much.
+/// Maximum difference of single and double precision where no threshold is near.
 const LARGEST: f64 = 5e-3;
 
-/// Minimum PSNR of the whole image, dB: thresholds decided the other way are rare and small.
+/// Minimum PSNR of the whole image in dB. Thresholds decided differently are rare and have small effects.
 const PSNR: f64 = 55.0;
 
-/// The view that stages are measured with.
+/// Returns the view in which stages are measured.
 pub fn subject<'s>(c: &'s Context<'_>) -> Subject<'s> {
     let w = c.workload;
     let channels = Channels { colors: true, normals: w.model.normals, depth: w.model.normals };
     Subject { device: c.device, tuning: c.tuning, model: w.model, data: &w.start, camera: w.views[0].0, channels }
 }
 
-/// Counts of the view.
+/// Returns the counts of the view.
 pub fn counts(s: &Subject<'_>) -> anyhow::Result<Counts> {
     let o = overlap(s)?;
     Ok(Counts {
@@ -37,7 +39,7 @@ pub fn counts(s: &Subject<'_>) -> anyhow::Result<Counts> {
     })
 }
 
-/// The way forward.
+/// Measures the forward passes.
 pub fn forward(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let s = subject(c);
     let counts = counts(&s)?;
@@ -72,11 +74,12 @@ pub fn forward(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The largest difference where nothing is doubtful, the PSNR over all, and the share of doubtful pixels. What is not a
-/// number is infinitely far off.
+/// Returns the largest error where nothing is doubtful, PSNR and doubtful fraction.
+///
+/// Doubtful pixels are near a threshold. PSNR is over all pixels. A NaN has infinite error.
 fn difference(image: &[f32], transmittance: &[f32], truth: &Truth, channels: usize) -> (f64, f64, f64) {
     let apart = |found: f32, t: f64| {
-        // Depth grows with the scene; colors and normals are of the order of one.
+        // Depth grows with the scene, so its error is relative; colors and normals are of the order of one.
         let d = (f64::from(found) - t).abs() / t.abs().max(1.0);
         if d.is_nan() { f64::INFINITY } else { d }
     };
@@ -100,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn planted_errors_are_caught() {
+    fn injected_errors_are_detected() {
         let truth = Truth { image: vec![0.5; 6], transmittance: vec![0.2; 2], doubtful: vec![false; 2] };
         let (image, transmittance) = (vec![0.5_f32; 6], vec![0.2_f32; 2]);
         let (largest, psnr, _) = difference(&image, &transmittance, &truth, 3);

@@ -1,8 +1,9 @@
-//! All kernels of `blend_bwd` on the device, and their times.
+//! Benchmark of all kernels of `blend_bwd`.
 //!
-//! Checked twice. The image is linear in the features, so their gradients times themselves, summed over all entries, are the
-//! image times its gradient, summed over all pixels: an identity that holds for every kernel. The kernels share no code and
-//! must also agree on every gradient: by entry, or by splat with the one that writes sums.
+//! Two checks. First, the image is linear in the features. Their gradients times themselves, summed over all entries,
+//! equal the image times its gradient, summed over all pixels. Every kernel must satisfy this identity. Second, the
+//! kernels share no code and must agree on every gradient. The comparison is by entry, or by splat for the kernel
+//! that writes sums.
 
 use super::Context;
 use super::blend::{counts, subject};
@@ -16,13 +17,13 @@ use sgs_passes::reference::rng::Pcg;
 use sgs_passes::splat::{BackwardKernel, Blended, blend, blend_bwd, blend_debt};
 use sgs_shaders::structs::Work;
 
-/// Relative error of the identity: sums of millions of single-precision products.
+/// Maximum relative error of the identity: sums of millions of single-precision products.
 const IDENTITY: f64 = 1e-3;
 
-/// Outputs of one kernel for readback.
+/// Outputs of one kernel on the host.
 struct Outcome {
     which: BackwardKernel,
-    /// By entry, or by splat where the kernel adds up.
+    /// Gradients by entry, or by splat if the kernel sums them.
     gradients: Vec<f32>,
     /// Splat of each entry.
     owners: Vec<u32>,
@@ -39,7 +40,7 @@ impl Outcome {
         }
     }
 
-    /// Sums by splat, in double precision; `row` numbers each.
+    /// Returns double-precision sums by splat; `row` is the number of values per splat.
     fn by_splat(&self, splats: usize, row: usize) -> Vec<f32> {
         if self.which == BackwardKernel::Atomic {
             return self.gradients.clone();
@@ -61,7 +62,7 @@ struct Outputs {
     image: Buffer,
 }
 
-/// All kernels.
+/// Measures all kernels that the device supports.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let s = subject(c);
     let counts = counts(&s)?;
@@ -129,7 +130,9 @@ fn build(c: &Context<'_>, s: &Subject<'_>, which: BackwardKernel) -> anyhow::Res
     })
 }
 
-/// Positive, so that sums do not cancel and their error stays relative.
+/// Returns a positive image gradient, so that sums do not cancel.
+///
+/// Errors of the sums therefore stay relative.
 fn image_gradient(count: u64) -> Vec<f32> {
     let mut rng = Pcg::new(4);
     (0..count).map(|_| rng.range(0.25, 1.0) as f32).collect()
@@ -154,7 +157,7 @@ fn read(
     let mut sum = 0.0;
     for (i, values) in gradients.chunks_exact(6 + channels).enumerate() {
         let owner = if which == BackwardKernel::Atomic { i } else { owners[i] as usize };
-        // Behind the last splat that a view has there is nothing, not even features.
+        // Entries behind the last visible splat have no features.
         if values[6..].iter().any(|v| *v != 0.0) {
             sum += dot(&values[6..], &features[owner * channels..][..channels]);
         }
@@ -167,7 +170,9 @@ fn dot(a: &[f32], b: &[f32]) -> f64 {
     a.iter().zip(b).map(|(x, y)| f64::from(*x) * f64::from(*y)).sum()
 }
 
-/// The largest difference of two sets of gradients, by column relative to its largest number.
+/// Returns the largest difference of two gradient sets.
+///
+/// Each column is relative to its largest absolute value.
 fn disagreement(a: &[f32], b: &[f32], columns: usize) -> f64 {
     if a.len() != b.len() {
         return f64::INFINITY;
@@ -187,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn entries_add_up_to_their_splats() {
+    fn entry_gradients_are_summed_by_splat() {
         let one = |which, gradients: &[f32]| Outcome {
             which,
             gradients: gradients.to_vec(),
@@ -202,10 +207,10 @@ mod tests {
     }
 
     #[test]
-    fn planted_disagreements_are_caught() {
+    fn injected_disagreements_are_detected() {
         let a = [1.0, 100.0, -2.0, 50.0];
         assert_eq!(disagreement(&a, &a, 2), 0.0);
-        // A column of small numbers is not excused by one of large ones.
+        // A column of small values is not compared at the scale of a column of large ones.
         assert!(disagreement(&a, &[1.0, 100.0, -1.9, 50.0], 2) > 0.04);
         assert_eq!(disagreement(&a, &[1.0, f32::NAN, -2.0, 50.0], 2), f64::INFINITY);
         assert_eq!(disagreement(&a, &a[..3], 2), f64::INFINITY);

@@ -1,5 +1,6 @@
-//! `densify`, restored to the same start before each replay; counts of pruned, cloned and split Gaussians must match the
-//! reference.
+//! Benchmark of `densify`, restored to the same start before each replay.
+//!
+//! Counts of pruned, cloned and split Gaussians must match the reference.
 
 use super::Context;
 use super::view::work_of;
@@ -14,7 +15,9 @@ use sgs_passes::reference::rng::Pcg;
 use sgs_passes::scene::{GaussianData, Gaussians, Group};
 use sgs_shaders::structs::{Densify as Values, DensifyStats, Work};
 
-/// A tenth is refined, a tenth pruned, as in the first thousands of steps.
+/// Returns statistics that refine a tenth and prune a tenth of the Gaussians.
+///
+/// These fractions are typical of the first thousands of steps.
 fn statistics(count: usize) -> Vec<f32> {
     let mut rng = Pcg::new(6);
     let mut all = Vec::with_capacity(4 * count);
@@ -27,7 +30,7 @@ fn statistics(count: usize) -> Vec<f32> {
     all
 }
 
-/// One densification.
+/// Measures one densification.
 pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let w = c.workload;
     let count = w.start.len();
@@ -42,7 +45,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         cap: capacity as usize,
         seed: 5,
     };
-    // Only for their declaration: the rig has memory of its own.
+    // Used for the declaration only: the rig allocates its own memory.
     let gaussians = Gaussians::new(c.device, w.model, capacity, true)?;
     let mut g = Graph::new("densify");
     let uniform = g.uniform("settings", size_of::<Values>() as u64);
@@ -52,7 +55,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let what = what.ok_or_else(|| anyhow::anyhow!("Gaussians in training have moments."))?;
     let statistics = statistics(count);
     let mut inputs = vec![(uniform, bytes(&[values(&settings)]))];
-    // What a replay changes is copied back from where nothing changes it.
+    // Copies back everything that a replay changes.
     let mut restore = |name: &str, target: Buffer, content: Vec<u8>| -> anyhow::Result<()> {
         let from = g.input(format!("{name} as they were"), content.len() as u64);
         g.copy(format!("out.restore {name}"), from, target.slice(0, content.len() as u64))?;
@@ -82,7 +85,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The span of the passes themselves: what puts the start back comes before them.
+/// Returns the durations of the passes themselves; the restoring copies run before them.
 fn inside(times: &[sgs_engine::graph::exec::PassTime]) -> Vec<f64> {
     let first = |r: usize| times.iter().map(|t| t.start[r]).fold(f64::INFINITY, f64::min);
     spans(times).iter().enumerate().map(|(r, end)| end - first(r)).collect()
@@ -126,7 +129,7 @@ fn check(
             Verdict::Keep => {}
         }
     }
-    // A scale at the very threshold between cloning and splitting may be rounded to either side.
+    // Scales at the threshold between cloning and splitting may round to either side.
     let refined = stats.cloned + stats.split;
     let near = u32::abs_diff(stats.cloned, cloned) <= 1 + refined / 1000;
     let right = stats.pruned == pruned && refined == cloned + split && near;

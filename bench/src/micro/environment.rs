@@ -1,8 +1,8 @@
-//! `environment`: filters of cubes of several sizes, light on the surfaces of a view, and their backward.
+//! Benchmark of `environment`: filters of cube maps of several sizes, shading and its backward pass.
 //!
-//! Surfaces are those of rooms: few directions of normals, with some noise, so that many pixels meet in a texel. Sampled
-//! texels and pixels are checked against the reference. The gradient is checked by its product with the texels, which must
-//! equal that of light and its gradient.
+//! Surfaces resemble rooms: few normal directions with some noise, so that many pixels share a texel. Sampled texels
+//! are checked against the reference. The gradient is checked by its product with the texels, which must equal the
+//! product of the light and its gradient.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -18,15 +18,15 @@ use sgs_passes::shade::environment::{
 };
 use sgs_shaders::structs::Step;
 
-/// Texels along a side.
+/// Texels per edge of a face.
 const SIZES: [u32; 3] = [64, 128, 256];
-/// Normals of a room, and one aslant.
+/// Normals of a room, and one oblique normal.
 const NORMALS: [[f64; 3]; 6] =
     [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.6, 0.64, -0.48]];
 
-/// All sizes.
+/// Measures all sizes.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
-    // Where primitives are tiny, so are cubes.
+    // Tiny primitives imply tiny cube maps.
     let sizes: &[u32] = if c.elements < 10_000 { &[16] } else { &SIZES };
     sizes.iter().try_for_each(|&size| one(c, report, size))
 }
@@ -46,7 +46,7 @@ fn one(c: &Context<'_>, report: &mut Report, size: u32) -> anyhow::Result<()> {
         normals.extend(n.map(|a| (a / length) as f32));
         points.extend([0, 1, 2].map(|_| rng.range(-1.0, 1.0) as f32));
         materials.extend([0.5, 0.6, 0.7, 0.1 + 0.8 * rng.uniform()].map(|a| a as f32));
-        // Not around zero, so that products of many do not cancel.
+        // Positive, so that products of many terms do not cancel.
         gradient.extend([0, 1, 2].map(|_| rng.range(0.0, 1e-3) as f32));
     }
     let mut g = Graph::new(format!("environment{size}"));
@@ -72,7 +72,7 @@ fn one(c: &Context<'_>, report: &mut Report, size: u32) -> anyhow::Result<()> {
     let filtered = environment_filter(&mut g, t, &e, &tables, texel_buffer)?;
     environment(&mut g, t, &e, &tables, &view, &filtered, ambient)?;
     let sums = environment_bwd(&mut g, t, &e, &tables, &view, &filtered, radiance_gradient, by_material, None)?;
-    // Timed, but without weight, so that the gradient is that of light alone.
+    // Timed with zero weight, so that the gradient is that of the light only.
     let smooth = environment_smoothness(&mut g, t, &e, &tables, texel_buffer, 0.0);
     environment_filter_bwd(&mut g, t, &e, &tables, &filtered, &sums, smooth.as_ref(), by_texel)?;
     g.copy("out.radiance", filtered.radiance, radiance)?;

@@ -1,4 +1,6 @@
-//! `lights` and its backward, under 64 lights of 12 lobes, at a sample of pixels against the reference.
+//! Benchmark of `lights` and its backward pass under 64 lights of 12 lobes.
+//!
+//! A sample of pixels is checked against the reference.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -19,24 +21,24 @@ use sgs_shaders::structs::Step;
 
 pub(super) const CAMERA: [f32; 3] = [0.2, 0.1, -1.2];
 
-/// What is shaded: the inside of a box with a bumpy surface, and lights in it.
+/// Shaded scene: the inside of a box with a bumpy surface, and lights inside.
 pub struct Lit {
-    /// By pixel.
+    /// Points by pixel.
     pub points: Vec<[f32; 3]>,
-    /// By pixel.
+    /// Normals by pixel.
     pub normals: Vec<[f32; 3]>,
-    /// By pixel: albedo, roughness.
+    /// Albedo and roughness by pixel.
     pub materials: Vec<[f32; 4]>,
-    /// By pixel: gradient of the radiance.
+    /// Radiance gradients by pixel.
     pub gradient: Vec<[f32; 3]>,
-    /// By light.
+    /// Positions by light.
     pub positions: Vec<[f32; 3]>,
     /// Rows of all lobes.
     pub lobes: Vec<f32>,
 }
 
 impl Lit {
-    /// The room as a camera in it sees it.
+    /// Returns the room as seen by a camera inside it.
     pub fn room([width, height]: [u32; 2], model: LightModel) -> Lit {
         let mut rng = Pcg::new(9);
         let mut lit = Lit {
@@ -47,14 +49,14 @@ impl Lit {
             positions: model.start_positions([-1.3; 3], [1.3; 3]),
             lobes: model.start_lobes(),
         };
-        // Few pixels have a gradient, so that the reference can follow; kernels do not ask for it.
+        // Few pixels have a gradient, to limit the cost of the reference. The kernels do not skip zero gradients.
         let each = ((width * height) / 200).max(1);
         lit.lobes.iter_mut().for_each(|x| *x += (0.3 * rng.normal()) as f32);
         for p in 0..width * height {
             let (x, y) =
                 (f64::from(p % width) / f64::from(width) - 0.5, f64::from(p / width) / f64::from(height) - 0.5);
             let ray = unit([1.4 * x, 1.1 * y, 1.0]);
-            // Where the ray leaves the box of half side 1.5.
+            // Intersection of the ray with the box of half side 1.5.
             let camera = CAMERA.map(f64::from);
             let reach = |i: usize| ((1.5_f64.copysign(ray[i])) - camera[i]) / ray[i];
             let face = (0..3).min_by(|&a, &b| reach(a).total_cmp(&reach(b))).unwrap_or(2);
@@ -72,14 +74,14 @@ impl Lit {
         lit
     }
 
-    /// A pixel for the reference.
+    /// Returns a pixel in the form of the reference.
     pub fn pixel(&self, i: usize) -> Pixel {
         let m = self.materials[i].map(f64::from);
         let material = Material { albedo: [m[0], m[1], m[2]], roughness: m[3], metallic: 0.0 };
         Pixel { point: self.points[i].map(f64::from), normal: self.normals[i].map(f64::from), coverage: 1.0, material }
     }
 
-    /// The lights for the reference.
+    /// Returns the lights in the form of the reference.
     pub fn raw(&self, model: LightModel) -> Raw {
         Raw {
             model,
@@ -90,7 +92,7 @@ impl Lit {
     }
 }
 
-/// Description of an exported case, for other programs.
+/// Description of a case that is exported for other programs.
 #[derive(serde::Serialize)]
 struct Case {
     pixels: usize,
@@ -102,7 +104,7 @@ struct Case {
     device: String,
 }
 
-/// Buffers of a room in a graph, and what they hold.
+/// Buffers of a room in a graph, and their contents.
 pub struct Bound {
     pub pixels: Pixels,
     pub parameters: LightParameters,
@@ -145,7 +147,9 @@ pub fn bind(g: &mut Graph, lit: &Lit, size: [u32; 2], model: LightModel) -> Boun
     Bound { pixels, parameters, gradient, inputs }
 }
 
-/// Gradients of one kind, `width` numbers a row, may be off by a thousandth, or by 1e-5 of the usual size of their column.
+/// Compares gradients of one kind with `width` values per row.
+///
+/// The tolerance is 1e-3 relative, or 1e-5 of the root mean square of the column.
 fn compare(what: &str, width: usize, expected: &[f64], found: &[f32]) -> anyhow::Result<()> {
     for column in 0..width {
         let all = || expected.iter().zip(found).skip(column).step_by(width);
@@ -158,7 +162,7 @@ fn compare(what: &str, width: usize, expected: &[f64], found: &[f32]) -> anyhow:
     Ok(())
 }
 
-/// Forward for rendering and for training, and backward.
+/// Measures the forward passes for rendering and training, and the backward passes.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (size, model) = (c.workload.largest, LightModel::default());
     let lit = Lit::room(size, model);
@@ -173,7 +177,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         normalizer: 1.0 / model.lights as f32,
         shape: Shape::for_device(c.tuning),
     };
-    let (radiance_image, direct) = (g.external("picture", 12 * n as u64), g.external("direct", 12 * n as u64));
+    let (radiance_image, direct) = (g.external("image", 12 * n as u64), g.external("direct", 12 * n as u64));
     lights(&mut g, &what, radiance_image)?;
     let sums = lights_train(&mut g, &what, direct)?;
     let materials = g.external("materials_gradient", 16 * n as u64);
@@ -231,7 +235,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         anyhow::ensure!((e - f64::from(f)).abs() <= 1e-4 * e, "A regularizer is {f}, but should be {e}.");
     }
     if let Some(folder) = c.dump {
-        // What is needed for the loss alone: an image and its gradients, without the regularizers' share.
+        // Exports the part for the loss only: image and gradients, without regularizers.
         let passes = ["lights_prepare", "lights_train", "lights_materials_bwd", "lights_bwd.clear", "lights_bwd"];
         let rest = ["lights_reduce", "lights_prepare_bwd"];
         let counted = times.iter().filter(|t| passes.contains(&&*t.name) || rest.contains(&&*t.name));

@@ -1,4 +1,6 @@
-//! `region_mask` and `carry_mask` against their references: a third of the training view, carried to a camera beside it.
+//! Benchmark of `region_mask` and `carry_mask`, checked against their references.
+//!
+//! A third of the training view is carried to a camera beside it.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -16,13 +18,13 @@ use sgs_passes::splat::{Blended, Channels, Screen, wanted_words};
 use sgs_shaders::structs::Step;
 
 const REGION: u16 = 7;
-/// Channels of the training view, and those of a pseudo-view.
+/// Channels of the training view and of a pseudo-view.
 const CHANNELS: [Channels; 2] =
     [Channels { colors: true, normals: true, depth: true }, Channels { colors: false, normals: false, depth: true }];
-/// Nearer to a border than this, single precision may decide either way.
+/// Distance from a threshold within which single precision may decide either way.
 const UNSURE: f64 = 2e-3;
 
-/// A wall with some relief at depth 3, from a camera that stands aside.
+/// Returns a wall with relief at depth 3, seen by a camera displaced by `aside`.
 fn view(size: [u32; 2], aside: f64, rng: &mut Pcg) -> View {
     let side = size.map(f64::from);
     let camera = Camera {
@@ -55,7 +57,7 @@ fn on_gpu(c: &Camera) -> gpu::Camera {
     }
 }
 
-/// Fails unless every pixel is as it should be, as far as single precision can tell.
+/// Fails if a pixel is wrong, except where single precision may decide either way.
 fn compare(expected: &[Carried], found: &[u32]) -> anyhow::Result<()> {
     for (p, e) in expected.iter().enumerate() {
         let bit = found[p / 32] >> (p % 32) & 1 == 1;
@@ -64,7 +66,7 @@ fn compare(expected: &[Carried], found: &[u32]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Both passes.
+/// Measures both passes.
 pub fn both(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let size = c.workload.largest;
     let pixels = size[0] as usize * size[1] as usize;
@@ -122,7 +124,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_wrong_bit_is_caught() {
+    fn single_wrong_bit_is_detected() {
         let carried = [Carried { inside: true, margin: 1.0 }, Carried { inside: false, margin: 0.0 }];
         assert!(compare(&carried, &[1]).is_ok() && compare(&carried, &[3]).is_ok());
         assert!(compare(&carried, &[0]).is_err());

@@ -1,4 +1,6 @@
-//! Material images, composed light, and the losses of materials, against their references.
+//! Benchmark of material images, composed light and material losses.
+//!
+//! All are checked against their references.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -7,14 +9,14 @@ use anyhow::Context as _;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::cost::Counts;
 use sgs_passes::loss::{
-    Compose, CrossPicture, EdgeAware, MaterialLosses, Materials, Msg, compose, compose_bwd, cross_view, edge_aware,
-    material_pictures, material_pictures_bwd, material_sum, msg, pack_mask, relight,
+    Compose, CrossViewImage, EdgeAware, MaterialLosses, Materials, Msg, compose, compose_bwd, cross_view, edge_aware,
+    material_images, material_images_bwd, material_sum, msg, pack_mask, relight,
 };
 use sgs_passes::reference::msg::Difference;
 use sgs_passes::reference::photometric::unpack;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::{compose as light_reference, cross_view as cross_reference, edge_aware as edge_reference};
-use sgs_passes::reference::{material_pictures as materials_reference, msg as msg_reference};
+use sgs_passes::reference::{material_images as materials_reference, msg as msg_reference};
 use sgs_shaders::structs::{MaterialStats, MaterialWeights, Step};
 
 const WEIGHTS: MaterialWeights = MaterialWeights {
@@ -27,18 +29,18 @@ const WEIGHTS: MaterialWeights = MaterialWeights {
     own_prior: 0.0,
 };
 
-/// Two estimates under other light, and two pseudo-views: as the method has them.
+/// Number of estimates under other light, and of pseudo-views, as in the method.
 const ESTIMATES: usize = 2;
 const PSEUDO: usize = 2;
 
-/// What a view shows, in numbers that 32 bits hold.
+/// View with single-precision values.
 struct Subject {
     size: [usize; 2],
     materials: Vec<[f64; 4]>,
     light: Vec<[f64; 3]>,
     coverage: Vec<f64>,
     photo: Vec<u32>,
-    /// Of albedo, of roughness, and the estimates.
+    /// Priors of albedo and roughness, then the estimates.
     priors: Vec<Vec<u32>>,
     mask: Vec<bool>,
 }
@@ -69,7 +71,7 @@ impl Subject {
         self.size.map(|s| s as u32)
     }
 
-    /// Difference of an image and its prior.
+    /// Returns the difference of an image and its prior.
     fn difference(&self, values: &[f64], channels: usize, prior: &[u32], masked: bool) -> Difference {
         let present: Vec<bool> = self.mask.iter().map(|m| *m || !masked).collect();
         let value = |i: usize| match present[i / channels] {
@@ -79,9 +81,9 @@ impl Subject {
         Difference { size: self.size, channels, values: (0..values.len()).map(value).collect(), present }
     }
 
-    /// The gradient by materials of all losses, and their total.
+    /// Returns the gradient of all losses by materials, and their total.
     fn expected(&self) -> (Vec<f64>, f64) {
-        let (albedo, gray) = materials_reference::material_pictures(&self.materials, &self.coverage);
+        let (albedo, gray) = materials_reference::material_images(&self.materials, &self.coverage);
         let roughness: Vec<f64> = gray.iter().step_by(3).copied().collect();
         let (mut by_albedo, mut by_gray, mut total) = (vec![0.0; albedo.len()], vec![0.0; gray.len()], 0.0);
         let mut add = |to: &mut [f64], weight: f32, (loss, gradient): (f64, Vec<f64>)| {
@@ -106,19 +108,20 @@ impl Subject {
             add(&mut by_albedo, weight, msg_reference::msg(&d));
             add(&mut by_albedo, weight, msg_reference::square(&d));
         }
-        // Pseudo-views show albedo in linear numbers, which makes them differ.
-        let of = |albedo: &[f64]| cross_reference::Picture { albedo: albedo.to_vec(), mask: self.mask.clone() };
+        // Pseudo-views have linear albedo, which makes them differ.
+        let of = |albedo: &[f64]| cross_reference::MaskedAlbedo { albedo: albedo.to_vec(), mask: self.mask.clone() };
         let linear: Vec<f64> = self.materials.iter().flat_map(|m| [m[0], m[1], m[2]]).collect();
-        let pictures: Vec<_> = [of(&albedo)].into_iter().chain((0..PSEUDO).map(|_| of(&linear))).collect();
-        let cross =
-            (cross_reference::cross_view(&pictures).0, cross_reference::cross_view_bwd(&pictures).swap_remove(0));
+        let images: Vec<_> = [of(&albedo)].into_iter().chain((0..PSEUDO).map(|_| of(&linear))).collect();
+        let cross = (cross_reference::cross_view(&images).0, cross_reference::cross_view_bwd(&images).swap_remove(0));
         add(&mut by_albedo, WEIGHTS.cross_view, cross);
-        let by = materials_reference::material_pictures_bwd(&self.materials, &self.coverage, &by_albedo, &by_gray);
+        let by = materials_reference::material_images_bwd(&self.materials, &self.coverage, &by_albedo, &by_gray);
         (by.as_flattened().to_vec(), total)
     }
 }
 
-/// Fails unless all is as it should be: `absolute` of the largest, and a share of each.
+/// Fails if a value exceeds its tolerance.
+///
+/// The tolerance is `absolute` times the largest value, plus 3e-4 of the value itself.
 fn compare(what: &str, expected: &[f64], found: &[f32], absolute: f64) -> anyhow::Result<()> {
     let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
     for (i, (e, f)) in expected.iter().zip(found).enumerate() {
@@ -132,7 +135,7 @@ fn flat(data: &[f64]) -> Vec<u8> {
     bytes(&data.iter().map(|&x| x as f32).collect::<Vec<_>>())
 }
 
-/// All of them, in one graph.
+/// Measures all passes in one graph.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let s = Subject::new(c.workload.largest.map(|n| n as usize), 21);
     let (largest, pixels) = (s.largest(), s.photo.len() as u64);
@@ -165,22 +168,21 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let beside = input(&mut g, "beside", flat(&linear));
 
     let view = Materials { step, materials, coverage, largest };
-    let pictures = sgs_passes::loss::pictures(&mut g, "pictures", largest, true);
-    material_pictures(&mut g, c.tuning, &view, &pictures)?;
+    let images = sgs_passes::loss::images(&mut g, "images", largest, true);
+    material_images(&mut g, c.tuning, &view, &images)?;
     let [image, radiance_gradient] = ["image", "radiance_gradient"].map(|name| g.external(name, 12 * pixels));
-    let composition =
-        Compose { step, direct: Some(direct), ambient: Some(ambient), coverage, returning: false, largest };
+    let composition = Compose { step, direct: Some(direct), ambient: Some(ambient), coverage, largest };
     let saturated = compose(&mut g, c.tuning, &composition, image)?;
     compose_bwd(&mut g, c.tuning, &composition, image, radiance_gradient)?;
-    let gradients = sgs_passes::loss::pictures(&mut g, "gradients", largest, true);
+    let gradients = sgs_passes::loss::images(&mut g, "gradients", largest, true);
     let gray = gradients.roughness.context("There is roughness.")?;
     g.fill("out.clear_albedo", gradients.albedo, 0)?;
     g.fill("out.clear_gray", gray, 0)?;
-    let edge = edge_aware(&mut g, c.tuning, &EdgeAware { step, weights, pictures, targets, largest }, &gradients)?;
+    let edge = edge_aware(&mut g, c.tuning, &EdgeAware { step, weights, images, targets, largest }, &gradients)?;
     let compared = Msg {
         step,
         weights,
-        pictures,
+        images,
         coverage,
         albedo_prior,
         roughness_prior: Some(roughness_prior),
@@ -196,14 +198,14 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         losses.relight[i] = Some(relight(&mut g, c.tuning, &a, i as u32, share, gradients.albedo)?);
     }
     let mut views =
-        vec![CrossPicture { step, albedo: pictures.albedo, mask, albedo_gradient: gradients.albedo, largest }];
+        vec![CrossViewImage { step, albedo: images.albedo, mask, albedo_gradient: gradients.albedo, largest }];
     for k in 0..PSEUDO {
         let albedo_gradient = g.transient(format!("beside{k}.gradient"), 12 * pixels);
         g.fill(format!("out.clear{k}"), albedo_gradient, 0)?;
-        views.push(CrossPicture { step, albedo: beside, mask, albedo_gradient, largest });
+        views.push(CrossViewImage { step, albedo: beside, mask, albedo_gradient, largest });
     }
     losses.cross_view = Some(cross_view(&mut g, c.tuning, weights, &views)?);
-    // The graph drops passes without a reader.
+    // The graph culls passes whose results nothing reads.
     for (k, v) in views.iter().enumerate().skip(1) {
         let output = g.external(format!("beside{k}"), 12 * pixels);
         g.copy(format!("out.beside{k}"), v.albedo_gradient, output)?;
@@ -212,7 +214,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     material_sum(&mut g, c.tuning, step, weights, &losses, stats)?;
     let materials_gradient = g.external("materials_gradient", 16 * pixels);
     g.fill("out.clear_materials", materials_gradient, 0)?;
-    material_pictures_bwd(&mut g, c.tuning, &view, &gradients, materials_gradient)?;
+    material_images_bwd(&mut g, c.tuning, &view, &gradients, materials_gradient)?;
 
     let mut rig = Rig::new(c.device, g, inputs, true)?;
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
@@ -223,7 +225,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (lit, cut) = light_reference::compose(&s.light, &s.coverage, [0.5; 3]);
     compare("The composed image", &lit, &rig.get(image)?, 1e-5)?;
     let by_image: Vec<f64> = rig.get::<f32>(image)?.iter().map(|&x| f64::from(x)).collect();
-    let by_light = light_reference::compose_bwd(&s.light, &s.coverage, [0.5; 3], &by_image, false);
+    let by_light = light_reference::compose_bwd(&s.light, &s.coverage, [0.5; 3], &by_image);
     compare("The gradient of light", &by_light, &rig.get(radiance_gradient)?, 2e-5)?;
     let (by_materials, total) = s.expected();
     compare("The gradient of materials", &by_materials, &rig.get(materials_gradient)?, 2e-4)?;
@@ -241,7 +243,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_are_caught() {
+    fn injected_error_is_detected() {
         let (expected, total) = Subject::new([40, 30], 3).expected();
         let mut found: Vec<f32> = expected.iter().map(|&x| x as f32).collect();
         assert!(compare("all", &expected, &found, 2e-4).is_ok() && total > 0.0);

@@ -1,5 +1,7 @@
-//! Single stages, each with inputs made for it, timed by the device's clock, and checked against the CPU reference or an
-//! identity that only a right result satisfies. The check reads what the timed replays left.
+//! Benchmarks of single stages, timed by the device's clock.
+//!
+//! Each stage has its own inputs. It is checked against the CPU reference, or by an identity that only a correct
+//! result satisfies. The check reads the results of the timed replays.
 
 mod adam;
 mod blend;
@@ -23,30 +25,30 @@ use sgs_engine::Device;
 use sgs_passes::Tuning;
 use std::path::Path;
 
-/// Shared inputs of every stage.
+/// Inputs shared by every stage.
 pub struct Context<'c> {
-    /// The device.
+    /// Device that is measured.
     pub device: &'c Device,
-    /// Kernel sizes for it.
+    /// Kernel sizes for the device.
     pub tuning: Tuning,
-    /// Repetitions before the measured ones.
+    /// Number of repetitions before the measured ones.
     pub warmup: u32,
-    /// Measured repetitions.
+    /// Number of measured repetitions.
     pub repeats: u32,
     /// Peak rates of the device.
     pub ceiling: Ceiling,
-    /// Elements of the primitives.
+    /// Number of elements of the primitives.
     pub elements: u32,
     /// Gaussians and views of the other stages.
     pub workload: &'c Workload,
-    /// Where cases go that other programs are to be measured on.
+    /// Directory for cases that are exported to other programs.
     pub dump: Option<&'c Path>,
 }
 
-/// Measures a stage and adds what it finds.
+/// Function that measures a stage and adds its results.
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
-/// The stages by what `--filter` finds them by.
+/// Stages by the names that `--filter` matches.
 pub const STAGES: [(&str, Stage); 15] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),

@@ -1,6 +1,7 @@
-//! `photometric` and `photometric_bwd` against their reference: the loss over the whole view, the gradient in windows of it.
+//! Benchmark of `photometric` and `photometric_bwd` against their reference.
 //!
-//! The gradient at a pixel depends on pixels at most ten away, so the slow reference processes windows only.
+//! The loss is checked over the whole view, the gradient in windows. The gradient at a pixel depends on pixels at
+//! most ten away, so the slow reference processes windows only.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -15,13 +16,13 @@ use sgs_shaders::structs::{LossStats, Step};
 
 const WEIGHTS: [f32; 2] = [0.8, 0.2];
 
-/// Twice the radius of the window of SSIM: as far as one pixel's gradient looks.
+/// Reach of a pixel's gradient: twice the radius of the SSIM window.
 const REACH: usize = 10;
 
-/// Side of the windows in which the gradient is compared, their margins included.
+/// Side of the windows in which the gradient is compared, including their margins.
 const WINDOW: usize = 72;
 
-/// Both halves, and the sum.
+/// Measures the forward and backward pass and the sum of the loss.
 pub fn both(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let [width, height] = c.workload.largest.map(|s| s as usize);
     let shape = Shape { width, height, channels: 3 };
@@ -60,7 +61,7 @@ pub fn both(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Upper left corners of windows: the image's corners, where padding counts, and its middle.
+/// Returns the upper left corners of windows: at the image's corners, where padding matters, and in its middle.
 fn windows(s: Shape) -> Vec<[usize; 2]> {
     let far = [s.width.saturating_sub(WINDOW), s.height.saturating_sub(WINDOW)];
     let mut all = vec![[0, 0], far, [far[0], 0], [far[0] / 2, far[1] / 2]];
@@ -68,7 +69,7 @@ fn windows(s: Shape) -> Vec<[usize; 2]> {
     all
 }
 
-/// The largest error in a window, as a multiple of what is allowed.
+/// Returns the largest error in a window, as a multiple of the tolerance.
 fn compare_window(
     image: &[f32],
     targets: &[u32],
@@ -88,7 +89,7 @@ fn compare_window(
         }
     }
     let expected = reference::photometric_bwd(&wide, &packed, part, f64::from(WEIGHTS[0]), f64::from(WEIGHTS[1]));
-    // Losses are means: the window has fewer pixels.
+    // The loss is a mean, and the window has fewer pixels.
     let scale = part.pixels() as f64 / shape.pixels() as f64;
     let n = 3.0 * shape.pixels() as f64;
     let clear = |k: usize, axis: usize, whole: usize| {
@@ -110,7 +111,9 @@ fn compare_window(
     worst
 }
 
-/// A photograph with large and small structure, and a render near it.
+/// Returns a photograph with large and small structures, and a similar render.
+///
+/// Order: render, photograph.
 fn random_image(s: Shape) -> (Vec<f32>, Vec<u32>) {
     let mut rng = Pcg::new(8);
     let (mut image, mut targets) = (Vec::new(), Vec::new());

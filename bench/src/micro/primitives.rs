@@ -1,4 +1,4 @@
-//! `scan` and `radix_sort`, word for word against their references.
+//! Benchmark of `scan` and `radix_sort`. Every word is checked against the reference.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes, spans};
@@ -10,7 +10,7 @@ use sgs_passes::prim::{Count, exclusive_scan, radix_sort};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::{radix_sort as sort_reference, scan as scan_reference};
 
-/// Prefix sums, from one buffer to another.
+/// Measures prefix sums from one buffer to another.
 pub fn scan(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mut rng = Pcg::new(1);
     let values: Vec<u32> = (0..c.elements).map(|_| rng.next_u32() >> 20).collect();
@@ -27,7 +27,7 @@ pub fn scan(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A sort of pairs by all 32 bits.
+/// Measures a sort of key-value pairs by all 32 bits.
 pub fn sort(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mut rng = Pcg::new(2);
     let keys: Vec<u32> = (0..c.elements).map(|_| rng.next_u32()).collect();

@@ -1,5 +1,6 @@
-//! The semantic loss of a view, and the correspondence of a region, against their references: losses, gradients by features
-//! and by the decoder.
+//! Benchmark of the semantic loss of a view and the correspondence of a region.
+//!
+//! Losses, and gradients by features and decoder, are checked against the references.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -8,7 +9,7 @@ use half::f16;
 use sgs_engine::graph::Graph;
 use sgs_passes::cost::Counts;
 use sgs_passes::loss::{
-    Head, Pictured, SemanticLoss, SemanticTargets, correspondence_bwd, correspondence_train_bwd, decoder_gradient,
+    Head, ImagePart, SemanticLoss, SemanticTargets, correspondence_bwd, correspondence_train_bwd, decoder_gradient,
     normalize_embeddings, pack_mask, region, regions, sampled_pixels, semantic_loss, semantic_prepare, semantic_sum,
     semantic_targets,
 };
@@ -18,15 +19,15 @@ use sgs_passes::reference::semantic as reference;
 use sgs_passes::scene::{Decoder, EMBEDDING, FEATURES};
 use sgs_shaders::structs::{LossStats, SemanticTarget, Step};
 
-/// Typical of a furnished room.
+/// Number of classes, typical of a furnished room.
 const CLASSES: usize = 27;
-/// Color and features.
+/// Channels: color and features.
 const CHANNELS: usize = 3 + FEATURES;
 const FIRST: usize = 3;
-/// The reference computes everything at full width; larger maps would take it minutes.
+/// Maximum size of the prior. The reference computes every channel and would take minutes for larger maps.
 const LARGEST_MAP: [u32; 2] = [240, 180];
-/// Likewise, for images of a region.
-const LARGEST_PICTURE: [u32; 2] = [640, 480];
+/// Maximum size of the images of a region, for the same reason.
+const LARGEST_IMAGE: [u32; 2] = [640, 480];
 
 fn head() -> reference::Head {
     let mut rng = Pcg::new(3);
@@ -44,7 +45,7 @@ fn narrow(v: &[f64]) -> Vec<f32> {
     v.iter().map(|&x| x as f32).collect()
 }
 
-/// Features of an image among its channels.
+/// Returns features interleaved with the other channels of an image.
 fn interleaved(features: &[f64]) -> Vec<f32> {
     let pixel = |f: &[f64]| [vec![0.0; FIRST], narrow(f)].concat();
     features.chunks(FEATURES).flat_map(pixel).collect()
@@ -54,7 +55,9 @@ fn features_of(image: &[f32]) -> Vec<f32> {
     image.chunks(CHANNELS).flat_map(|p| &p[FIRST..]).copied().collect()
 }
 
-/// Fails unless all elements are within a share of the largest.
+/// Fails if an element exceeds its tolerance.
+///
+/// The tolerance is 2e-5 of the largest element plus 1e-4 of the element itself.
 fn close(what: &str, expected: &[f64], found: &[f32]) -> anyhow::Result<()> {
     let largest = expected.iter().fold(0.0_f64, |a, e| a.max(e.abs()));
     for (i, (e, f)) in expected.iter().zip(found).enumerate() {
@@ -76,10 +79,10 @@ fn values(size: [u32; 2]) -> Step {
     s
 }
 
-/// The training view's loss.
+/// Measures the loss of a training view.
 pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let size = c.workload.largest;
-    // As networks' maps are.
+    // An eighth of the image, as network outputs are.
     let map = [0, 1].map(|k| (size[k] / 8).clamp(1, LARGEST_MAP[k]));
     let touched = sampled_pixels(size, map);
     let [pixels, samples] = [size, map].map(|[w, h]| (w * h) as usize);
@@ -153,20 +156,20 @@ pub fn loss(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A region in a training view and one pseudo-view.
+/// Measures the correspondence of a region in a training view and a pseudo-view.
 pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
-    let size = [0, 1].map(|k| c.workload.largest[k].min(LARGEST_PICTURE[k]));
+    let size = [0, 1].map(|k| c.workload.largest[k].min(LARGEST_IMAGE[k]));
     let pixels = (size[0] * size[1]) as usize;
     let h = head();
     let random_image = |seed: u32| {
         let mut rng = Pcg::new(seed);
         let image = (0..pixels * FEATURES).map(|_| f64::from((1.0 + rng.normal()) as f32)).collect();
-        // Four tenths of the columns and of the rows.
+        // The middle 0.4 of the columns and of the rows.
         let within = |p: usize| {
             let (x, y) = (p as u32 % size[0], p as u32 / size[0]);
             10 * x >= 3 * size[0] && 10 * x < 7 * size[0] && 10 * y >= 3 * size[1] && 10 * y < 7 * size[1]
         };
-        region_reference::Picture { image, mask: (0..pixels).map(within).collect() }
+        region_reference::MaskedImage { image, mask: (0..pixels).map(within).collect() }
     };
     let images = [random_image(1), random_image(2)];
     let mut g = Graph::new("correspondence");
@@ -186,7 +189,7 @@ pub fn correspondence(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()
     let mut declared = Vec::new();
     for (i, p) in images.iter().enumerate() {
         let mask = pack_mask(&p.mask);
-        let device_image = Pictured {
+        let device_image = ImagePart {
             step,
             image: g.input(format!("image{i}"), floats),
             channels: CHANNELS as u32,
@@ -222,7 +225,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_are_caught() {
+    fn injected_errors_are_detected() {
         assert!(close("x", &[1.0, 0.1], &[1.0, 0.1]).is_ok());
         assert!(close("x", &[1.0, 0.1], &[1.0, 0.101]).is_err());
         assert!(close("x", &[1.0, 0.1], &[f32::NAN, 0.1]).is_err());

@@ -1,6 +1,8 @@
-//! `visibility_traced` of four points from a surface across the Gaussians, against the reference's product for some rays.
+//! Benchmark of traced visibility.
 //!
-//! Then `lights_train_traced` and `lights_bwd_traced`: a room under eight lights with Gaussian occluders.
+//! First `visibility_traced`: rays from a surface across the Gaussians to four points. Some rays are checked against
+//! the product of the reference. Then `lights_train_traced` and `lights_bwd_traced`: a room under eight lights with
+//! Gaussian occluders.
 
 use super::Context;
 use super::lights::{CAMERA, Lit, bind};
@@ -21,22 +23,22 @@ use sgs_passes::splat::Screen;
 use sgs_shaders::structs::Step;
 use std::time::Instant;
 
-/// Target points of the rays.
+/// Number of target points of the rays.
 const PLACES: u32 = 4;
-/// Lights of the room.
+/// Number of lights in the room.
 const LIGHTS: u32 = 8;
-/// Gaussians in it.
+/// Number of Gaussian occluders in the room.
 const HIDING: usize = 4000;
-/// Rays that the reference follows.
+/// Approximate number of rays or pixels that the reference evaluates.
 const CHECKED: usize = 64;
 
-/// Both.
+/// Measures both.
 pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     rays(c, report)?;
     lights(c, report)
 }
 
-/// Balls in the room of the lights' stage: what the kernels take, and the reference.
+/// Returns spherical occluders for the kernels and for the reference.
 fn hiding() -> (GaussianData, Vec<Splat>) {
     let mut rng = Pcg::new(23);
     let narrow = |x: f64| f64::from(x as f32);
@@ -57,7 +59,7 @@ fn hiding() -> (GaussianData, Vec<Splat>) {
     (data, splats)
 }
 
-/// All pairs of a room: traced, shaded in training, and back.
+/// Measures shading and its gradient with all pairs of a room traced.
 fn lights(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (size, model) = (c.workload.largest, LightModel { lights: LIGHTS, ..Default::default() });
     let (lit, (data, splats)) = (Lit::room(size, model), hiding());
@@ -108,7 +110,7 @@ fn lights(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// All rays of a view.
+/// Measures all rays of a view.
 fn rays(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let start = &c.workload.start;
     let begin = Instant::now();
@@ -118,7 +120,7 @@ fn rays(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mut rng = Pcg::new(17);
     let count = (c.workload.largest[0] * c.workload.largest[1]) as usize;
     let means = start.group(Group::Means);
-    // Across the middle of what there is, so that neighbors see alike, as the surfaces of a view do.
+    // Points lie across the middle of the Gaussians, so that neighbors are coherent like surfaces of a view.
     let bound =
         |pick: fn(f32, f32) -> f32, k: usize| means.iter().skip(k).step_by(3).copied().reduce(pick).unwrap_or(0.0);
     let [low, high] = [f32::min, f32::max].map(|pick| [0, 1, 2].map(|k| bound(pick, k)));
@@ -174,7 +176,7 @@ fn rays(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         let expected = reference::transmittance(&splats, three(&points, pixel), three(&places, place));
         off += usize::from((expected - f64::from(found[place * count + pixel])).abs() > 2e-3);
     }
-    // A Gaussian may be in or out by rounding where its alpha is 1/255 or it peaks at an end.
+    // Rounding may include or exclude a Gaussian whose alpha is near 1/255 or that peaks at an end of the ray.
     anyhow::ensure!(off <= CHECKED / 10, "{off} of {CHECKED} rays see something else than the reference's.");
     report.check(format!("traced: {} of {CHECKED} rays see what the reference's do", CHECKED - off));
     Ok(())

@@ -1,4 +1,4 @@
-//! One view of some Gaussians as a graph, projected and cut into entries, and its blending workload.
+//! Graph that projects and bins the Gaussians of a view; statistics of its blending.
 
 use crate::harness::{Rig, bytes};
 use sgs_engine::Device;
@@ -9,40 +9,44 @@ use sgs_passes::scene::{GaussianData, Gaussians, Handles, Model};
 use sgs_passes::splat::{Channels, Entries, Screen, Visible, intersect, project};
 use sgs_shaders::structs::{Splat, Work};
 
-/// A graph under construction with everything that blending needs.
+/// Graph under construction with all inputs of blending.
 pub struct View {
-    /// The graph.
+    /// Graph under construction.
     pub graph: Graph,
-    /// The image side.
+    /// Size and tiles of the image.
     pub screen: Screen,
     /// Visible Gaussians.
     pub visible: Visible,
-    /// The entries.
+    /// Tile entries.
     pub entries: Entries,
-    /// Room for content that later stages add.
+    /// Contents of input buffers, extended by later stages.
     pub inputs: Vec<(Buffer, Vec<u8>)>,
     flags: Buffer,
     required: Buffer,
 }
 
-/// What a view shows, and how.
+/// Gaussians and the view in which they are rendered.
 pub struct Subject<'s> {
-    /// The device.
+    /// Device that is measured.
     pub device: &'s Device,
     /// Kernel sizes.
     pub tuning: Tuning,
-    /// The Gaussians' groups.
+    /// Parameter groups of the Gaussians.
     pub model: Model,
-    /// The Gaussians.
+    /// Gaussians to render.
     pub data: &'s GaussianData,
-    /// The camera.
+    /// Camera of the view.
     pub camera: Camera,
     /// Blended channels.
     pub channels: Channels,
 }
 
 impl Subject<'_> {
-    /// Builds the view, lets `extend` add to it, and finds out how much room the entries take. The rig has run once.
+    /// Builds the view with the additions of `extend`.
+    ///
+    /// Grows the entry capacity as required.
+    ///
+    /// The returned rig has run once.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -66,7 +70,7 @@ impl Subject<'_> {
     fn view(&self, capacity: u32) -> anyhow::Result<View> {
         let t = self.tuning;
         let count = self.data.len() as u32;
-        // Only for their declaration: the rig has memory of its own.
+        // Used for the declaration only: the rig allocates its own memory.
         let gaussians = Gaussians::new(self.device, self.model, count, false)?;
         let mut g = Graph::new("view");
         let step = g.uniform("step", size_of::<Step>() as u64);
@@ -87,10 +91,10 @@ impl Subject<'_> {
 }
 
 impl View {
-    /// Copies a transient to an external buffer for the host.
+    /// Copies a transient to an external buffer for readback.
     ///
     /// # Errors
-    /// If the graph refuses it.
+    /// If the graph refuses the copy.
     pub fn keep(&mut self, name: &str, what: impl Into<Slice>, bytes: u64) -> anyhow::Result<Buffer> {
         let output = self.graph.external(name, bytes);
         let what: Slice = what.into();
@@ -99,37 +103,37 @@ impl View {
     }
 }
 
-/// Contents of the Gaussians' buffers.
+/// Returns the contents of the Gaussians' buffers.
 pub fn gaussian_inputs(handles: &Handles, model: Model, data: &GaussianData) -> Vec<(Buffer, Vec<u8>)> {
     let mut inputs = vec![(handles.work, bytes(&[work_of(data.len() as u32)]))];
     inputs.extend(model.groups().map(|g| (handles.group(g), bytes(data.group(g)))));
     inputs
 }
 
-/// A count with the arguments of a dispatch of 256 each.
+/// Returns a count with the dispatch arguments for 256 elements per workgroup.
 pub fn work_of(count: u32) -> Work {
     let groups = count.div_ceil(256).max(1);
     let x = groups.min(65_535);
     Work { x, y: groups.div_ceil(x), z: 1, count }
 }
 
-/// Blending workload of a view, averages per entry.
+/// Blending workload of a view.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Overlap {
-    /// Visible splats.
+    /// Number of visible splats.
     pub visible: f64,
-    /// Entries.
+    /// Number of tile entries.
     pub entries: f64,
-    /// Pixels of an entry that are not opaque yet when it is its turn.
+    /// Mean number of pixels per entry that are not yet opaque at its turn.
     pub tried: f64,
-    /// Of these, those where it shows (alpha of at least 1/255).
+    /// Mean number of these pixels where the entry has an alpha of at least 1/255.
     pub showing: f64,
 }
 
-/// Pairs of entry and pixel that are walked at most; tiles are left out evenly beyond it.
+/// Approximate maximum of entry-pixel pairs that are evaluated. Beyond it, tiles are skipped evenly.
 const PAIRS: u64 = 40_000_000;
 
-/// Walks the tiles of a view on the host as blending does.
+/// Evaluates the tiles of a view on the host in the order of blending.
 ///
 /// # Errors
 /// If the device fails.
@@ -173,7 +177,9 @@ pub fn overlap(s: &Subject<'_>) -> anyhow::Result<Overlap> {
     Ok(Overlap { visible, entries: entries as f64, tried: tried as f64 * each, showing: showing as f64 * each })
 }
 
-/// Splats that a pixel tries until it is opaque, and those that show there.
+/// Returns the numbers of splats that a pixel evaluates, and that contribute.
+///
+/// The evaluation stops when the pixel is opaque.
 fn walk<'s>(order: impl Iterator<Item = &'s Splat>, at: [f32; 2]) -> (u64, u64) {
     let (mut transmittance, mut tried, mut showing) = (1.0_f32, 0, 0);
     for s in order {
@@ -197,11 +203,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pixel_stops_when_it_is_opaque() {
+    fn pixel_stops_when_opaque() {
         let splat = |x: f32| Splat { mean: [x, 0.5], factor: [1.0, 0.0, 1.0], opacity: 0.995 };
         let far = splat(100.0);
         let near = splat(0.5);
-        // Two splats of 0.99 leave 1e-4, which rounding may put on either side; a third one ends it for certain.
+        // Two splats of alpha 0.99 leave a transmittance of 1e-4, which may round to either side of the threshold. A
+        // third one ends the loop for certain.
         let (tried, showing) = walk([&far, &near, &near, &near, &near].into_iter(), [0.5, 0.5]);
         assert!((3..=4).contains(&tried) && showing == tried - 1, "{tried} {showing}");
         assert_eq!(walk([&far].into_iter(), [0.5, 0.5]), (1, 0));

@@ -1,7 +1,8 @@
-//! The visibility field at its published size with 64 lights: values against the reference; gradients by an identity.
+//! Benchmark of the visibility field at its published size with 64 lights.
 //!
-//! A layer without bias is linear in its weights, and a ReLU scales its input by 0 or 1. So weights times gradients have the
-//! same sum in every layer, and in the tables the same sum as in the first layer's features.
+//! Values are checked against the reference, gradients by an identity. A layer without bias is linear in its weights,
+//! and a ReLU scales its input by 0 or 1. Weights times gradients therefore have the same sum in every layer. The sum
+//! in the tables is that of the first layer's features.
 
 use super::Context;
 use crate::harness::{Rig, add_passes, bytes};
@@ -21,7 +22,7 @@ use sgs_shaders::structs::FieldStep;
 const LOW: [f32; 3] = [-1.6; 3];
 const HIGH: [f32; 3] = [1.6; 3];
 
-/// Values, gradients and a step.
+/// Measures values, gradients and an optimizer step.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (size, model, config) = (c.workload.largest, LightModel::default(), FieldConfig::default());
     let lit = Lit::room(size, model);
@@ -42,7 +43,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let [seen, plain] = ["seen", "plain"].map(|name| g.external(name, 4 * n as u64));
     visibility(&mut g, c.tuning, &f, &view, None, true, seen)?;
     visibility(&mut g, c.tuning, &f, &view, None, false, plain)?;
-    // A row of its own where the device has matrix units, and this program kernels for them.
+    // Separate pass if the device has cooperative matrices and this build has kernels for them.
     let halves = c.tuning.with(Accuracy { visibility_operands: 16, ..c.tuning.accuracy });
     let on_units = halves.field_matrices().map(|_| g.external("on_units", 4 * n as u64));
     if let Some(into) = on_units {
@@ -53,7 +54,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mlp_gradient = g.external("mlp_gradient", 4 * config.weights() as u64);
     let gradients = Gradients { mlp: mlp_gradient, ..gradients };
     visibility_bwd(&mut g, c.tuning, &f, &view, model.lights, &constant, &BackwardOptions::default(), &gradients)?;
-    // How many entries were touched, before the step clears the bits.
+    // Counts the touched entries before the step clears the bits.
     let touched = g.external("touched", 4 * u64::from(config.entries().div_ceil(32)));
     g.copy("out.touched", gradients.touched, touched)?;
     let (flags, skipped) = (g.input("flags", 4), g.external("skipped", 4));
@@ -61,7 +62,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let moments = moments.ok_or_else(|| anyhow::anyhow!("The field is not declared for training."))?;
     visibility_adam(&mut g, c.tuning, &f, &gradients, &moments)?;
 
-    // Features of a size that matters; a rate of zero leaves everything where the reference has it.
+    // Features of significant size. A learning rate of zero keeps the parameters equal to the reference.
     let tables: Vec<f32> = config.initial_tables(1).iter().map(|t| 5e3 * t).collect();
     let mlp = config.initial_weights(1);
     let pairs = n as f32 * model.lights as f32;
@@ -121,7 +122,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             );
         }
     }
-    // Every replay had the same gradients, so first moments are these times 1 - 0.9^replays.
+    // Every replay has the same gradients, so first moments are the gradients times 1 - 0.9^replays.
     let replays = (c.warmup.max(1) + c.repeats) as i32;
     let [first, ..] = handles.training.ok_or_else(|| anyhow::anyhow!("The field is not declared for training."))?;
     let table_gradients = rig.get::<[f32; 2]>(first)?;

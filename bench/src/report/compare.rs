@@ -4,46 +4,49 @@
 //!
 //! > 3 · sqrt(σ² + σ₀²) + tolerance · median₀ + floor
 //!
-//! with σ = 1.4826 · MAD of either run's samples: the spread of single samples, not of the median, since runs at different
-//! times on a shared machine differ by more than repeats within one. The tolerance covers variation of clocks and caches
-//! between processes. The floor of times is 2 µs, the resolution of a timestamp, and for a pass 0.1 % of its plan if
-//! that is more: below it a difference is scheduling noise. The floor of ratios, errors and megabytes is the effect of the order of
-//! single-precision sums on a number near one. A finite number that becomes non-finite is worse.
+//! with σ = 1.4826 · MAD of either run's samples. This is the spread of single samples, not of the median: runs at
+//! different times on a shared machine differ by more than repeats within one run. The tolerance covers variation of
+//! clocks and caches between processes. The floor of times is 2 µs, the resolution of a timestamp. For a pass it is
+//! at least 0.1 % of its plan; smaller differences are scheduling noise. The floor of ratios, errors and megabytes is
+//! the effect of the order of single-precision sums on a number near one. A finite number that becomes non-finite is
+//! worse.
 
 use super::{Report, standing};
 use crate::stats::Summary;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// Standard deviations in the band.
+/// Standard deviations in the noise band.
 const DEVIATIONS: f64 = 3.0;
 
-/// Nanoseconds below which nothing counts.
+/// Floor of times in nanoseconds.
 const RESOLUTION: f64 = 2000.0;
 
-/// By what errors, ratios and megabytes may differ for no reason but the order of sums: five halves of a last place.
+/// Floor of errors, ratios and megabytes: five halves of a unit in the last place.
+///
+/// The order of sums causes differences of this size.
 const ROUNDING: f64 = 3e-7;
 
-/// Share of its plan below which a pass does not count.
+/// Floor of a pass as a fraction of its plan.
 const NEGLIGIBLE: f64 = 0.001;
 
-/// One figure in both runs.
+/// Figure that differs between both runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Difference {
-    /// Which.
+    /// Name of the figure.
     pub name: String,
     /// Median of the baseline, in `unit`.
     pub before: f64,
-    /// Median now.
+    /// Current median, in `unit`.
     pub now: f64,
-    /// How much more would have been noise.
+    /// Noise band, in `unit`.
     pub band: f64,
-    /// The unit.
+    /// Unit of the figure.
     pub unit: String,
 }
 
 impl Difference {
-    /// How many times the baseline it is; what is no number is the worst.
+    /// Returns the ratio to the baseline; infinity if it is NaN.
     fn growth(&self) -> f64 {
         let growth = self.now / self.before;
         if growth.is_nan() { f64::INFINITY } else { growth }
@@ -53,26 +56,26 @@ impl Difference {
 /// Result of a comparison.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
-    /// How many figures both runs have.
+    /// Number of figures in both runs.
     pub compared: usize,
-    /// Worse ones, the worst first.
+    /// Worse figures, the largest growth first.
     pub slower: Vec<Difference>,
-    /// Better ones by the same measure.
+    /// Better figures by the same criterion.
     pub faster: Vec<Difference>,
-    /// Choices that stood on the front, and are beaten now.
+    /// Choices that left the front.
     pub fallen: Vec<String>,
-    /// Whether the runs have different choices. Standings, which are relative to all choices, are then not compared.
+    /// Whether the runs have different choices. Standings are relative to all choices and are then not compared.
     pub other_choices: bool,
-    /// Names that only the baseline has.
+    /// Figures that only the baseline has.
     pub missing: Vec<String>,
-    /// Share of the baseline that is always noise.
+    /// Fraction of the baseline that always counts as noise.
     tolerance: f64,
 }
 
 /// Compares two reports of one command.
 ///
 /// # Errors
-/// If they are not comparable: another command, device or sizes.
+/// If command, device or settings differ.
 pub fn compare(baseline: &Report, now: &Report, tolerance: f64) -> anyhow::Result<Outcome> {
     anyhow::ensure!(
         baseline.command == now.command,
@@ -120,7 +123,9 @@ pub fn compare(baseline: &Report, now: &Report, tolerance: f64) -> anyhow::Resul
     Ok(outcome)
 }
 
-/// Whether a figure is above another by more than noise: what is not finite is above all that is, whatever its band.
+/// Returns whether `a` exceeds `b` by more than noise.
+///
+/// Non-finite figures exceed all finite ones, whatever the band.
 fn exceeds(a: &Summary, b: &Summary, band: f64) -> bool {
     let finite = |s: &Summary| s.median.is_finite() && s.mad.is_finite();
     match (finite(a), finite(b)) {
@@ -129,17 +134,17 @@ fn exceeds(a: &Summary, b: &Summary, band: f64) -> bool {
     }
 }
 
-/// By how much a median may exceed another before it counts.
+/// Returns the noise band.
 pub fn noise_band(before: &Summary, now: &Summary, tolerance: f64, resolution: f64) -> f64 {
     DEVIATIONS * before.sigma().hypot(now.sigma()) + tolerance * before.median + resolution
 }
 
-/// How choices stand, by their names.
+/// Returns the standings of choices by their names.
 fn standings(r: &Report) -> BTreeMap<&str, &serde_json::Value> {
     r.facts.iter().filter_map(|f| Some((f.name.strip_prefix(standing::PREFIX)?, &f.value))).collect()
 }
 
-/// Name, unit, value and floor in that unit.
+/// Returns name, unit, value and floor of the compared figures.
 fn times(r: &Report) -> Vec<(String, String, Summary, f64)> {
     let floor = |plan: &str| {
         let all: f64 = r.passes.iter().filter(|p| p.plan == plan).map(|p| p.nanoseconds.median).sum();
@@ -161,7 +166,7 @@ fn times(r: &Report) -> Vec<(String, String, Summary, f64)> {
 }
 
 impl Outcome {
-    /// The comparison for people.
+    /// Returns the comparison as text.
     pub fn text(&self) -> String {
         let mut out = format!(
             "\ncompared {} figures; noise band: {DEVIATIONS} sqrt(s^2 + s0^2) + {:.0} % + floor, s = 1.4826 MAD, floor {:.0} us or {} % of the plan, {ROUNDING:.0e} of what is no time\n",
@@ -213,7 +218,7 @@ mod tests {
         DeviceLine { name: "a".into(), kind: "cpu".into(), driver: "b 1".into(), api: "1.3.0".into(), subgroup_size: 8 }
     }
 
-    /// Three passes of 0.1, 1 and 10 ms with so much noise, the second one slowed down by a factor.
+    /// Returns a report of three passes of 0.1, 1 and 10 ms with relative noise. `factor` slows the second.
     fn run(seed: u32, noise: f64, factor: f64) -> Report {
         let mut rng = Pcg::new(seed);
         let mut report = Report::new("step", device(), 20, 3);
@@ -236,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_no_slowdown() {
+    fn noise_is_not_reported_as_slowdown() {
         for noise in [0.0, 0.02, 0.1, 0.3] {
             for seed in 0..50 {
                 let outcome = compare(&run(2 * seed, noise, 1.0), &run(2 * seed + 1, noise, 1.0), 0.05).unwrap();
@@ -247,14 +252,14 @@ mod tests {
     }
 
     #[test]
-    fn a_planted_slowdown_is_caught_and_named() {
+    fn slowdown_beyond_noise_is_reported() {
         for (noise, factor) in [(0.0, 1.08), (0.02, 1.25), (0.1, 1.7)] {
             for seed in 0..50 {
                 let (baseline, slow) = (run(2 * seed, noise, 1.0), run(2 * seed + 1, noise, factor));
                 let outcome = compare(&baseline, &slow, 0.05).unwrap();
                 let names: Vec<_> = outcome.slower.iter().map(|d| d.name.as_str()).collect();
                 assert_eq!(names, ["p/middle"], "{noise} {factor}");
-                // The other way round it is an improvement and nothing to fail for.
+                // In reverse it is an improvement and no failure.
                 let outcome = compare(&slow, &baseline, 0.05).unwrap();
                 assert!(outcome.slower.is_empty() && outcome.faster.len() == 1, "{noise} {factor}");
             }
@@ -263,14 +268,14 @@ mod tests {
 
     #[test]
     fn changes_within_clock_resolution_or_tolerance_pass() {
-        // The plan takes 11.1 ms, so that 11.1 us in a pass of 0.5 us are the floor.
+        // The plan takes 11.1 ms, so the floor of a pass of 0.5 us is 11.1 us.
         let (mut a, mut b) = (run(1, 0.0, 1.0), run(1, 0.0, 1.0));
         a.passes[0].nanoseconds = Summary::of(&[500.0]);
         b.passes[0].nanoseconds = Summary::of(&[11_000.0]);
         assert!(compare(&a, &b, 0.05).unwrap().slower.is_empty());
         b.passes[0].nanoseconds = Summary::of(&[12_000.0]);
         assert_eq!(compare(&a, &b, 0.05).unwrap().slower.len(), 1);
-        // Alone in its plan only the clock excuses it.
+        // As the only pass of its plan, it has the timestamp resolution as its floor.
         for report in [&mut a, &mut b] {
             report.passes.truncate(1);
         }
@@ -296,12 +301,12 @@ mod tests {
                 assert_eq!(outcome.text().contains("OFF THE FRONT: fast,"), fallen);
             }
         }
-        // A choice that was not measured proves nothing.
+        // A choice that was not measured has not left the front.
         assert!(compare(&report(standing::FRONT), &run(1, 0.0, 1.0), 0.05).unwrap().fallen.is_empty());
     }
 
     #[test]
-    fn among_other_choices_nothing_falls() {
+    fn standings_are_not_compared_between_different_choices() {
         let report = |filter: Option<&str>, choices: &[(&str, &str)]| {
             let mut report = run(1, 0.0, 1.0);
             if let Some(filter) = filter {
@@ -315,7 +320,7 @@ mod tests {
         let outcome = compare(&few, &all, 0.05).unwrap();
         assert!(outcome.fallen.is_empty() && outcome.text().contains("the choices are not those of the baseline"));
         assert!(compare(&all, &few, 0.05).unwrap().other_choices);
-        // What was measured before filters were recorded is as good as its choices are.
+        // Reports without a recorded filter are compared if their choices are equal.
         let old = report(None, &[("fast", standing::FRONT), ("faster", standing::FRONT)]);
         let outcome = compare(&old, &all, 0.05).unwrap();
         assert!(outcome.fallen == ["fast"] && !outcome.text().contains("those of the baseline"));
@@ -333,12 +338,12 @@ mod tests {
         let (old, small, large) = (report(None), report(Some("levels=8")), report(Some("levels=16")));
         let message = compare(&small, &large, 0.05).unwrap_err().to_string();
         assert_eq!(message, "The baseline has settings \"levels=8\", this run \"levels=16\".");
-        // An old report does not say what its settings were.
+        // An old report does not record its settings.
         assert!(compare(&old, &small, 0.05).is_ok() && compare(&small, &old, 0.05).is_err());
     }
 
     #[test]
-    fn ratios_count_by_their_errors_and_without_a_floor() {
+    fn ratios_are_compared_with_their_standard_errors() {
         let report = |value: f64, off: f64| {
             let mut report = run(1, 0.0, 1.0);
             report.time("step, fast, of exact", "", Summary::known(value, off, 8));
@@ -351,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn the_least_errors_may_not_grow() {
+    fn growth_of_tiny_errors_is_reported() {
         let report = |error: f64| {
             let mut report = run(1, 0.0, 1.0);
             report.time("mean error, exact", "", Summary::of(&[error]));
@@ -371,7 +376,7 @@ mod tests {
         };
         let good = report(Summary::of(&[1e-3]));
         for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            // With a spread that is no number the band would be none, either.
+            // A non-finite spread makes the band non-finite, too.
             for bad in [Summary::known(wrong, 0.0, 1), Summary::known(1e-3, wrong, 8), Summary::of(&[wrong])] {
                 let bad = report(bad);
                 let outcome = compare(&good, &bad, 0.05).unwrap();

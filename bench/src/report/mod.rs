@@ -1,4 +1,6 @@
-//! Report of a command: tables for people, JSON for programs. Fields may be added; existing fields keep their meaning.
+//! Report of a command: tables for people, JSON for programs.
+//!
+//! Fields may be added; existing fields keep their meaning.
 
 pub mod compare;
 pub mod set;
@@ -9,55 +11,56 @@ use crate::stats::Summary;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// How a choice stands among others: facts of reports, by their names and values.
+/// Standings of choices as facts of reports: prefix of their names, and values.
 pub mod standing {
-    /// How such a fact's name begins; the choice follows.
+    /// Prefix of the fact's name; the name of the choice follows.
     pub const PREFIX: &str = "standing, ";
-    /// No other is as close and not slower.
+    /// No other choice dominates it in error and time.
     pub const FRONT: &str = "on the front";
-    /// Another is, by less than what times vary.
+    /// Another choice is more accurate and not slower, but within timing noise.
     pub const TIE: &str = "within noise of the front";
-    /// Another surely is.
+    /// Another choice has no larger error and is significantly faster.
     pub const BEATEN: &str = "beaten";
-    /// It matches `exact` up to rounding and is not ranked.
+    /// Matches `exact` up to rounding; not ranked.
     pub const SAME: &str = "as exact";
 }
 
-/// Name of the setting that filters the measured choices. Reports with other filters are comparable, except for the
-/// standings of their choices.
+/// Name of the setting that filters the measured choices.
+///
+/// Reports with other filters are comparable, except for the standings of their choices.
 pub const FILTER: &str = "filter";
 
-/// A report.
+/// Report of a command.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Report {
-    /// The command.
+    /// Name of the command.
     pub command: String,
-    /// On what it ran.
+    /// Device that ran it.
     pub device: DeviceLine,
     /// Sizes and choices.
     pub settings: BTreeMap<String, serde_json::Value>,
-    /// Measured repetitions.
+    /// Number of measured repetitions.
     pub repeats: u32,
-    /// Those before.
+    /// Number of repetitions before them that are not measured.
     pub warmup: u32,
     /// Peak rates of the device.
     pub ceiling: Option<Ceiling>,
-    /// Passes by the device's own clock.
+    /// Passes timed by the device's clock.
     pub passes: Vec<PassRow>,
     /// Other measurements.
     pub values: Vec<ValueRow>,
-    /// Counts and outcomes.
+    /// Counts and results.
     pub facts: Vec<Fact>,
     /// Checks that passed.
     pub checks: Vec<String>,
 }
 
-/// A device.
+/// Device of a report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DeviceLine {
-    /// Its name.
+    /// Device name.
     pub name: String,
-    /// Its kind.
+    /// Device kind, such as `cpu`.
     pub kind: String,
     /// Driver and version.
     pub driver: String,
@@ -67,50 +70,51 @@ pub struct DeviceLine {
     pub subgroup_size: u32,
 }
 
-/// One pass.
+/// Measurement of a pass.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PassRow {
-    /// The plan that it belongs to.
+    /// Plan of the pass.
     pub plan: String,
-    /// Its name.
+    /// Name of the pass.
     pub pass: String,
-    /// Its time.
+    /// Time of the pass.
     pub nanoseconds: Summary,
-    /// Bytes that it must move, by the model; none where there is no model.
+    /// Bytes that it must transfer according to the cost model; `None` without a model.
     pub bytes: Option<f64>,
-    /// Operations that it must do.
+    /// Operations that it must execute according to the cost model.
     pub operations: Option<f64>,
-    /// The share of the device's ceiling that it reaches: the time that bytes or operations alone would take, whichever
-    /// is longer, over the time that it took.
+    /// Fraction of the device's ceiling that the pass reaches.
+    ///
+    /// This is the larger of the minimum times for bytes and operations, over the measured time.
     pub share: Option<f64>,
-    /// `memory` or `arithmetic`, whichever bound is higher.
+    /// Higher bound: `memory` or `arithmetic`.
     pub bound: Option<String>,
 }
 
 /// Another measurement.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ValueRow {
-    /// What.
+    /// Name of the measurement.
     pub name: String,
-    /// In what unit.
+    /// Unit of the measurement.
     pub unit: String,
-    /// How much.
+    /// Statistics of its samples.
     pub value: Summary,
     /// Whether an increase over the baseline fails the comparison.
     pub compared: bool,
 }
 
-/// A count or an outcome.
+/// Count or result.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Fact {
-    /// What.
+    /// Name of the fact.
     pub name: String,
-    /// How much, or what came out.
+    /// Number or text.
     pub value: serde_json::Value,
 }
 
 impl Report {
-    /// Empty.
+    /// Creates an empty report.
     pub fn new(command: &str, device: DeviceLine, repeats: u32, warmup: u32) -> Report {
         Report {
             command: command.to_owned(),
@@ -126,14 +130,16 @@ impl Report {
         }
     }
 
-    /// Returns the first setting that another report lacks or has with another value; the reports are then not comparable.
-    /// Settings that only the other report has are ignored: this one may be from before they were recorded.
+    /// Returns the first setting that another report lacks or sets differently.
+    ///
+    /// Such reports are not comparable. Settings that only the other report has are ignored, since this one may
+    /// predate their record.
     pub fn differs(&self, other: &Report) -> Option<(&str, &serde_json::Value)> {
         let same = |name: &str, value| name == FILTER || other.settings.get(name) == Some(value);
         self.settings.iter().find(|(name, value)| !same(name, value)).map(|(name, value)| (name.as_str(), value))
     }
 
-    /// States a size or choice.
+    /// Sets a size or choice.
     pub fn setting(&mut self, name: &str, value: impl Into<serde_json::Value>) {
         self.settings.insert(name.to_owned(), value.into());
     }
@@ -153,8 +159,10 @@ impl Report {
         self.values.push(ValueRow { name: name.to_owned(), unit: unit.to_owned(), value, compared: true });
     }
 
-    /// Adds the time of a choice and its ratio to `exact`. Comparisons use the absolute time of `exact` only, and the ratios
-    /// of other choices, which do not depend on the current speed of the machine.
+    /// Adds the time of a choice and its ratio to `exact`.
+    ///
+    /// Comparisons use the absolute time of `exact`, and the ratios of all other choices. Ratios do not depend on the
+    /// current speed of the machine.
     pub fn choice(&mut self, what: &str, name: &str, milliseconds: Summary, of_exact: Summary) {
         let own = format!("{what}, {name}");
         if name == "exact" {
@@ -165,7 +173,7 @@ impl Report {
         }
     }
 
-    /// Adds a measurement that is not.
+    /// Adds a measurement that is not compared.
     pub fn value(&mut self, name: &str, unit: &str, value: Summary) {
         self.values.push(ValueRow { name: name.to_owned(), unit: unit.to_owned(), value, compared: false });
     }
@@ -179,7 +187,7 @@ impl Report {
         let values = self.values.iter().map(|v| (v.name.clone(), &v.value));
         let mut all = passes.chain(values);
         let wrong = all.find(|(_, s)| ![s.median, s.mad, s.least].iter().all(|v| v.is_finite())).map(|(name, _)| name);
-        // Facts are JSON already: there it has become nothing.
+        // Facts are JSON values already; a non-finite number became null.
         let fact = || self.facts.iter().find(|f| f.value.is_null()).map(|f| f.name.clone());
         match wrong.or_else(fact) {
             Some(name) => anyhow::bail!("\"{name}\" is not a finite number, so that there is no report."),
@@ -217,7 +225,7 @@ mod tests {
         let text = serde_json::to_string(&good).unwrap();
         assert_eq!(serde_json::from_str::<Report>(&text).unwrap().values[0].value, good.values[0].value);
         for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            // As it would be written it could not be read.
+            // Serialized, the report could not be read back.
             let bad = report(wrong, 40.0);
             assert!(serde_json::from_str::<Report>(&serde_json::to_string(&bad).unwrap()).is_err());
             assert!(bad.ensure_finite().unwrap_err().to_string().starts_with("\"mean error, fast\" is not"), "{wrong}");

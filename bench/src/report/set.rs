@@ -1,4 +1,6 @@
-//! All reports of one device in one file, and the table of them in docs/project/benchmarks.md.
+//! Reports of one device in one file, and their table.
+//!
+//! The table is part of docs/project/benchmarks.md.
 
 use super::{Report, ValueRow};
 use anyhow::Context;
@@ -9,11 +11,11 @@ use std::path::Path;
 /// Reports of one device.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ReportSet {
-    /// One a command and choice of sizes.
+    /// Reports, one per command and settings.
     pub reports: Vec<Report>,
 }
 
-/// Facts with a line in the table.
+/// Facts that have a row in the table.
 const FACTS: [&str; 4] = [
     "step: passes, groups, barriers",
     "step: arena, and without sharing memory, MB",
@@ -22,10 +24,10 @@ const FACTS: [&str; 4] = [
 ];
 
 impl ReportSet {
-    /// A file of reports, or of a single one.
+    /// Reads a file of several reports or of a single one.
     ///
     /// # Errors
-    /// If it cannot be read, or is neither.
+    /// If the file cannot be read, or contains neither.
     pub fn read(path: &Path) -> anyhow::Result<ReportSet> {
         let text = std::fs::read_to_string(path).map_err(|e| anyhow::anyhow!("\"{}\": {e}.", path.display()))?;
         let value: serde_json::Value = serde_json::from_str(&text)
@@ -39,10 +41,11 @@ impl ReportSet {
     }
 
     /// Returns the baseline report for another one.
-    /// It has the same command, and the same settings if such a report exists, or else no conflicting setting.
+    ///
+    /// Prefers equal settings, then settings that do not conflict, then the first report of the command.
     ///
     /// # Errors
-    /// If there is none of that command.
+    /// If no report is of that command.
     pub fn like(&self, other: &Report) -> anyhow::Result<&Report> {
         let mut of_command = self.reports.iter().filter(|r| r.command == other.command);
         let same = of_command.clone().find(|r| r.settings == other.settings);
@@ -51,10 +54,12 @@ impl ReportSet {
             .with_context(|| format!("The baseline has no report of \"{}\".", other.command))
     }
 
-    /// The only report of a command with such settings. One that says no stage is of geometry.
+    /// Returns the only report of a command with such settings.
+    ///
+    /// Reports without a stage count as `geometry`.
     ///
     /// # Errors
-    /// If there is none, or there are several, with a sentence that names them.
+    /// If no or several reports match, with a sentence that lists them.
     pub fn only(&self, command: &str, settings: &[(String, String)]) -> anyhow::Result<&Report> {
         let all: Vec<&Report> = self.reports.iter().filter(|r| r.command == command).collect();
         anyhow::ensure!(!all.is_empty(), "There is no report of \"{command}\".");
@@ -70,10 +75,10 @@ impl ReportSet {
         }
     }
 
-    /// Puts several into one, in the order of their commands and settings.
+    /// Joins several sets, ordered by command and settings.
     ///
     /// # Errors
-    /// If they are of different devices, or two are of the same.
+    /// If devices differ, or two reports have equal command and settings.
     pub fn join(sets: Vec<ReportSet>) -> anyhow::Result<ReportSet> {
         let mut reports: Vec<Report> = sets.into_iter().flat_map(|set| set.reports).collect();
         reports.sort_by_key(key);
@@ -95,7 +100,7 @@ fn setting_or_default(report: &Report, name: &str) -> Option<String> {
     report.setting_text(name).or_else(|| (name == "stage").then(|| "geometry".to_owned()))
 }
 
-/// A line a report, with the settings in which they differ.
+/// Returns a line per report with the settings in which they differ.
 fn distinguishing_settings(reports: &[&Report]) -> String {
     let mut names: Vec<&str> = reports.iter().flat_map(|r| r.settings.keys()).map(String::as_str).collect();
     names.sort_unstable();
@@ -110,7 +115,7 @@ fn distinguishing_settings(reports: &[&Report]) -> String {
     reports.iter().map(line).collect()
 }
 
-/// The table: a line a time, with its spread, and a few facts.
+/// Returns the Markdown table: a row per time with its spread, and a few facts.
 pub fn table(sets: &[ReportSet]) -> String {
     let mut out = String::from("| device | measured | sizes | median | MAD | repeats |\n|---|---|---|---|---|---|\n");
     for report in sets.iter().flat_map(|set| &set.reports) {
@@ -145,7 +150,7 @@ pub fn table(sets: &[ReportSet]) -> String {
     out
 }
 
-/// Three digits that count, no more.
+/// Formats a number with three significant digits.
 fn digits(value: f64) -> String {
     let decimals = (2 - value.abs().max(1e-9).log10().floor() as i32).clamp(0, 6) as usize;
     format!("{value:.decimals$}")
@@ -175,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_a_time_and_the_facts_that_matter() {
+    fn table_has_a_row_per_time_and_selected_fact() {
         let set = ReportSet { reports: vec![report("step", 100)] };
         assert_eq!(
             table(&[set]),
@@ -186,13 +191,13 @@ mod tests {
     }
 
     #[test]
-    fn sets_are_joined_found_and_refused() {
+    fn sets_are_joined_matched_and_conflicts_refused() {
         let single = |command, gaussians| ReportSet { reports: vec![report(command, gaussians)] };
         let all = ReportSet::join(vec![single("step", 200), single("passes", 100), single("step", 100)]).unwrap();
         assert_eq!(all.reports.iter().map(|r| r.command.as_str()).collect::<Vec<_>>(), ["passes", "step", "step"]);
         assert_eq!(all.like(&report("step", 200)).unwrap().settings["gaussians"], 200);
         assert!(all.like(&report("scaling", 200)).is_err());
-        // What is recorded since, or filtered, finds its like nevertheless.
+        // Newer settings and filters do not prevent a match.
         let mut newer = report("step", 200);
         newer.setting("settings", "the defaults");
         newer.setting(FILTER, "t");
@@ -206,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn one_of_several_is_picked_by_its_settings() {
+    fn report_is_selected_by_its_settings() {
         let of = |scene: &str, stage: Option<&str>| {
             let mut report = report("tradeoff", 100);
             report.setting("scene", scene);

@@ -1,10 +1,10 @@
-//! A report as tables.
+//! Text form of a report: tables for the terminal.
 
 use super::Report;
 use std::fmt::Write;
 
 impl Report {
-    /// The report for people.
+    /// Returns the report as text.
     pub fn text(&self) -> String {
         let mut out = String::new();
         let d = &self.device;
@@ -78,7 +78,7 @@ impl Report {
                 p.bound.as_deref().map_or("-", |b| if b == "memory" { "memory" } else { "arith." }),
             );
         }
-        // The share of the whole is the time at the ceiling over the time taken, of the passes that have a model.
+        // Fraction of the total: time at the ceiling over measured time, for passes with a cost model.
         let modeled: f64 = rows.iter().filter(|p| p.share.is_some()).map(|p| p.nanoseconds.median).sum();
         let bound: f64 = rows.iter().filter_map(|p| Some(p.share? * p.nanoseconds.median)).sum();
         let _ = writeln!(

@@ -1,4 +1,4 @@
-//! Workload of the intrinsic stage: surfaces of a scene directory, or of a generated synthetic room.
+//! Workload of the intrinsic stage: surfaces of a scene directory or of a synthetic room.
 
 use anyhow::{Context, ensure};
 use sgs_config::Settings;
@@ -7,22 +7,23 @@ use std::path::Path;
 use std::sync::Arc;
 use tempfile::TempDir;
 
-/// A scene with its surfaces.
+/// Scene with its surfaces.
 pub struct LitScene {
     /// Photographs and priors.
     pub scene: Arc<Scene>,
-    /// Geometry.
+    /// Geometry of the surfaces.
     pub splats: Splats,
-    /// A room that was made is there for as long as this.
+    /// Directory of a generated room, deleted on drop.
     _made: Option<TempDir>,
 }
 
 impl LitScene {
-    /// Opens `path` with the geometry of a PLY file, or makes a room of four views of this size; without geometry the points
-    /// are surfaces. The settings then name the scene.
+    /// Opens a scene at `path`, or generates a room with four views of this size.
+    ///
+    /// Surfaces come from a PLY file, or from the scene's points if `geometry` is `None`. Sets `settings.scene`.
     ///
     /// # Errors
-    /// If something cannot be read or made.
+    /// If a file cannot be read or the room cannot be generated.
     pub fn open(
         path: Option<&Path>,
         geometry: Option<&Path>,
@@ -48,7 +49,7 @@ impl LitScene {
             Some(file) => Splats::read_ply(file)?,
             None => {
                 let mut splats = Splats::from_points(&scene.points, 0)?;
-                // What is behind a surface is hidden.
+                // Opaque, so that a surface hides everything behind it.
                 splats.opacity_logits.iter_mut().for_each(|o| *o = 4.0);
                 splats
             }
@@ -56,21 +57,21 @@ impl LitScene {
         Ok(LitScene { scene: Arc::new(scene), splats, _made: made })
     }
 
-    /// That of the first training view.
+    /// Returns the camera of the first training view.
     pub fn camera(&self) -> &Camera {
         &self.scene.views[self.scene.split.train[0]].camera
     }
 
-    /// The scene's, for reports.
+    /// Returns the name of the scene for reports.
     pub fn name(&self) -> String {
         self.scene.root.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned())
     }
 }
 
-/// Settings from a file, the defaults without one.
+/// Reads settings from a file; without one returns the defaults.
 ///
 /// # Errors
-/// If the file cannot be read, or nothing would shine.
+/// If the file cannot be read, or lights and environment map are both disabled.
 pub fn lit_settings(file: Option<&Path>) -> anyhow::Result<Settings> {
     let settings = match file {
         Some(path) => {
@@ -85,8 +86,9 @@ pub fn lit_settings(file: Option<&Path>) -> anyhow::Result<Settings> {
     Ok(settings)
 }
 
-/// Returns the settings for measured steps, without losses that need other graphs (pseudo-views, other lights), so that
-/// every step is the same graph.
+/// Returns the settings for measured steps, without losses that need other graphs.
+///
+/// Pseudo-views and other lights need other graphs. Without them every step replays the same graph.
 pub fn plain(settings: &Settings) -> Settings {
     let mut plain = settings.clone();
     (plain.intrinsic.losses.cross_view, plain.intrinsic.losses.relight) = (0.0, 0.0);

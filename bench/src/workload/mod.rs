@@ -18,55 +18,55 @@ use sgs_train::{Correspondence, SemanticData, TrainingData};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-/// A scene, ready to be trained on.
+/// Scene that is ready for training.
 pub struct Workload {
-    /// Where it comes from.
+    /// Name of the scene.
     pub name: String,
-    /// Which groups the Gaussians have.
+    /// Parameter groups of the Gaussians.
     pub model: Model,
-    /// The Gaussians that training starts from.
+    /// Initial Gaussians.
     pub start: GaussianData,
-    /// Photographs, packed.
+    /// Packed photographs.
     pub targets: DeviceBuffer,
-    /// Normal priors, packed.
+    /// Packed normal priors.
     pub normals: Option<DeviceBuffer>,
     /// Semantic priors and the decoder.
     pub semantics: Option<Arc<(SemanticData, Decoder)>>,
     /// Pseudo-views and their regions.
     pub correspondence: Option<Arc<Mutex<Correspondence>>>,
-    /// Cameras, and the first pixel of each one's photograph.
+    /// Cameras, and the index of the first pixel of each photograph.
     pub views: Vec<(Camera, u32)>,
-    /// Columns and rows that no view exceeds.
+    /// Maximum width and height of the views.
     pub largest: [u32; 2],
-    /// The scene's size.
+    /// Extent of the scene.
     pub extent: f64,
-    /// How it is trained.
+    /// Training settings.
     pub settings: Settings,
 }
 
-/// Settings of a benchmark: those of training, with everything that starts small or late there at its full size, so that
-/// every step costs the same.
+/// Returns training settings with everything at its full size from the first step.
+///
+/// All steps of a benchmark then cost the same.
 fn settings(densify: bool, sh_degree: u32) -> Settings {
     let mut s = Settings::default();
     s.geometry.sh_degree = sh_degree.into();
-    s.geometry.sh_interval = 0;
     s.geometry.densify.enabled = densify;
     s
 }
 
-/// Which priors a scene directory is trained with.
+/// Priors that a scene directory is trained with.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Priors {
     /// Normals, with depth.
     pub normals: bool,
     /// Semantic features.
     pub semantics: bool,
-    /// Pseudo-views beside these.
+    /// Pseudo-views, which need semantic features.
     pub pseudo: bool,
 }
 
 impl Workload {
-    /// Buffers that a step is bound to.
+    /// Returns the input buffers of a step.
     pub fn inputs(&self) -> Inputs<'_> {
         Inputs {
             targets: &self.targets,
@@ -78,7 +78,7 @@ impl Workload {
     }
 }
 
-/// A scene directory: its training views, and splats from its points.
+/// Loads the training views of a scene directory, and splats from its points.
 ///
 /// # Errors
 /// If the scene cannot be read or memory runs out.
@@ -122,7 +122,7 @@ pub fn directory(
     })
 }
 
-/// Gaussians as the CPU reference takes them.
+/// Converts Gaussians to the CPU reference.
 pub fn reference_gaussians(d: &GaussianData) -> reference::Gaussians {
     let wide = |g: Group| d.group(g).iter().map(|&x| f64::from(x)).collect::<Vec<f64>>();
     reference::Gaussians {
@@ -136,7 +136,7 @@ pub fn reference_gaussians(d: &GaussianData) -> reference::Gaussians {
     }
 }
 
-/// A camera as the CPU reference takes it.
+/// Converts a camera to the CPU reference.
 pub fn reference_camera(c: &Camera) -> reference::Camera {
     let w = c.world_to_camera.map(|row| row.map(f64::from));
     let column = |k: usize| glam::DVec3::new(w[0][k], w[1][k], w[2][k]);

@@ -1,13 +1,15 @@
-//! A box room with boxes in it, as points with colors and normals: seeded, and the same everywhere.
+//! Box room that contains boxes, as points with colors and normals.
+//!
+//! Seeded; the same on every machine.
 
 use glam::DVec3;
 use sgs_passes::reference::rng::Pcg;
 use sgs_scene::PointCloud;
 
-/// Half of the room's size: 6 by 3 by 5 meters, y up, the floor at -1.5.
+/// Half of the room's size. The room is 6 by 3 by 5 m with y up; the floor is at -1.5.
 const HALF: DVec3 = DVec3::new(3.0, 1.5, 2.5);
 
-/// Centers and half sizes of what stands in it.
+/// Centers and half sizes of the boxes in the room.
 const BOXES: [(DVec3, DVec3); 4] = [
     (DVec3::new(-2.2, -1.0, -1.6), DVec3::new(0.6, 0.5, 0.5)),
     (DVec3::new(2.0, -0.9, 1.5), DVec3::new(0.5, 0.6, 0.7)),
@@ -15,7 +17,7 @@ const BOXES: [(DVec3, DVec3); 4] = [
     (DVec3::new(-2.5, -0.4, 1.4), DVec3::new(0.3, 1.1, 0.5)),
 ];
 
-/// One side of a box.
+/// Side of a box.
 struct Face {
     center: DVec3,
     u: DVec3,
@@ -52,12 +54,12 @@ fn faces() -> Vec<Face> {
     all
 }
 
-/// Surface of everything, in square meters.
+/// Returns the area of all surfaces in square meters.
 pub fn area() -> f64 {
     faces().iter().map(Face::area).sum()
 }
 
-/// Points spread evenly over all surfaces.
+/// Returns points distributed evenly over all surfaces.
 pub fn points(count: usize, seed: u32) -> PointCloud {
     let mut rng = Pcg::new(seed);
     let faces = faces();
@@ -80,7 +82,9 @@ pub fn points(count: usize, seed: u32) -> PointCloud {
     cloud
 }
 
-/// Checks, waves and a hue of its own for each face: structure at several sizes.
+/// Returns the color of a face: checks, waves and a hue per face.
+///
+/// The texture has structure at several scales.
 fn texture(face: usize, u: f64, v: f64) -> [f32; 3] {
     let check = ((u / 0.5).floor() + (v / 0.5).floor()).rem_euclid(2.0);
     let wave = (7.0 * u + 3.0 * (2.0 * v).sin()).sin() * (5.0 * v).cos();
@@ -96,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_lie_on_surfaces_and_repeat() {
+    fn points_lie_on_surfaces_and_are_deterministic() {
         let a = points(2000, 3);
         assert_eq!(a, points(2000, 3));
         assert_ne!(a.positions, points(2000, 4).positions);

@@ -1,43 +1,44 @@
-//! The deterministic room: photographs rendered from known Gaussians on the measured device.
+//! Deterministic synthetic room.
 //!
-//! Training starts from other points of the same surfaces, so losses and gradients resemble those of a real scene.
+//! Its photographs are rendered from known Gaussians on the measured device. Training starts from other points of the
+//! same surfaces. Losses and gradients therefore resemble those of a real scene.
 
 use super::{Workload, room, settings};
 use glam::{DMat3, DVec3};
 use sgs_engine::{Device, Location};
 use sgs_passes::Tuning;
 use sgs_passes::loss::octahedral_encode;
-use sgs_passes::pipeline::{Camera, Picture, Renderer};
+use sgs_passes::pipeline::{Camera, RenderedImage, Renderer};
 use sgs_passes::scene::{Gaussians, Group, Model};
 use sgs_passes::splat::Channels;
 use sgs_run::gaussian_data;
 use sgs_scene::{PointCloud, Splats};
 
-/// Views on the ring.
+/// Number of views on the ring.
 const VIEWS: u32 = 12;
 
-/// Its radius, meters.
+/// Radius of the ring in meters.
 const RING: f64 = 1.3;
 
-/// Gaussians of the truth: enough for a photograph's detail, few enough to be made at once.
+/// Number of ground-truth Gaussians: enough for photographic detail, few enough to upload at once.
 const TRUTH: std::ops::RangeInclusive<u32> = 40_000..=400_000;
 
 /// Options of the room.
 #[derive(Clone, Copy, Debug)]
 pub struct Synthetic {
-    /// Gaussians that training starts from.
+    /// Number of initial Gaussians.
     pub gaussians: u32,
-    /// Columns and rows.
+    /// Width and height of the views.
     pub size: [u32; 2],
-    /// Whether there are normals and depth, and priors for them.
+    /// Whether to train normals and depth with their priors.
     pub normals: bool,
-    /// Whether densification is on.
+    /// Whether densification is enabled.
     pub densify: bool,
     /// Degree of the spherical harmonics.
     pub sh_degree: u32,
 }
 
-/// Makes the room.
+/// Creates the room.
 ///
 /// # Errors
 /// If memory runs out or the device fails.
@@ -59,7 +60,7 @@ pub fn synthetic(device: &Device, s: &Synthetic) -> anyhow::Result<Workload> {
         }
     }
     let model = Model { sh_degree: s.sh_degree, normals: s.normals, ..Default::default() };
-    // Points as a reconstruction would give them.
+    // Points as from a reconstruction.
     let cloud = room::points(s.gaussians as usize, 2);
     let start = gaussian_data(&Splats::from_points(&cloud, s.sh_degree as usize)?, model);
     Ok(Workload {
@@ -77,7 +78,9 @@ pub fn synthetic(device: &Device, s: &Synthetic) -> anyhow::Result<Workload> {
     })
 }
 
-/// A camera on the ring that looks across the room, a little down; 75 degrees wide.
+/// Returns a camera on the ring that looks slightly down across the room.
+///
+/// The horizontal field of view is 75°.
 fn view(index: u32, size: [u32; 2]) -> Camera {
     let angle = std::f64::consts::TAU * f64::from(index) / f64::from(VIEWS);
     let position = DVec3::new(RING * angle.cos(), 0.15, RING * angle.sin());
@@ -102,8 +105,8 @@ fn view(index: u32, size: [u32; 2]) -> Camera {
     }
 }
 
-/// Renders the truth: opaque splats, each as large as its share of the surface.
-fn photographs(device: &Device, s: &Synthetic, views: &[Camera]) -> anyhow::Result<Vec<Picture>> {
+/// Renders the ground truth: opaque splats, sized by their share of the surface area.
+fn photographs(device: &Device, s: &Synthetic, views: &[Camera]) -> anyhow::Result<Vec<RenderedImage>> {
     let count = s.gaussians.clamp(*TRUTH.start(), *TRUTH.end());
     let cloud = room::points(count as usize, 1);
     let model = Model { sh_degree: 0, normals: s.normals, ..Default::default() };
@@ -118,7 +121,7 @@ fn photographs(device: &Device, s: &Synthetic, views: &[Camera]) -> anyhow::Resu
     views.iter().map(|c| Ok(renderer.render(&gaussians, c, 0, [0.0; 3])?)).collect()
 }
 
-/// Splats without a search for neighbors.
+/// Returns splats without the nearest-neighbor search for their scales.
 fn splats(cloud: &PointCloud) -> Splats {
     let n = cloud.len();
     let colors = cloud.colors.iter().flatten().flatten();
@@ -143,13 +146,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cameras_are_rigid_and_stand_on_the_ring() {
+    fn cameras_are_rigid_and_on_the_ring() {
         for i in 0..VIEWS {
             let c = super::super::reference_camera(&view(i, [64, 48]));
             assert!((c.rotation.determinant() - 1.0).abs() < 1e-6);
             let at = -(c.rotation.transpose() * c.translation);
             assert!((at.x.hypot(at.z) - RING).abs() < 1e-6 && (at.y - 0.15).abs() < 1e-6);
-            // What is above the camera lies in the upper half of the image.
+            // World up points to the upper half of the image.
             assert!((c.rotation * DVec3::Y).y < 0.0);
         }
     }

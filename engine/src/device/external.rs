@@ -1,4 +1,4 @@
-//! Adoption of a host's Vulkan device, for use inside an application that already runs Vulkan.
+//! Adoption of a host's Vulkan device. The host is an application that already runs Vulkan.
 //!
 //! Promises: destroys only objects created here; never waits for the whole device or a queue; orders its own work by
 //! its own timeline semaphore. Touches the host's queue only between `lock` and `unlock`, for one submission at a
@@ -214,10 +214,7 @@ impl Device {
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), host.device) };
         let (queue, lock) = host.queue.map_or((vk::Queue::null(), None), |q| (q.queue, Some(q.lock)));
         let (physical, queue_family) = (candidate.physical, host.queue_family);
-        // A host shares one queue: both lanes use it.
-        let second = None;
-        let raw_device =
-            RawDevice { instance, physical, raw, owned: false, info, queue_family, queue, lock, second, gate };
+        let raw_device = RawDevice { instance, physical, raw, owned: false, info, queue_family, queue, lock, gate };
         let options = DeviceOptions {
             pipeline_cache: host.pipeline_cache,
             timeout: host.timeout,

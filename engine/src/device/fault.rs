@@ -58,7 +58,7 @@ impl FaultKind {
         }
     }
 
-    /// Returns the error codes that a call can return (Vulkan 1.3, the section of each call).
+    /// Returns the error codes that a call can return. Source: Vulkan 1.3, the section of each call.
     pub fn of(call: &str) -> &'static [FaultKind] {
         use FaultKind::{
             DeviceLost, FragmentedPool, IncompatibleDriver, InitializationFailed, MemoryMapFailed, NotReady,

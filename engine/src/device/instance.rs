@@ -219,6 +219,8 @@ fn messenger_info(messages: &Arc<Messages>) -> vk::DebugUtilsMessengerCreateInfo
         .user_data(Arc::as_ptr(messages).cast_mut().cast())
 }
 
+/// Records a message of the validation layer.
+///
 /// # Safety
 /// Called by the layer with its own data and the `Messages` that `messenger_info` registered.
 unsafe extern "system" fn on_message(

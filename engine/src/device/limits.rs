@@ -1,4 +1,4 @@
-//! Checks of buffers and kernels against device limits, before anything is allocated.
+//! Checks of buffers and kernels against device limits. They run before any allocation.
 
 use super::DeviceInfo;
 use crate::error::{Error, Result};

@@ -1,4 +1,4 @@
-//! Vulkan device: compute queues, memory, pipelines and timeline.
+//! Vulkan device: compute queue, memory, pipelines and timeline.
 //!
 //! Promises: objects created from a device keep it alive; one timeline semaphore orders all work; nothing waits for
 //! the whole device. The graph orders passes.
@@ -13,12 +13,12 @@ mod local_size;
 mod objects;
 mod pipeline;
 mod requirements;
-mod second;
 mod select;
 mod surface;
 mod swapchain;
 
 pub(crate) use deferred::{Busy, DeferredObject};
+use external::Locked;
 pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements};
 pub use fault::{Fault, FaultKind, Faults};
 pub(crate) use instance::Instance;
@@ -29,7 +29,6 @@ pub use objects::{ObjectKind, Objects};
 pub use pipeline::PipelineInfo;
 pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
-pub(crate) use second::semaphore;
 pub use select::{DeviceInfo, MatrixShape, OptionalFeatures};
 pub use surface::{Surface, Window};
 pub use swapchain::{PresentStatus, Swapchain};
@@ -99,8 +98,6 @@ pub(crate) struct Shared {
     pub info: DeviceInfo,
     pub queue_family: u32,
     queue: Mutex<Queue>,
-    pub second: Option<second::SecondQueue>,
-    second_timeline: second::SecondTimeline,
     timeline: vk::Semaphore,
     pub memory: Memory,
     pub pipelines: pipeline::Pipelines,
@@ -131,8 +128,6 @@ struct RawDevice {
     queue_family: u32,
     queue: vk::Queue,
     lock: Option<Box<dyn QueueLock>>,
-    /// Family and index of the second queue, if the device was created with one.
-    second: Option<(u32, u32)>,
     gate: Gate,
 }
 
@@ -171,10 +166,7 @@ impl Device {
             device: info.name.clone(),
             missing: vec!["a compute queue".into()],
         })?;
-        // SAFETY: the physical device comes from this instance.
-        let families = unsafe { instance.raw.get_physical_device_queue_family_properties(selected.physical) };
-        let second = second::find_second_queue(&families, queue_family);
-        let queues = second::queues(queue_family, second);
+        let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&[1.0])];
         let needs = Requirements::new(info.clone(), Some(queue_family));
         let extensions: Vec<_> = needs.extensions().iter().chain(extra_extensions).map(|name| name.as_ptr()).collect();
         let mut features = needs.feature_structs();
@@ -188,14 +180,13 @@ impl Device {
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         let physical = selected.physical;
         let raw_device =
-            RawDevice { instance, physical, raw, owned: true, info, queue_family, queue, lock: None, second, gate };
+            RawDevice { instance, physical, raw, owned: true, info, queue_family, queue, lock: None, gate };
         Device::assemble(raw_device, options)
     }
 
     /// Adds timeline, memory and pipelines to a device. Destroys an owned device on failure.
     fn assemble(raw_device: RawDevice, options: &DeviceOptions) -> Result<Device> {
-        let RawDevice { instance, physical, raw, owned, mut info, queue_family, queue, lock, second, gate } =
-            raw_device;
+        let RawDevice { instance, physical, raw, owned, mut info, queue_family, queue, lock, gate } = raw_device;
         options.limits.lower(&mut info);
         let resources = create_resources(&instance, &raw, &gate, physical, &info, options.pipeline_cache.clone());
         let (timeline, memory, pipelines) = match resources {
@@ -210,7 +201,6 @@ impl Device {
             }
         };
         memory.set_budget(options.memory_budget);
-        let second = second.map(|second| second::SecondQueue::new(&raw, second));
         let labels = instance.debug_utils.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
         tracing::debug!(device = info.name, driver = info.driver, owned, "device opened");
         let device = Device(Arc::new(Shared {
@@ -220,8 +210,6 @@ impl Device {
             info,
             queue_family,
             queue: Mutex::new(Queue { raw: queue, lock, submitted: 0 }),
-            second,
-            second_timeline: second::SecondTimeline::default(),
             timeline,
             memory,
             pipelines,
@@ -238,11 +226,6 @@ impl Device {
         }
         device.0.name(timeline, "timeline");
         Ok(device)
-    }
-
-    /// Returns whether the device has a second queue for two-queue plans.
-    pub fn has_second_queue(&self) -> bool {
-        self.0.second.is_some()
     }
 
     /// Returns the properties of the device.
@@ -270,7 +253,8 @@ impl Device {
         self.0.memory.usage()
     }
 
-    /// Runs `work` and returns its peak device memory in bytes, above the usage at the start.
+    /// Runs `work` and returns its result and its peak device memory in bytes. The peak is relative to the usage at the
+    /// start.
     ///
     /// Calls must neither nest nor overlap; otherwise the result is wrong.
     pub fn memory_during<T>(&self, work: impl FnOnce() -> T) -> (T, u64) {
@@ -395,7 +379,22 @@ impl Shared {
         let mut all = Vec::with_capacity(signals.len() + 1);
         all.push(semaphore(self.timeline, value));
         all.extend_from_slice(signals);
-        self.submit_to(queue.raw, queue.lock.as_deref(), commands, waits, &all, what)?;
+        if queue.raw == vk::Queue::null() {
+            return Err(Error::NoQueue(what.to_owned()));
+        }
+        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
+        let submit = [vk::SubmitInfo2::default()
+            .wait_semaphore_infos(waits)
+            .command_buffer_infos(&buffers)
+            .signal_semaphore_infos(&all)];
+        let locked = queue.lock.as_deref().map(Locked::new);
+        // SAFETY: the command buffer is recorded and not pending (its owner waits for its ticket first). The queue is
+        // locked, a host's queue by the host's own lock too. The timeline only grows; the caller orders all other
+        // semaphores.
+        self.gate.call("vkQueueSubmit2", what, || unsafe {
+            self.raw.queue_submit2(queue.raw, &submit, vk::Fence::null())
+        })?;
+        drop(locked);
         queue.submitted = value;
         Ok(Ticket(value))
     }
@@ -424,7 +423,6 @@ impl Drop for Shared {
             return;
         }
         self.clear_deferred();
-        self.destroy_second_timeline();
         self.pipelines.destroy(&self.raw, &self.gate);
         self.memory.shut_down();
         // SAFETY: all work is done and everything created from the device is destroyed.
@@ -436,6 +434,14 @@ impl Drop for Shared {
             self.gate.count_destroyed(ObjectKind::Device);
         }
     }
+}
+
+/// Returns a semaphore value for all stages.
+pub(crate) fn semaphore(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSubmitInfo<'static> {
+    vk::SemaphoreSubmitInfo::default()
+        .semaphore(semaphore)
+        .value(value)
+        .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
 }
 
 /// Creates timeline, memory and pipelines of a device.

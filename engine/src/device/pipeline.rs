@@ -1,4 +1,4 @@
-//! Compute pipelines, cached per kernel and specialization, and their on-disk cache.
+//! Compute pipelines and their on-disk cache. Cached per kernel and specialization.
 
 use super::fault::Gate;
 use super::local_size::local_size;

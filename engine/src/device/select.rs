@@ -74,11 +74,11 @@ pub struct OptionalFeatures {
     pub external_memory_fd: bool,
     /// `VK_KHR_external_semaphore_fd`: shares semaphores with other devices and processes.
     pub external_semaphore_fd: bool,
-    /// `VK_KHR_cooperative_matrix` with 16-bit operands and 32-bit sums ([`DeviceInfo::matrices`]).
+    /// `VK_KHR_cooperative_matrix` with 16-bit operands and 32-bit sums. See [`DeviceInfo::matrices`].
     pub cooperative_matrix: bool,
 }
 
-/// Shape of a subgroup-scope cooperative matrix with 16-bit float operands and 32-bit float sums.
+/// Shape of a subgroup-scope cooperative matrix. Operands are 16-bit floats, sums are 32-bit floats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct MatrixShape {
     /// Rows of the first operand and of the sums.
@@ -270,7 +270,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), info })
 }
 
-/// Returns the missing feature of a device with several subgroup sizes and no size control.
+/// Returns the missing subgroup size control of a device. `None` if the device has it, or has only one subgroup size.
 ///
 /// Without control, a kernel may run at another size than it is specialized for.
 pub(super) fn missing_size_control(control: bool, (low, high): (u32, u32)) -> Option<String> {
@@ -308,7 +308,8 @@ fn supported_shapes(all: &[vk::CooperativeMatrixPropertiesKHR<'_>]) -> Vec<Matri
 fn storage_formats(instance: &Instance, physical: vk::PhysicalDevice) -> Vec<ImageFormat> {
     let has = |format: &ImageFormat| {
         // SAFETY: the physical device comes from this instance.
-        let properties = unsafe { instance.raw.get_physical_device_format_properties(physical, format.raw()) };
+        let properties =
+            unsafe { instance.raw.get_physical_device_format_properties(physical, crate::format::raw(*format)) };
         properties.optimal_tiling_features.contains(vk::FormatFeatureFlags::STORAGE_IMAGE)
     };
     ImageFormat::ALL.into_iter().filter(has).collect()

@@ -55,7 +55,7 @@ impl Surface {
         Ok(Surface { raw, api, instance: instance.clone(), objects: gate.objects.clone(), _window: window })
     }
 
-    /// Selects a queue family of the candidate that can present, or records the missing feature.
+    /// Selects a queue family of the candidate that can present. Records a missing feature if none can.
     fn select_queue_family(&self, candidate: &mut select::Candidate, gate: &Gate) -> Result<()> {
         let api = &self.instance.raw;
         // SAFETY: the physical device comes from this instance.

@@ -71,7 +71,11 @@ impl Swapchain {
         })?;
         let srgb = |f: &&vk::SurfaceFormatKHR| f.color_space == vk::ColorSpaceKHR::SRGB_NONLINEAR;
         let fits = |texel_format: ImageFormat| {
-            formats.iter().filter(srgb).find(|f| f.format == texel_format.raw()).map(|f| (texel_format, *f))
+            formats
+                .iter()
+                .filter(srgb)
+                .find(|f| f.format == crate::format::raw(texel_format))
+                .map(|f| (texel_format, *f))
         };
         let Some((texel_format, format)) = FORMATS.into_iter().find_map(fits) else {
             return Err(Error::Window("its surface supports no 8-bit sRGB format".into()));
@@ -224,7 +228,7 @@ impl Swapchain {
         })
     }
 
-    /// Copies an image in the general layout into the window, after all earlier submissions.
+    /// Copies an image in the general layout into the window. Runs after all earlier submissions.
     ///
     /// # Errors
     /// [`Error::WrongImage`] if size or format differ from the window's; [`Error::Timeout`] if no swapchain image

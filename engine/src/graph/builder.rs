@@ -11,7 +11,7 @@ use super::pass::{Pass, PassKind, Use, writes};
 use super::pass_builder::PassBuilder;
 use super::plan::{self, CompileOptions, Plan};
 use super::ranges::RangeMap;
-use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, History, Pair, Slice};
+use super::resource::{Buffer, BufferInfo, BufferKind, BufferState, Slice};
 use crate::shader::{Access, BindingKind, Shader};
 
 /// Frame graph under construction.
@@ -28,14 +28,6 @@ pub struct Graph {
     pub(super) errors: Vec<GraphError>,
     /// Pass that was begun and is not finished.
     pub(super) open: Option<String>,
-    /// By buffer: number of passes that have written it.
-    pub(super) versions: Vec<u32>,
-    /// Conditional writes, with their conditions.
-    pub(super) conditional: Vec<(Condition, Slice)>,
-    /// Kernel that turns a condition into group counts.
-    pub(super) gate: Option<Arc<Shader>>,
-    /// Pass durations in nanoseconds, by name.
-    pub(super) costs: Vec<(String, u64)>,
 }
 
 impl Graph {
@@ -49,10 +41,6 @@ impl Graph {
             written: Vec::new(),
             errors: Vec::new(),
             open: None,
-            versions: Vec::new(),
-            conditional: Vec::new(),
-            gate: None,
-            costs: Vec::new(),
         }
     }
 
@@ -71,23 +59,9 @@ impl Graph {
         self.declare(name.into(), bytes, BufferKind::Uniform, false)
     }
 
-    /// Declares a buffer that exists only within a replay, with undefined initial contents.
+    /// Declares a buffer that exists only within a replay. Its initial contents are undefined.
     pub fn transient(&mut self, name: impl Into<String>, bytes: u64) -> Buffer {
         self.declare(self.prefixed(name), bytes, BufferKind::Transient, false)
-    }
-
-    /// Declares two buffers that swap roles at each replay, without a copy.
-    ///
-    /// The next replay reads the `current` of this one as its `previous`. Both are filled with `value` before the
-    /// first replay.
-    pub fn history(&mut self, name: impl Into<String>, bytes: u64, value: u32) -> History {
-        let name = name.into();
-        let previous = self.declare(format!("{name} (previous)"), bytes, BufferKind::History, false);
-        let current = self.declare(name, bytes, BufferKind::History, true);
-        for (buffer, partner) in [(previous, current), (current, previous)] {
-            self.buffers[buffer.index()].pair = Some(Pair { partner, value });
-        }
-        History { previous, current }
     }
 
     pub(super) fn declare(&mut self, name: String, bytes: u64, kind: BufferKind, keep: bool) -> Buffer {
@@ -95,20 +69,9 @@ impl Graph {
             self.errors.push(GraphError::EmptyBuffer { buffer: name.clone() });
         }
         let buffer = Buffer(u32::try_from(self.buffers.len()).expect("invariant: fewer than 2^32 buffers"));
-        self.versions.push(0);
         self.written.push((kind == BufferKind::Transient).then(|| RangeMap::new(bytes, false)));
         let state = BufferState::Ready;
-        self.buffers.push(BufferInfo {
-            name,
-            bytes,
-            kind,
-            keep,
-            entry: state,
-            exit: state,
-            image: None,
-            pair: None,
-            switch: false,
-        });
+        self.buffers.push(BufferInfo { name, bytes, kind, keep, entry: state, exit: state, image: None });
         buffer
     }
 
@@ -127,11 +90,6 @@ impl Graph {
                 self.errors.push(error);
             }
         }
-    }
-
-    /// Sets pass durations in nanoseconds, by name, measured or estimated. Two-queue plans are scheduled by them.
-    pub fn set_costs(&mut self, costs: impl IntoIterator<Item = (String, u64)>) {
-        self.costs = costs.into_iter().collect();
     }
 
     /// Preserves a transient until the next replay of a plan in the same arena.
@@ -178,7 +136,6 @@ impl Graph {
         }
         self.finish(Pass {
             name,
-            condition: None,
             kind: PassKind::Fill { target, value },
             accesses: vec![(target, Access::Write, Use::Transfer)],
             discards: vec![target],
@@ -211,10 +168,9 @@ impl Graph {
             let buffer = self.buffers[source.buffer.index()].name.clone();
             return Err(GraphError::Overlap { pass: name, buffer, first: "source".into(), second: "target".into() });
         }
-        self.check_written(&name, &source, None)?;
+        self.check_written(&name, &source)?;
         self.finish(Pass {
             name,
-            condition: None,
             kind: PassKind::Copy { source, target },
             accesses: vec![(source, Access::Read, Use::Transfer), (target, Access::Write, Use::Transfer)],
             discards: vec![target],
@@ -268,13 +224,9 @@ impl Graph {
 
     /// Adds a pass that has passed all checks.
     pub(super) fn finish(&mut self, pass: Pass) -> Result<(), GraphError> {
-        let condition = pass.condition.map(|word| self.condition(word));
         for (slice, ..) in pass.accesses.iter().filter(|(_, access, _)| writes(*access)) {
-            self.versions[slice.buffer.index()] += 1;
-            match (condition, &mut self.written[slice.buffer.index()]) {
-                (None, Some(written)) => written.set(slice.range(), true),
-                (Some(condition), Some(_)) => self.conditional.push((condition, *slice)),
-                (_, None) => {}
+            if let Some(written) = &mut self.written[slice.buffer.index()] {
+                written.set(slice.range(), true);
             }
         }
         self.passes.push(pass);
@@ -328,13 +280,9 @@ impl Graph {
 
     /// Rejects reads of a transient range that no earlier pass has written.
     ///
-    /// One written byte suffices: a buffer bound as a whole may have gaps and slack. A conditional write counts for
-    /// reads under the same condition.
-    pub(super) fn check_written(&self, pass: &str, slice: &Slice, when: Option<Condition>) -> Result<(), GraphError> {
-        let same_condition =
-            |(condition, written): &(Condition, Slice)| Some(*condition) == when && written.overlaps(slice);
+    /// One written byte suffices: a buffer bound as a whole may have gaps and slack.
+    pub(super) fn check_written(&self, pass: &str, slice: &Slice) -> Result<(), GraphError> {
         match &self.written[slice.buffer.index()] {
-            _ if self.conditional.iter().any(same_condition) => Ok(()),
             Some(written) if !written.any(slice.range(), |&written| written) => Err(GraphError::Unwritten {
                 pass: pass.to_owned(),
                 buffer: self.buffers[slice.buffer.index()].name.clone(),
@@ -350,14 +298,10 @@ impl Graph {
     }
 }
 
-/// Condition word with the number of writes to its buffer when the pass was declared.
-pub(super) type Condition = (Slice, u32);
-
 /// Describes a read-only buffer in messages.
 fn read_only(info: &BufferInfo) -> &'static str {
     match info.kind {
         BufferKind::Uniform => "a uniform",
-        BufferKind::History => "the previous half of a history",
         BufferKind::External | BufferKind::Transient => "a read-only input",
     }
 }

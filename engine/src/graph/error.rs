@@ -44,20 +44,6 @@ pub enum GraphError {
          multiple of that."
     )]
     TexelAlignment { pass: String, buffer: String, offset: u64, texel: u64 },
-    /// A kernel does not have the interface of a gate.
-    #[error(
-        "Graph [{graph}] cannot use kernel [{shader}] as its gate: a gate reads [word] and [counts], writes \
-         [arguments], and has 24 bytes of constants."
-    )]
-    BadGate { graph: String, shader: String },
-    /// A conditional pass has no gate.
-    #[error("Pass [{pass}] runs on a condition, but its graph has no gate; call Graph::set_gate first.")]
-    NoGate { pass: String },
-    /// A condition is not one aligned 32-bit word.
-    #[error(
-        "Pass [{pass}] runs on {bytes} bytes at offset {offset} of buffer [{buffer}], but a condition is a 32-bit word."
-    )]
-    ConditionWord { pass: String, buffer: String, offset: u64, bytes: u64 },
     /// A buffer has no bytes.
     #[error("Buffer [{buffer}] is declared with 0 bytes, but a buffer needs at least 1.")]
     EmptyBuffer { buffer: String },

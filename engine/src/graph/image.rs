@@ -31,7 +31,7 @@ impl Graph {
         self.declare_image(name.into(), BufferKind::External, true, ImageInfo { size, format, entry, exit })
     }
 
-    /// Declares an image that is bound at replay in state `state` and that no pass may write.
+    /// Declares an image that is bound at replay in state `state`. No pass may write it.
     pub fn input_image(
         &mut self,
         name: impl Into<String>,
@@ -43,7 +43,7 @@ impl Graph {
         self.declare_image(name.into(), BufferKind::External, false, info)
     }
 
-    /// Declares an image that exists only within a replay, with undefined initial contents.
+    /// Declares an image that exists only within a replay. Its initial contents are undefined.
     pub fn transient_image(&mut self, name: impl Into<String>, size: [u32; 2], format: ImageFormat) -> Image {
         let info = ImageInfo { size, format, entry: ImageState::Undefined, exit: ImageState::Undefined };
         self.declare_image(self.prefixed(name), BufferKind::Transient, false, info)
@@ -76,7 +76,7 @@ impl Graph {
         Image(buffer)
     }
 
-    /// Declares a pass that copies tightly packed texels to an image, rows from the top.
+    /// Declares a pass that copies tightly packed texels to an image. Rows run from the top.
     pub fn copy_to_image(
         &mut self,
         name: impl Into<String>,
@@ -88,10 +88,9 @@ impl Graph {
         let (source, texels) = self.packed_range(&name, source.into(), target)?;
         self.check_not_uniform(&name, source.buffer, "the source of a copy")?;
         self.check_write(&name, target.0, "copy")?;
-        self.check_written(&name, &source, None)?;
+        self.check_written(&name, &source)?;
         self.finish(Pass {
             name,
-            condition: None,
             kind: PassKind::CopyToImage { source, target },
             accesses: vec![(source, Access::Read, Use::Transfer), (texels, Access::Write, Use::Transfer)],
             discards: vec![texels],
@@ -109,10 +108,9 @@ impl Graph {
         self.begin(&name);
         let (target, texels) = self.packed_range(&name, target.into(), source)?;
         self.check_write(&name, target.buffer, "copy")?;
-        self.check_written(&name, &texels, None)?;
+        self.check_written(&name, &texels)?;
         self.finish(Pass {
             name,
-            condition: None,
             kind: PassKind::CopyFromImage { source, target },
             accesses: vec![(texels, Access::Read, Use::Transfer), (target, Access::Write, Use::Transfer)],
             discards: vec![target],
@@ -131,7 +129,6 @@ impl Graph {
         let value = value.map(|component| if integer { component as u32 } else { component.to_bits() });
         self.finish(Pass {
             name,
-            condition: None,
             kind: PassKind::ClearImage { target, value },
             accesses: vec![(texels, Access::Write, Use::Transfer)],
             discards: vec![texels],

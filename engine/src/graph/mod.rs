@@ -16,20 +16,14 @@
 //! * An **external** buffer belongs to the caller, is bound at replay, and persists; writes to it are the outputs of
 //!   a graph. An **input** is an external buffer that no pass may write. A **uniform** is a small input with one slot
 //!   per frame in flight.
-//! * A **history** is two buffers that swap roles at each replay: the next replay reads the `current` buffer of this
-//!   one as its `previous`.
 //! * An access is **read**, **write**, **read and write**, or **accumulate**: atomic additions whose results the
 //!   kernel does not use. Accumulations into one buffer commute, so passes that only accumulate may share a group.
-//! * A pass may run on a **condition**, a word written by earlier passes or the host. A conditional pass cannot
-//!   discard.
 //! * A write is assumed to preserve some bytes, so earlier contents stay needed unless the pass **discards**:
 //!   promises to overwrite everything that is read later. Fills and copies always discard.
 //! * An **image** is accessed as a whole. It has one layout within a replay. An external image declares its entry and
 //!   exit layouts; other commands on the queue may use it before and after.
 //! * A **hazard** is a pair of accesses to one byte, at least one a write, that do not commute. A transient that
 //!   reuses another's memory creates hazards like any other access.
-//! * A **lane** is one of two command sequences. Two-queue plans move passes that the main lane does not need
-//!   immediately to a second lane, in *segments* that wait for segments of the other lane ([`Queues`]).
 //!
 //! Guarantees and limits:
 //!
@@ -44,7 +38,6 @@
 //! * Equal declarations give equal plans, byte for byte.
 
 pub mod builder;
-pub mod condition;
 pub mod dump;
 pub mod error;
 pub mod exec;
@@ -62,9 +55,5 @@ pub use error::GraphError;
 pub use pass::{Dispatch, Pass, PassKind, Use};
 pub use pass_builder::PassBuilder;
 pub use plan::verify::{VerifyError, verify};
-pub use plan::{
-    Accesses, Barrier, CompileOptions, Group, ImageMemory, ImageSlot, Lane, Plan, Queues, Segment, Stages, Transition,
-};
-pub use resource::{
-    Buffer, BufferInfo, BufferKind, BufferState, History, Image, ImageInfo, ImageState, Pair, Slice, Switch,
-};
+pub use plan::{Accesses, Barrier, CompileOptions, Group, ImageMemory, ImageSlot, Plan, Stages, Transition};
+pub use resource::{Buffer, BufferInfo, BufferKind, BufferState, Image, ImageInfo, ImageState, Slice};

@@ -102,8 +102,6 @@ pub struct Pass {
     pub kind: PassKind,
     /// All accessed ranges.
     pub accesses: Vec<(Slice, Access, Use)>,
-    /// Condition word: the pass runs only if it is not zero. A pass that does not run leaves its ranges unchanged.
-    pub condition: Option<Slice>,
     /// Ranges whose earlier contents are not needed: the pass overwrites everything that is read later.
     pub discards: Vec<Slice>,
 }

@@ -5,7 +5,6 @@
 use std::sync::Arc;
 
 use super::builder::{Graph, use_of};
-use super::condition::Counts;
 use super::error::GraphError;
 use super::pass::{Dispatch, INDIRECT_BYTES, Pass, PassKind, Use, writes};
 use super::resource::{Buffer, Image, Slice};
@@ -27,7 +26,6 @@ pub struct PassBuilder<'g> {
     push: Vec<u8>,
     subgroup_size: Option<u32>,
     uses_subgroups: bool,
-    condition: Option<Slice>,
     errors: Vec<GraphError>,
 }
 
@@ -44,7 +42,6 @@ impl<'g> PassBuilder<'g> {
             push: Vec::new(),
             subgroup_size: None,
             uses_subgroups,
-            condition: None,
             errors: Vec::new(),
         }
     }
@@ -54,8 +51,8 @@ impl<'g> PassBuilder<'g> {
         self.bind_as(name, slice.into(), false)
     }
 
-    /// Binds a slice and promises that the pass overwrites all of it that is read later. Its earlier contents need
-    /// not be computed.
+    /// Binds a slice whose earlier contents need not be computed. The caller promises that the pass overwrites all of
+    /// the slice that is read later.
     pub fn bind_discard(self, name: &str, slice: impl Into<Slice>) -> Self {
         self.bind_as(name, slice.into(), true)
     }
@@ -70,7 +67,8 @@ impl<'g> PassBuilder<'g> {
         self.bind_image_as(name, image, false)
     }
 
-    /// Binds an image and promises that the pass overwrites all of it that is read later.
+    /// Binds an image whose earlier contents need not be computed. The caller promises that the pass overwrites all of
+    /// the image that is read later.
     pub fn bind_image_discard(self, name: &str, image: Image) -> Self {
         self.bind_image_as(name, image, true)
     }
@@ -87,7 +85,8 @@ impl<'g> PassBuilder<'g> {
         self
     }
 
-    /// Rejects buffers bound as images, images bound as buffers, and images of another format.
+    /// Rejects a binding of the wrong kind or format: buffers bound as images, images bound as buffers, and images of
+    /// another format.
     fn check_kind(&self, name: &str, kind: BindingKind, slice: &Slice) -> Result<(), GraphError> {
         let info = &self.graph.buffers[slice.buffer.index()];
         let declared = match (kind, &info.image) {
@@ -177,33 +176,10 @@ impl<'g> PassBuilder<'g> {
         self
     }
 
-    /// Promises that the specialized kernel executes no subgroup operation, so that its constant `SUBGROUP` is free.
+    /// Promises that the specialized kernel executes no subgroup operation. Its constant `SUBGROUP` is then free.
     pub fn without_subgroups(mut self) -> Self {
         self.uses_subgroups = false;
         self
-    }
-
-    /// Makes the pass conditional: it runs only if a 32-bit word is not zero when its turn comes.
-    ///
-    /// The word is written by earlier passes, or is a switch of the host. A conditional pass cannot discard: its
-    /// discards become plain bindings. Requires [`Graph::set_gate`]. A pass has one condition, the last one set.
-    pub fn when(mut self, word: impl Into<Slice>) -> Self {
-        match self.graph.resolve_word(&self.name, word.into()) {
-            Ok(word) => self.condition = Some(word),
-            Err(error) => self.errors.push(error),
-        }
-        self
-    }
-
-    /// Declares the gate of this pass; returns the location of its group counts.
-    fn add_gate(&mut self, word: Slice, counts: Counts) -> Option<(Buffer, u64)> {
-        match self.graph.add_gate(&self.name, word, counts) {
-            Ok(arguments) => Some((arguments, 0)),
-            Err(error) => {
-                self.errors.push(error);
-                None
-            }
-        }
     }
 
     /// Declares the pass with constant group counts.
@@ -213,29 +189,11 @@ impl<'g> PassBuilder<'g> {
                 self.errors.push(GraphError::GroupCount { pass: self.name.clone(), axis, count, limit: GROUP_LIMIT });
             }
         }
-        if let Some(word) = self.condition {
-            let arguments = self.add_gate(word, Counts::Fixed(groups));
-            return self.indirect(arguments);
-        }
         self.declare(Dispatch::Groups(groups), None)
     }
 
     /// Declares the pass with group counts from three 32-bit numbers in a buffer.
     pub fn dispatch_indirect(mut self, buffer: Buffer, offset: u64) -> Result<(), GraphError> {
-        let Some(word) = self.condition else { return self.indirect(Some((buffer, offset))) };
-        let arguments = match self.check_indirect(buffer, offset) {
-            Ok(counts) => self.add_gate(word, Counts::Indirect(counts)),
-            Err(error) => {
-                self.errors.push(error);
-                None
-            }
-        };
-        self.indirect(arguments)
-    }
-
-    /// Declares the pass with group counts in a buffer, if they were resolved.
-    fn indirect(mut self, counts: Option<(Buffer, u64)>) -> Result<(), GraphError> {
-        let Some((buffer, offset)) = counts else { return self.declare(Dispatch::Groups([0; 3]), None) };
         let arguments = match self.check_indirect(buffer, offset) {
             Ok(slice) => Some(slice),
             Err(error) => {
@@ -287,7 +245,6 @@ impl<'g> PassBuilder<'g> {
         let mut bindings = Vec::with_capacity(shader.bindings.len());
         for (binding, bound) in shader.bindings.iter().zip(&self.bound) {
             if let Some((slice, discard)) = *bound {
-                let discard = discard && self.condition.is_none();
                 all_accesses.push((&binding.name, slice, binding.access, use_of(binding.kind), discard));
                 bindings.push((binding.number, slice));
             } else if !self.errors.iter().any(|e| failed_to_bind(e, &binding.name)) {
@@ -313,16 +270,14 @@ impl<'g> PassBuilder<'g> {
                 }
             }
         }
-        let when = self.condition.map(|word| self.graph.condition(word));
         for (_, slice, access, _, discard) in &all_accesses {
             if *access != Access::Write && !discard {
-                self.errors.extend(self.graph.check_written(&self.name, slice, when).err());
+                self.errors.extend(self.graph.check_written(&self.name, slice).err());
             }
         }
         GraphError::collect(self.errors)?;
         self.graph.finish(Pass {
             name: self.name,
-            condition: self.condition,
             accesses: all_accesses.iter().map(|&(_, slice, access, used, _)| (slice, access, used)).collect(),
             discards: all_accesses.iter().filter(|t| t.4).map(|t| t.1).collect(),
             kind: PassKind::Compute {
@@ -337,7 +292,7 @@ impl<'g> PassBuilder<'g> {
     }
 }
 
-/// Returns whether an error already explains an unbound binding, which would make a second error redundant.
+/// Returns whether an error already explains an unbound binding. A second error would then be redundant.
 fn failed_to_bind(error: &GraphError, name: &str) -> bool {
     match error {
         GraphError::DiscardOfRead { binding, .. }

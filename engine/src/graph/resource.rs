@@ -67,7 +67,7 @@ pub struct ImageInfo {
     pub exit: ImageState,
 }
 
-/// Other users of an external buffer between replays, which do not wait for the device.
+/// Other users of an external buffer between replays. They do not wait for the device.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BufferState {
@@ -90,36 +90,6 @@ pub enum BufferKind {
     Transient,
     /// Small, bound at replay, written by the host, with one slot per frame in flight. Only kernels read it.
     Uniform,
-    /// Half of a pair that swaps at each replay; see [`History`].
-    History,
-}
-
-/// Switch that the host sets between replays without re-recording.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
-pub struct Switch(pub(crate) Buffer);
-
-impl From<Switch> for Slice {
-    fn from(switch: Switch) -> Self {
-        switch.0.into()
-    }
-}
-
-/// Pair of buffers that swap at each replay: the next replay reads `current` as its `previous`.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
-pub struct History {
-    /// Output of the previous replay; no pass may write it.
-    pub previous: Buffer,
-    /// Output of this replay. Until written, it holds the output of the replay before the previous one.
-    pub current: Buffer,
-}
-
-/// Pairing of one half of a history.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug)]
-pub struct Pair {
-    /// Other half.
-    pub partner: Buffer,
-    /// Word that fills both halves before the first replay.
-    pub value: u32,
 }
 
 /// Declaration of a buffer.
@@ -139,17 +109,13 @@ pub struct BufferInfo {
     pub exit: BufferState,
     /// Image declaration, if it is an image.
     pub image: Option<ImageInfo>,
-    /// Other half, if it belongs to a history.
-    pub pair: Option<Pair>,
-    /// Whether it is a switch: one word that the executor writes.
-    pub switch: bool,
 }
 
 impl BufferInfo {
     /// Returns whether a pass may write it.
     pub fn writable(&self) -> bool {
         match self.kind {
-            BufferKind::External | BufferKind::History => self.keep,
+            BufferKind::External => self.keep,
             BufferKind::Transient => true,
             BufferKind::Uniform => false,
         }

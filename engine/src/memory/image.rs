@@ -124,7 +124,7 @@ impl Device {
         }
         Ok(vk::ImageCreateInfo::default()
             .image_type(vk::ImageType::TYPE_2D)
-            .format(format.raw())
+            .format(crate::format::raw(format))
             .extent(vk::Extent3D { width: size[0], height: size[1], depth: 1 })
             .mip_levels(1)
             .array_layers(1)
@@ -173,7 +173,7 @@ impl Device {
         self.image_copy(image, &staging, true)
     }
 
-    /// Downloads the tightly packed texels of a whole image in the general layout and waits.
+    /// Downloads the tightly packed texels of a whole image and waits. The image is in the general layout.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -267,7 +267,7 @@ impl ImageInner {
         let info = vk::ImageViewCreateInfo::default()
             .image(self.raw)
             .view_type(vk::ImageViewType::TYPE_2D)
-            .format(self.format.raw())
+            .format(crate::format::raw(self.format))
             .subresource_range(WHOLE);
         // SAFETY: the image is alive, has this format and storage usage.
         let view = self.device.0.gate.make(ObjectKind::ImageView, "vkCreateImageView", &self.name, || unsafe {

@@ -204,8 +204,7 @@ impl Device {
         shared.collect();
         let bytes = bytes.max(4).next_multiple_of(4);
         shared.info.check_buffer(name, bytes)?;
-        let families = shared.families();
-        let info = buffer_info(bytes, &families);
+        let info = buffer_info(bytes);
         // SAFETY: the device is alive.
         let raw = shared
             .gate
@@ -266,13 +265,9 @@ impl Device {
     }
 }
 
-/// Returns the create info of engine buffers; concurrent sharing with several queue families.
-fn buffer_info(bytes: u64, families: &[u32]) -> vk::BufferCreateInfo<'_> {
-    // Concurrent sharing costs buffers nothing. Ownership transfers would add a barrier on either side of every wait
-    // between queues.
-    let sharing = if families.len() > 1 { vk::SharingMode::CONCURRENT } else { vk::SharingMode::EXCLUSIVE };
-    let families = if families.len() > 1 { families } else { &[] };
-    vk::BufferCreateInfo::default().size(bytes).sharing_mode(sharing).queue_family_indices(families).usage(
+/// Returns the create info of engine buffers.
+fn buffer_info(bytes: u64) -> vk::BufferCreateInfo<'static> {
+    vk::BufferCreateInfo::default().size(bytes).sharing_mode(vk::SharingMode::EXCLUSIVE).usage(
         vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::UNIFORM_BUFFER
             | vk::BufferUsageFlags::INDIRECT_BUFFER

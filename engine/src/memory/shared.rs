@@ -21,7 +21,7 @@ const SEMAPHORE: vk::ExternalSemaphoreHandleTypeFlags = vk::ExternalSemaphoreHan
 pub struct SharedHandle {
     /// File descriptor; holds its own reference to the memory.
     pub fd: OwnedFd,
-    /// Size of the memory in bytes (at least that of the buffer or image), which the importer needs.
+    /// Size of the memory in bytes, which the importer needs. At least the size of the buffer or image.
     pub bytes: u64,
 }
 
@@ -59,8 +59,7 @@ impl Device {
         self.memory_fd(name)?;
         let bytes = bytes.max(4).next_multiple_of(4);
         let mut external = vk::ExternalMemoryBufferCreateInfo::default().handle_types(MEMORY);
-        let families = shared.families();
-        let info = super::buffer_info(bytes, &families).push_next(&mut external);
+        let info = super::buffer_info(bytes).push_next(&mut external);
         // SAFETY: the device is alive and has external memory.
         let raw = shared
             .gate
@@ -100,7 +99,7 @@ impl Device {
         })))
     }
 
-    /// Creates an image with exportable memory ([`DeviceImage::export`]), in the general layout.
+    /// Creates an image with exportable memory ([`DeviceImage::export`]). The image is in the general layout.
     ///
     /// # Errors
     /// As [`Device::shared_buffer`].
@@ -110,7 +109,7 @@ impl Device {
         Ok(image)
     }
 
-    /// Creates an image over imported memory, in the layout in which the exporter left it.
+    /// Creates an image over imported memory. The image is in the layout in which the exporter left it.
     ///
     /// # Errors
     /// As [`Device::import_buffer`].

@@ -1,4 +1,4 @@
-//! Chunked upload and download through staging memory, for setup and inspection, not for training steps.
+//! Chunked upload and download through staging memory. For setup and inspection, not for training steps.
 
 use super::{DeviceBuffer, Location};
 use crate::device::{Busy, DeferredObject, Device, ObjectKind, Ticket};

@@ -1,43 +1,45 @@
-//! The cost of the kernels of meaning.
+//! Costs of the semantic kernels.
 
 use super::{Cost, Counts, Stage};
 
-/// Features, and with the bias's one; width of what is decoded; bytes of the decoder.
+/// Number of features; with the bias's constant; width of decoded vectors; bytes of the decoder.
 const FEATURES: f64 = 32.0;
 const AUGMENTED: f64 = 33.0;
 const EMBEDDING: f64 = 512.0;
-/// Numbers of a row of 33 where only kernels see it.
+/// Padded floats of a row of 33 in buffers that only kernels read.
 const PITCH: f64 = 36.0;
 const DECODER_BYTES: f64 = 4.0 * EMBEDDING * AUGMENTED;
 
-/// One sample: the product with the Gram matrix and its square's share of the decoder's sums; lengths and scaling.
+/// Operations of one sample. The product with the Gram matrix, its square's share of the decoder's sums, lengths and
+/// scaling.
 const SAMPLE: f64 = 4.0 * AUGMENTED * AUGMENTED + 400.0;
 
-/// One class of a sample: its logit, its part of the gradient, its row of the decoder's sums; two exponentials.
+/// Operations of one class of a sample. Its logit, its term of the gradient, its row of the decoder's sums, two
+/// exponentials.
 const CLASS: f64 = 2.0 * AUGMENTED + 2.0 * FEATURES + 2.0 * AUGMENTED + 18.0;
 
-/// A kernel's cost, if it is one of these.
+/// Returns the cost of a kernel of this module, or `None` for others.
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let spec = s.specs;
     let (classes, m, p) = (spec("CLASSES"), c.samples, c.pixels);
     let text = 4.0 * classes * EMBEDDING;
     let target = 2.0 * EMBEDDING;
-    // What a sample or pixel leaves for the decoder is added up by workgroup; that is memory of its own.
+    // Contributions of samples or pixels to the decoder are summed by workgroup; these sums take additional memory.
     let small = 4.0 * PITCH * (AUGMENTED + classes);
     // Pixels that samples touch.
     let touched = p.min(4.0 * m);
-    // Entries whose tile has wanted pixels are taken to be all; pairs are those of blending, by the share of pixels.
+    // All entries are assumed to lie in tiles with selected pixels. Pairs are those of blending, times the share of
+    // selected pixels.
     let pairs = c.pairs * c.wanted / p.max(1.0);
-    let fetched = 8.0 + 24.0 + if spec("FEATURE_BITS") == 16.0 { 2.0 } else { 4.0 } * FEATURES;
+    let fetched = 8.0 + 24.0 + 4.0 * FEATURES;
     let left = 4.0 * (6.0 + FEATURES);
     let (bytes, operations) = match s.kernel {
-        "features_pack" => (6.0 * FEATURES * c.gaussians, 10.0 * FEATURES * c.gaussians),
         "wanted_samples" => (p / 8.0, 20.0 * p),
-        // A pair as in blending; 2 operations a feature, backward 4.
+        // A pair as in blending; 2 operations per feature, backward 4.
         "blend_features" => {
             (fetched * c.entries + p / 8.0 + 4.0 * FEATURES * c.wanted, (20.0 + 2.0 * FEATURES) * pairs)
         }
-        // Where it takes several passes, the first of them stands for all.
+        // If the backward pass takes several dispatches, the first carries the cost of all.
         "blend_features_bwd" if (s.push)(0) == 0.0 => {
             let bytes = (fetched + left) * c.entries + p / 8.0 + 8.0 * FEATURES * c.wanted;
             (bytes, (45.0 + 4.0 * FEATURES) * pairs)
@@ -63,7 +65,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let sums = 4.0 * EMBEDDING * PITCH * spec("SPLITS");
             ((target + 4.0 * AUGMENTED) * m + sums, 2.0 * EMBEDDING * AUGMENTED * m)
         }
-        // A sample reads the features of up to four pixels, its target's products, and writes those and a gradient.
+        // A sample reads the features of up to four pixels and its target's products. It writes products and a
+        // gradient.
         "semantic_samples" => {
             let read = 4.0 * FEATURES * touched + (8.0 + 4.0 * AUGMENTED * spec("PARTS")) * m;
             (read + 4.0 * (AUGMENTED + FEATURES) * m + small * s.groups, (SAMPLE + CLASS * classes) * m)
@@ -89,8 +92,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         }
         "correspondence_train_bwd" => (12.0 * FEATURES * c.masked + p / 8.0, 2.0 * FEATURES * c.masked),
         "region_mask" => (2.0 * p + p / 8.0, 3.0 * p),
-        // Depth and transmittance of every pixel, and of those that arrive in the region the training view's. Projection
-        // there and back 40, bounds 8, two depths 10.
+        // Depth and transmittance of every pixel; those of the training view for pixels that land in the region.
+        // Projection and unprojection 40, bounds 8, two depths 10.
         "carry_mask" => {
             let arrived = (4.0 * spec("TRAINED_CHANNELS") + 4.0) * c.masked;
             ((4.0 * spec("CHANNELS") + 4.0) * p + p / 4.0 + arrived, 58.0 * p)

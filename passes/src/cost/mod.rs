@@ -1,10 +1,10 @@
-//! What every pass must move and compute, as a function of counts: the numbers that times are set against.
+//! Minimum memory traffic and operations of every pass, as a function of counts.
 //!
-//! Bytes are those that have to come from or go to memory once if caches were perfect within a pass and empty between
-//! passes. Operations are single-precision ones, a multiply-add counting two, as in the ceiling's arithmetic rate; an
-//! exponential, root or division counts four. Both are taken from the stage's definition, with what the plan's
-//! specialization constants say about it, and not from what a kernel happens to do: a kernel that does more than it must
-//! shows a lower share.
+//! Measured times are compared with these numbers. Bytes are those that must come from or go to memory once, if caches
+//! are perfect within a pass and empty between passes. Operations are in single precision; a multiply-add counts two,
+//! as in the arithmetic rate of the ceiling. An exponential, root or division counts four. Both follow from the stage's
+//! definition and the plan's specialization constants, not from the kernel's code. A kernel that does more than
+//! necessary shows a lower share.
 
 mod environment;
 mod material;
@@ -20,18 +20,18 @@ use sgs_engine::graph::{Dispatch, Pass, PassKind, Plan};
 /// Counts that costs depend on; means over the measured steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Counts {
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: f64,
-    /// Of the Gaussians, those that a view sees.
+    /// Gaussians that are visible in a view.
     pub visible: f64,
     /// Tile entries.
     pub entries: f64,
     /// Pixels of a view.
     pub pixels: f64,
-    /// Pairs of entry and pixel that blending must try: every entry of a tile at each of its pixels until that pixel is
-    /// opaque.
+    /// Pairs of entry and pixel that blending must test. These are all entries of a tile at each of its pixels, until
+    /// the pixel is opaque.
     pub pairs: f64,
-    /// Scalars of a Gaussian.
+    /// Scalars per Gaussian.
     pub width: f64,
     /// Elements of a primitive that is measured on its own.
     pub elements: f64,
@@ -41,17 +41,17 @@ pub struct Counts {
     pub samples: f64,
     /// Pixels of a region.
     pub masked: f64,
-    /// Pixels at which features are wanted.
+    /// Pixels at which features are blended.
     pub wanted: f64,
     /// Lights that are on.
     pub lights: f64,
     /// Entries of hash tables that a step touches.
     pub touched: f64,
-    /// Entries of the sparse matrix that blends a view's materials, if geometry stands still.
+    /// Entries of the sparse matrix of blending weights, if geometry is fixed.
     pub weights: f64,
 }
 
-/// What a pass costs.
+/// Cost of a pass.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Cost {
     /// Bytes read and written.
@@ -60,7 +60,7 @@ pub struct Cost {
     pub operations: f64,
 }
 
-/// What all passes of a plan cost, and how many of them no model knows.
+/// Returns the cost of all passes of a plan. The second value is the number of passes without a cost model.
 pub fn of_plan(plan: &Plan, counts: &Counts) -> (Cost, usize) {
     let mut all = (Cost::default(), 0);
     for pass in &plan.passes {
@@ -69,7 +69,7 @@ pub fn of_plan(plan: &Plan, counts: &Counts) -> (Cost, usize) {
                 all.0.bytes += c.bytes;
                 all.0.operations += c.operations;
             }
-            // Where it takes several passes, the first of them stands for all.
+            // If the backward pass takes several dispatches, the first carries the cost of all.
             None if matches!(&pass.kind, PassKind::Compute { shader, .. } if shader.name == "blend_features_bwd") => {}
             None => all.1 += 1,
         }
@@ -77,18 +77,18 @@ pub fn of_plan(plan: &Plan, counts: &Counts) -> (Cost, usize) {
     all
 }
 
-/// What the plan says about a pass.
+/// Description of a pass in the plan.
 struct Stage<'p> {
     kernel: &'p str,
-    /// Specialization constants by name, absent ones 0.
+    /// Specialization constants by name; absent ones are 0.
     specs: &'p dyn Fn(&str) -> f64,
     /// Push constants as words.
     push: &'p dyn Fn(usize) -> f64,
-    /// Workgroups along x, where the plan knows.
+    /// Workgroups along x, if the plan knows them.
     groups: f64,
 }
 
-/// The cost of a pass; none if the model does not know its kernel.
+/// Returns the cost of a pass, or `None` for an unknown kernel.
 pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
     match &pass.kind {
         PassKind::Fill { target, .. } => Some(Cost { bytes: target.bytes as f64, operations: 0.0 }),
@@ -97,7 +97,7 @@ pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
         | PassKind::CopyFromImage { target: slice, .. } => {
             Some(Cost { bytes: 2.0 * slice.bytes as f64, operations: 0.0 })
         }
-        // Every texel once; how many there are is the plan's knowledge.
+        // Every texel is written once; the plan knows the number of texels.
         PassKind::ClearImage { .. } => {
             let bytes = pass.accesses.iter().map(|(slice, ..)| slice.bytes as f64).sum();
             Some(Cost { bytes, operations: 0.0 })
@@ -120,11 +120,11 @@ pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
     }
 }
 
-/// How many elements a primitive works on, by whose it is: names of a pseudo-view's passes begin with it.
+/// Returns the number of elements of a primitive, from its pass name. Names of a pseudo-view's passes begin with it.
 fn elements(pass: &str, c: &Counts) -> f64 {
     let mut parts = pass.split('.').skip_while(|part| part.starts_with("pseudo"));
     match parts.next().unwrap_or(pass) {
-        // One count a workgroup of 256 Gaussians.
+        // One count per workgroup of 256 Gaussians.
         "project_scan" => (c.gaussians / 256.0).ceil(),
         "depth_sort" | "entry_scan" => c.visible,
         "tile_sort" => c.entries,
@@ -145,7 +145,7 @@ mod tests {
     use sgs_engine::graph::Graph;
 
     #[test]
-    fn a_sort_moves_twenty_bytes_an_element_and_digit() {
+    fn radix_sort_moves_twenty_bytes_per_element_and_digit() {
         let mut g = Graph::new("sort");
         let n = 1 << 20;
         let keys = g.input("keys", 4 * n);
@@ -157,10 +157,10 @@ mod tests {
         let counts = Counts { elements: n as f64, ..Default::default() };
         let passes = plan.passes.iter().filter(|p| p.name.starts_with("sort."));
         let bytes: f64 = passes.map(|p| cost(p, &counts).unwrap_or_else(|| panic!("{}", p.name)).bytes).sum();
-        // Four digits of 20 bytes, 4 less for the values that the first one makes, and 16 for each value of the digit
-        // and block: 1 an element and digit.
+        // Four digits of 20 bytes, 4 less for the values that the first digit generates. Per value of the digit and
+        // block, 16 more: 1 per element and digit.
         assert!((bytes / n as f64 - (4.0 * 21.0 - 4.0)).abs() < 0.5, "{}", bytes / n as f64);
-        // The copy on top, read and written.
+        // The copy adds one read and one write.
         let (all, unknown) = of_plan(&plan, &counts);
         assert!(unknown == 0 && (all.bytes - bytes - 8.0 * n as f64).abs() < 1.0, "{all:?} {bytes}");
     }

@@ -1,40 +1,43 @@
-//! The cost of each kernel. Where a number is not obvious, its line says where it comes from.
+//! Costs of the kernels. The line of a number that is not obvious names its terms.
 
 use super::{Cost, Counts, Stage};
 
-/// Projecting one Gaussian: camera space 18, rotation matrix 30, its product with scales and the camera's rotation 60,
-/// the rows of the Jacobian 20, covariance and determinant 35, the triangular factor 25, four exponentials 16.
+/// Operations of projecting one Gaussian. Camera space 18, rotation matrix 30, its product with scales and the camera's
+/// rotation 60. Rows of the Jacobian 20, covariance and determinant 35, triangular factor 25, four exponentials 16.
 const PROJECT: f64 = 204.0;
 
-/// Its parameters that projection reads: mean 3, log scale 3, quaternion 4, opacity 1.
+/// Bytes of the parameters that projection reads. Mean 3, log scale 3, quaternion 4, opacity 1.
 const SHAPE_BYTES: f64 = 44.0;
 
-/// Backward of the above: covariance 60, Jacobian 50, matrices 115, quaternion 50, the forward values again 204.
+/// Operations of the backward pass of projection. Covariance 60, Jacobian 50, matrices 115, quaternion 50, the forward
+/// values recomputed 204.
 const PROJECT_BWD: f64 = 479.0;
 
-/// An Adam step of one scalar: two moments 7, corrections, root and division 12.
+/// Operations of an Adam step of one scalar. Two moments 7, corrections, root and division 12.
 const ADAM: f64 = 19.0;
 
-/// A splat's footprint: mean 2, factor 3, opacity 1.
+/// Bytes of a splat's footprint. Mean 2, factor 3, opacity 1.
 const SPLAT_BYTES: f64 = 24.0;
 
-/// Making all harmonics up to a degree and their dot product with three channels.
+/// Returns the operations of evaluating spherical harmonics up to a degree. They include the dot product with three
+/// channels.
 fn harmonics(degree: f64) -> f64 {
     (degree + 1.0).powi(2) * (3.0 * 2.0 + 4.0)
 }
 
-/// Every kernel but the primitives' and densification's. `elements`: of a primitive.
+/// Returns the cost of a kernel of any module. `elements`: number of elements of a primitive.
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
     let spec = s.specs;
     let (n, v, e, p) = (c.gaussians, c.visible, c.entries, c.pixels);
     let channels = spec("CHANNELS");
-    // What blending fetches for an entry: its number, its splat, footprint and features; what it leaves backward.
+    // Bytes that blending fetches for an entry: its index, its splat, footprint and features. Then bytes that it writes
+    // backward.
     let words = channels - if spec("COLOR_BITS") == 16.0 { 1.0 } else { 0.0 };
     let fetched = 8.0 + SPLAT_BYTES + 4.0 * words;
     let own = if spec("STATISTIC") > 0.0 { 2.0 } else { 0.0 };
     let gradients = 4.0 * (6.0 + channels + spec("WEIGHTS") + own);
     let (bytes, operations) = match s.kernel {
-        // And a bit of each Gaussian.
+        // Also one bit per Gaussian.
         "project_count" => ((SHAPE_BYTES + 0.125) * n, PROJECT * n),
         "project" => {
             let degree = spec("SH_DEGREE");
@@ -45,21 +48,22 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         }
         "intersect" => ((16.0 + SPLAT_BYTES) * v + 8.0 * e, 90.0 * v + 10.0 * e),
         "tile_ranges" => (4.0 * e, 2.0 * e),
-        // Ranges of the tiles, as many as the first push constant says.
+        // Ranges of the tiles; the first push constant is their number.
         "long_tiles" => (8.0 * (s.push)(0), 2.0 * (s.push)(0)),
-        // A pair: distance 2, factor 5, square 3, exponential 4, opacity and thresholds 3, transmittance 3; 2 a channel.
+        // A pair: distance 2, factor 5, square 3, exponential 4, opacity and thresholds 3, transmittance 3; 2 per
+        // channel.
         "blend" => (fetched * e + 4.0 * (channels + 1.0) * p, (20.0 + 2.0 * channels) * c.pairs),
-        // As above, and weights and debts 8, the derivative of alpha 8, six moments 9; 4 a channel.
+        // As above, and weights and debts 8, the derivative of alpha 8, six moments 9; 4 per channel.
         "blend_bwd" | "blend_bwd_splat" => {
             ((fetched + gradients) * e + 4.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels + 8.0 * own) * c.pairs)
         }
-        // Each sum is read and written where it is added.
+        // Each addition to a sum reads and writes it.
         "blend_bwd_atomic" => {
             let operations = 45.0 + 4.0 * channels + 8.0 * own;
             ((fetched + 2.0 * gradients) * e + 4.0 * (channels + 1.0) * p, operations * c.pairs)
         }
-        // The separable window without margins: 11 taps, down and across, on 4 (backward 3) values of 3 channels.
-        // Pixels are interleaved: whoever reads three channels fetches all.
+        // Separable window without margins: 11 taps, down and across, on 4 (backward 3) values of 3 channels. Pixels
+        // are interleaved: reading three channels fetches all.
         "photometric" => ((4.0 * channels + 4.0 + 36.0) * p, 3.0 * (4.0 * 11.0 * 4.0 + 60.0) * p),
         "blend_debt" => ((8.0 * (channels + 1.0) + 4.0) * p, 2.0 * (channels + 1.0) * p),
         "photometric_bwd_in_place" => ((36.0 + 12.0 + 4.0 + 12.0 + 4.0) * p, 3.0 * (3.0 * 11.0 * 4.0 + 22.0) * p),
@@ -72,10 +76,10 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
             let summed = if spec("REDUCED") > 0.0 { v } else { e };
             (gradients * summed + gaussian * v, (6.0 + channels) * summed + arithmetic * v)
         }
-        // Of what a view did not see, as if that were everything.
+        // Elements that a view does not see, counted as if no element was visible.
         "adam" | "adam_unseen" => (28.0 * elements, ADAM * elements),
         "opacity_reset" => (16.0 * n, 4.0 * n),
-        // A single workgroup, as small as it looks.
+        // A single workgroup, which takes little time.
         "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),
         _ => {
             return primitive(s, elements)
@@ -91,10 +95,10 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
     Some(Cost { bytes, operations })
 }
 
-/// Scans and sorts of so many elements.
+/// Returns the cost of a scan or sort of `n` elements.
 fn primitive(s: &Stage<'_>, n: f64) -> Option<Cost> {
     let spec = s.specs;
-    // A block is what one workgroup takes; `radix_scatter_direct` has workgroups of one subgroup.
+    // A block is the elements of one workgroup; `radix_scatter_direct` has workgroups of one subgroup.
     let workgroup = if spec("WORKGROUP") > 0.0 { spec("WORKGROUP") } else { spec("SUBGROUP") };
     let blocks = (n / (workgroup * spec("ITEMS")).max(1.0)).ceil();
     let counters = 4.0 * blocks * spec("BITS").exp2();
@@ -102,7 +106,7 @@ fn primitive(s: &Stage<'_>, n: f64) -> Option<Cost> {
         "scan_reduce" => (4.0 * n, n),
         "scan_gather" => (12.0 * n, n),
         "scan_down" | "scan_down_in_place" => (8.0 * n, 2.0 * n),
-        // Block sums in rows, one a workgroup; the second push constant is the size of a block.
+        // Block sums in rows, one per workgroup; the second push constant is the size of a block.
         "scan_spine" => {
             let sums = s.groups * (n / (s.push)(1).max(1.0)).ceil();
             (8.0 * sums, 2.0 * sums)
@@ -118,7 +122,8 @@ fn primitive(s: &Stage<'_>, n: f64) -> Option<Cost> {
     Some(Cost { bytes, operations })
 }
 
-/// Densification: 72 bytes of parameters and statistics decide; flags, ranks and lists follow; then what is copied.
+/// Returns the cost of a densification kernel. 72 bytes of parameters and statistics decide; flags, ranks and lists
+/// follow; then the copies.
 fn densify(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let n = c.gaussians;
     let bytes = match s.kernel {

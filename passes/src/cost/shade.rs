@@ -1,31 +1,32 @@
-//! The cost of the kernels of shading. A pair of pixel and light that face each other is taken to be one of two.
+//! Costs of the shading kernels. Half of the pairs of pixel and light are assumed to face each other.
 
 use super::{Cost, Counts, Stage};
 
-/// Direction, distance and cosine: of every pair.
+/// Operations of every pair: direction, distance and cosine.
 const RAY: f64 = 20.0;
 
-/// A lobe at a direction: scaled difference 6, its square 5, exponential 4, three channels 6.
+/// Operations of a lobe at a direction: scaled difference 6, its square 5, exponential 4, three channels 6.
 const LOBE: f64 = 21.0;
 
-/// A surface in a light: half vector 20, highlight and masking 45, sums 35.
+/// Operations of a surface in a light: half vector 20, highlight and masking 45, sums 35.
 const SURFACE: f64 = 100.0;
 
-/// What training adds: the logarithmic derivative by roughness and three sums.
+/// Additional operations of training: logarithmic derivative by roughness, and three sums.
 const BY_ROUGHNESS: f64 = 35.0;
 
-/// Backward a lobe: the above, weights 3, their product with amplitudes 5, what axis, sharpness and amplitudes add 11, the
-/// derivative by the direction 8.
+/// Operations of a lobe's backward pass. The forward pass, weights 3, their product with amplitudes 5, contributions to
+/// axis, sharpness and amplitudes 11, the derivative by the direction 8.
 const LOBE_BWD: f64 = 48.0;
 
-/// And a surface: the above without the sums, the derivatives of masking, highlight and Fresnel term, the place.
+/// Operations of a surface's backward pass. The forward pass without the sums, the derivatives of masking, highlight
+/// and Fresnel term, the position.
 const SURFACE_BWD: f64 = 200.0;
 
-/// Point 3, normal 3, coverage 1, material 4.
+/// Bytes of a pixel. Point 3, normal 3, coverage 1, material 4.
 const PIXEL_BYTES: f64 = 44.0;
 
-/// A kernel's cost, if it is one of these. With the visibility field: that of a plain one, and the field at each pixel and at each
-/// pair that faces each other.
+/// Returns the cost of a kernel of this module, or `None` for others. With the visibility field it is the cost of the
+/// plain kernel, plus the field at each pixel and at each pair that faces each other.
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     match super::visibility::portable(s.kernel).strip_suffix("_field") {
         Some(kernel) => {
@@ -37,7 +38,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     }
 }
 
-/// Operations of a pair that faces each other.
+/// Returns the operations of a pair that faces each other.
 pub(super) fn pair(lobes: f64) -> f64 {
     RAY + LOBE * lobes + SURFACE
 }
@@ -54,7 +55,7 @@ fn plain(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         }
         "lights" => ((PIXEL_BYTES + 12.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p),
         "lights_split" => ((PIXEL_BYTES + 24.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p),
-        // A byte a pair beside.
+        // Also one byte per pair.
         "lights_train_traced" => {
             let left = 36.0 + 28.0 * metallic + c.lights;
             ((PIXEL_BYTES + left) * p, c.lights * (RAY + facing + 0.5 * BY_ROUGHNESS) * p)
@@ -76,7 +77,7 @@ fn plain(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let facing = 0.5 * (LOBE * lobes + SURFACE_BWD);
             ((PIXEL_BYTES + 24.0 + 4.0 * metallic) * p, c.lights * (RAY + facing) * p)
         }
-        // Three differences, their square, a comparison and what it selects.
+        // Three differences, their square, a comparison and its selection.
         "lights_near" => (16.0 * p + 8.0 * c.lights * s.groups, 10.0 * c.lights * p),
         "lights_regularize" => {
             let sums = (s.push)(0) * (s.push)(1);

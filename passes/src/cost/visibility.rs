@@ -1,23 +1,25 @@
-//! The cost of the kernels of the visibility field.
+//! Costs of the kernels of the visibility field.
 
 use super::{Cost, Counts, Stage};
 
-/// Multiply-adds of a pair in the split first layer, the second and the last; two operations each. Direction, distance and the
-/// squashing function 25.
+/// Operations of a pair. Multiply-adds of the split first layer, the second and the last, two operations each;
+/// direction, distance and the squashing function 25.
 const PAIR: f64 = 2.0 * (4.0 * 32.0 + 1024.0 + 32.0) + 25.0;
 
-/// Backward: the second layer's weights and inputs, the rest of the layers twice, the light's place 60.
+/// Operations of a pair's backward pass. Weights and inputs of the second layer, the other layers twice, the light's
+/// position 60.
 const PAIR_BWD: f64 = 2.0 * (2.0 * 1024.0 + 2.0 * 5.0 * 32.0 + 4.0 * 32.0) + 60.0;
 
-/// A corner of a cell: its place and weight 12, hash 6, two features 4.
+/// Operations of a corner of a cell: its position and weight 12, hash 6, two features 4.
 const CORNER: f64 = 22.0;
 
-/// An entry where it is looked up.
+/// Returns the bytes of an entry in a lookup.
 fn entry_bytes(s: &Stage<'_>) -> f64 {
     if (s.specs)("TABLE_BITS") == 16.0 { 4.0 } else { 8.0 }
 }
 
-/// What the field costs a kernel that asks it at each pixel, and of each pair of which one of two faces the other.
+/// Returns the cost of the field in a kernel that evaluates it at each pixel. Of the pairs, half face each other and
+/// are evaluated.
 pub(super) fn field(s: &Stage<'_>, c: &Counts) -> Cost {
     let levels = (s.specs)("LEVELS");
     let corners = 8.0 * levels;
@@ -28,17 +30,18 @@ pub(super) fn field(s: &Stage<'_>, c: &Counts) -> Cost {
     }
 }
 
-/// The kernel that does the same in 32 bits. What is worked out is the same, so products on matrix units count as any others.
+/// Returns the name of the kernel that computes the same in 32 bits. Products on matrix units count as any others,
+/// since the result is the same.
 pub(super) fn portable(kernel: &str) -> &str {
     kernel.strip_suffix("_cooperative").or_else(|| kernel.strip_suffix("_halves")).unwrap_or(kernel)
 }
 
-/// A kernel's cost, if it is one of these.
+/// Returns the cost of a kernel of this module, or `None` for others.
 pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let spec = s.specs;
     let (p, pairs, levels) = (c.pixels, c.pixels * c.lights, spec("LEVELS"));
     let (corners, entry) = (8.0 * levels, entry_bytes(s));
-    // What the first layer makes of a point.
+    // First layer of a point.
     let project = 2.0 * 32.0 * 2.0 * levels;
     let (bytes, operations) = match portable(s.kernel) {
         "visibility" => {
@@ -50,13 +53,13 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let moved = spec("REGULARIZED");
             ((28.0 + 256.0 + 128.0 * moved) * p, ((1.0 + moved) * PAIR + PAIR_BWD) * pairs)
         }
-        // The light of a pair on top; half of the pairs face, and one of so many is taken.
+        // Additional cost of a pair's light. Half of the pairs face each other, and one in `SAMPLE` is evaluated.
         "visibility_lights_bwd" => {
             let (moved, taken) = (spec("REGULARIZED"), 0.5 * pairs / spec("SAMPLE").max(1.0));
             let light = super::shade::pair(spec("LOBES"));
             ((72.0 + 256.0 + 128.0 * moved) * p, ((1.0 + moved) * PAIR + PAIR_BWD + light) * taken)
         }
-        // Entries are read for the weights, and two sums of two words each changed for the tables.
+        // The kernel reads entries for the weights, and changes two sums of two words each for the tables.
         "visibility_encode_bwd" => {
             ((16.0 + 128.0 + (32.0 + entry) * corners) * p, (2.0 * CORNER * corners + 2.0 * project) * p)
         }
@@ -65,7 +68,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             let sums = 1184.0 * pairs + 64.0 * levels * points;
             (4.0 * sums, sums)
         }
-        // Bits of all entries; gradients, parameters and moments of those that were touched.
+        // Bits of all entries; gradients, parameters and moments of touched entries.
         "visibility_adam_packed" => (4.0 * (s.push)(0) + 84.0 * c.touched, 60.0 * c.touched),
         "visibility_adam" => (4.0 * (s.push)(0) + 80.0 * c.touched, 40.0 * c.touched),
         "visibility_adam_layers" => (28.0 * (s.push)(0), 19.0 * (s.push)(0)),

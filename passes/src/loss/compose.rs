@@ -1,41 +1,41 @@
-//! `compose`, `compose_bwd`: light over a background as the picture that photographs are compared with, and the way back.
+//! `compose`, `compose_bwd`: composition of light over a background, and its backward pass.
 //!
-//! Direct and ambient light are linear, and so is their sum; times the coverage, over the background (display-referred in the
-//! step, decoded here), it is encoded in sRGB (IEC 61966-2-1) and cut off at black and white. What is cut off has no
-//! gradient: a light that is too bright everywhere stays so. With [`Compose::returning`] such a pixel keeps the gradients
-//! that lead it back, with the slope at white. How many pixels are cut off at white is counted.
+//! The result is the image that the photometric loss compares with photographs. Direct and ambient light are linear and
+//! added. The sum is multiplied by the coverage and composed over the background, which the step holds display-referred
+//! and the kernel decodes. The result is encoded in sRGB (IEC 61966-2-1) and clipped at black and white. Clipped values
+//! have no gradient, so a light that is too bright everywhere stays too bright. The kernel counts the
+//! pixels clipped at white.
 //!
-//! Promises: every pixel of the view is written, nothing behind them is touched; pixels whose coverage is below 1e-3 show the
-//! background and get no gradient; light that is not finite is black and gets none either; counts are exact below 2^24.
+//! Guarantees: every pixel of the view is written, nothing after them is changed. Pixels with a coverage below 1e-3
+//! show the background and get no gradient. Non-finite light is black and gets no gradient. Counts are exact below
+//! 2^24.
 //!
-//! Cost a pixel: 28 bytes read, 12 written; backward 40 and 12. 3 powers each, 3 more for the background.
+//! Cost per pixel: 28 bytes read, 12 written; backward 40 and 12. 3 powers each, 3 more for the background.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{compose as forward, compose_bwd as backward};
 
-/// What is composed.
+/// Inputs of the composition.
 #[derive(Clone, Copy, Debug)]
 pub struct Compose {
     /// Uniform `Step`: size of the view, background.
     pub step: Buffer,
-    /// `[P * 3]` floats: light of lamps, linear, if there are any.
+    /// `[P * 3]` floats: direct light of light sources, linear, if any.
     pub direct: Option<Buffer>,
-    /// `[P * 3]` floats: light of the surroundings, linear, if there are any.
+    /// `[P * 3]` floats: ambient light of the environment map, linear, if any.
     pub ambient: Option<Buffer>,
     /// `[P]` floats: blended opacity.
     pub coverage: Buffer,
-    /// Whether what was cut off keeps gradients that lead it back.
-    pub returning: bool,
-    /// Columns and rows that no view exceeds, each for itself.
+    /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],
 }
 
-/// Pixels that were cut off at white.
+/// Counts of pixels clipped at white.
 #[derive(Clone, Copy, Debug)]
 pub struct Saturated {
-    /// Their number by workgroup, as floats.
+    /// Count by workgroup, as floats.
     pub sums: Buffer,
     /// Number of workgroups.
     pub count: u32,
@@ -56,7 +56,7 @@ pub fn compose(g: &mut Graph, tuning: Tuning, a: &Compose, image: Buffer) -> Res
     let sums = g.transient("compose.sums", 4 * u64::from(count));
     let bindings = forward::Bindings {
         params: a.step.into(),
-        // What is absent is bound to something that the specialized kernel never touches.
+        // Absent inputs are bound to a buffer that the specialized kernel never reads.
         direct: a.direct.unwrap_or(a.coverage).into(),
         ambient: a.ambient.unwrap_or(a.coverage).into(),
         coverage: a.coverage.into(),
@@ -70,7 +70,7 @@ pub fn compose(g: &mut Graph, tuning: Tuning, a: &Compose, image: Buffer) -> Res
     Ok(Saturated { sums, count })
 }
 
-/// Adds the pass that writes `radiance_gradient` (`[P * 3]` floats), which is that of direct and of ambient light.
+/// Adds the pass that writes `radiance_gradient` (`[P * 3]` floats). Direct and ambient light have this same gradient.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -90,7 +90,7 @@ pub fn compose_bwd(
         radiance_gradient: radiance_gradient.into(),
     };
     let (direct, ambient) = (a.direct.is_some(), a.ambient.is_some());
-    let specs = backward::Specs { workgroup: tuning.workgroup, direct, ambient, returning: a.returning };
+    let specs = backward::Specs { workgroup: tuning.workgroup, direct, ambient };
     stage(g, "compose_bwd", &backward::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(a.pixels(), tuning.workgroup))
 }

@@ -1,25 +1,26 @@
-//! `region`, `correspondence_bwd`, `correspondence_train_bwd`: a region seen in the training view and in pseudo-views
-//! should have the same features and the same class.
+//! `region`, `correspondence_bwd`, `correspondence_train_bwd`: correspondence loss of semantic features.
 //!
-//! SGS-Intrinsic, stage I. For a training view and p pseudo-views, with a mask of the same region in each:
-//! * the distance |mean features of the pseudo-view's region - those of the training view's|;
-//! * the mean cross-entropy of the pseudo-view's pixels in the region to the class that most pixels of the training view's
-//!   region have. That class has no gradient.
+//! A region of the training view should have the same features and the same class in pseudo-views. SGS-Intrinsic, stage
+//! I. Inputs are a training view and p pseudo-views, with a mask of the same region in each. Terms:
+//! * distance |mean features of the pseudo-view's region - mean features of the training view's region|;
+//! * mean cross-entropy of the pseudo-view's pixels in the region to the most frequent class in the training view's
+//!   region. That class has no gradient.
 //!
-//! Both are averaged over the pseudo-views (the paper writes a sum: with two, twice as much), times
-//! `weight_correspondence`. A pseudo-view whose region, or the training view's, has fewer than 16 pixels counts as 0; the
-//! mean is over all p nevertheless. Pixels with features that are not finite belong to no region.
+//! Both are averaged over the pseudo-views and multiplied by `weight_correspondence`. The paper writes a sum: with two
+//! pseudo-views, twice as much. A pseudo-view contributes 0 if its region, or the training view's, has fewer than 16
+//! pixels; the mean is still over all p. Pixels with non-finite features belong to no region.
 //!
-//! In two stages, so that a pipeline can render between them: [`region`] for every picture, then the gradients.
-//! `correspondence_bwd` writes the feature channels of a pseudo-view's gradient at the pixels of its mask, and nowhere else:
-//! nobody reads others ([`crate::splat::blend_features_bwd`] with the mask as what is wanted). `correspondence_train_bwd`
-//! adds to those of the training view's mask, which must have been written ([`super::semantic_loss`] with the mask among
-//! what is wanted). Both without float atomics; the classes of pixels are counted with whole ones. All go through lists of
-//! the masks' pixels, so the cost follows the region's size.
+//! The loss has two stages, so that a pipeline can render between them: [`region`] for every image, then the gradients.
+//! `correspondence_bwd` writes the feature channels of a pseudo-view's gradient at the pixels of its mask only. No
+//! other pixels are read ([`crate::splat::blend_features_bwd`] with the mask as the selected pixels).
+//! `correspondence_train_bwd` adds to the gradients at the training view's mask, which must have been written
+//! ([`super::semantic_loss`] with the mask among the selected pixels). Neither uses float atomics; classes of pixels
+//! are counted with integer atomics. All kernels process lists of the masks' pixels, so the cost follows the region's
+//! size.
 //!
-//! Cost. `region_sums`: 128 bytes and 32 (and 66 C in the training view) operations a pixel in the mask;
-//! `correspondence_bwd`: 256 bytes and about 5000 + 270 C operations a pixel in the mask;
-//! `correspondence_train_bwd`: 384 bytes a pixel in the mask.
+//! Cost. `region_sums`: 128 bytes and 32 operations per pixel of the mask, and 66 C more operations in the training
+//! view. `correspondence_bwd`: 256 bytes and about 5000 + 270 C operations per pixel of the mask.
+//! `correspondence_train_bwd`: 384 bytes per pixel of the mask.
 
 use super::semantic::{Head, Prepared, batch_groups, partials, reduce};
 use crate::Tuning;
@@ -29,10 +30,10 @@ use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::structs::Region;
 use sgs_shaders::{correspondence_bwd as pseudo, correspondence_train_bwd as train, region_finish, region_sums};
 
-/// A picture, and where the region is in it.
+/// Image with the mask of a region.
 #[derive(Clone, Copy, Debug)]
-pub struct Pictured {
-    /// Uniform `Step` of this picture: its size, `mask_offset`, weights.
+pub struct ImagePart {
+    /// Uniform `Step` of this image: its size, `mask_offset`, weights.
     pub step: Buffer,
     /// `[P * channels]` floats.
     pub image: Buffer,
@@ -40,68 +41,68 @@ pub struct Pictured {
     pub channels: u32,
     /// Channel of the first of the 32 features.
     pub first: u32,
-    /// Columns and rows that no view exceeds, each for itself.
+    /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],
-    /// A bit a pixel ([`pack_mask`]), from word `mask_offset`.
+    /// One bit per pixel ([`pack_mask`]), from word `mask_offset`.
     pub mask: Buffer,
 }
 
-/// The regions of a training view and its pseudo-views.
+/// Region statistics of a training view and its pseudo-views.
 #[derive(Clone, Copy, Debug)]
 pub struct Regions {
-    /// `[1 + pairs]` of `Region`: the training view's first.
+    /// `[1 + pairs]` records of `Region`, the training view's first.
     pub buffer: Buffer,
-    /// How many pseudo-views.
+    /// Number of pseudo-views.
     pub pairs: u32,
 }
 
-/// What the gradients of the pseudo-views leave.
+/// Loss sums of the pseudo-views.
 #[derive(Clone, Copy, Debug)]
 pub struct Correspondence {
     /// Cross-entropy by pseudo-view and workgroup.
     pub sums: Buffer,
-    /// Workgroups of a pseudo-view.
+    /// Number of workgroups of a pseudo-view.
     pub count: u32,
-    /// From the sums of one pseudo-view to those of the next.
+    /// Distance from the sums of one pseudo-view to those of the next, in floats.
     pub pitch: u32,
 }
 
 const REGION: u64 = size_of::<Region>() as u64;
 
-/// A mask as bits: pixel p is bit p % 32 of word p / 32.
+/// Packs a mask into bits: pixel p is bit p % 32 of word p / 32.
 pub fn pack_mask(mask: &[bool]) -> Vec<u32> {
     let word = |bits: &[bool]| bits.iter().enumerate().fold(0, |w, (i, &b)| w | u32::from(b) << i);
     mask.chunks(32).map(word).collect()
 }
 
-/// Declares room for the regions.
+/// Declares the buffer of the regions.
 pub fn regions(g: &mut Graph, pairs: u32) -> Regions {
     Regions { buffer: g.transient("correspondence.regions", u64::from(1 + pairs) * REGION), pairs }
 }
 
-fn slice(regions: &Regions, picture: u32) -> Slice {
-    regions.buffer.slice(u64::from(picture) * REGION, REGION)
+fn slice(regions: &Regions, rendered: u32) -> Slice {
+    regions.buffer.slice(u64::from(rendered) * REGION, REGION)
 }
 
-/// Workgroups that share the words of a mask.
-fn list_groups(tuning: Tuning, p: &Pictured, classes: u32) -> u32 {
+/// Returns the number of workgroups that share the words of a mask.
+fn list_groups(tuning: Tuning, p: &ImagePart, classes: u32) -> u32 {
     let pixels = u64::from(p.largest[0]) * u64::from(p.largest[1]);
     batch_groups(tuning, pixels, 32 * tuning.subgroup_size, 128 + 2 * classes)
 }
 
-/// Adds the passes that work out the region of a picture: 0 is the training view, others are pseudo-views.
+/// Adds the passes that compute the region of an image. Image 0 is the training view, the others are pseudo-views.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn region(
     g: &mut Graph,
-    p: &Pictured,
+    p: &ImagePart,
     head: &Head,
     prepared: &Prepared,
     into: &Regions,
-    picture: u32,
+    rendered: u32,
 ) -> Result<(), GraphError> {
-    let name = |what: &str| format!("region{picture}.{what}");
+    let name = |what: &str| format!("region{rendered}.{what}");
     let count = list_groups(prepared.tuning, p, head.classes);
     let sums = g.transient(name("sums"), u64::from(count) * 4 * AUGMENTED as u64);
     let histogram = g.transient(name("histogram"), 4 * u64::from(head.classes));
@@ -121,13 +122,16 @@ pub fn region(
         classes: head.classes,
         channels: p.channels,
         first: p.first,
-        classify: picture == 0,
+        classify: rendered == 0,
     };
     stage(g, &name("sum"), &region_sums::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(subgroup))
         .dispatch([count, 1, 1])?;
-    let bindings =
-        region_finish::Bindings { region_sums: sums.into(), histogram: histogram.into(), region: slice(into, picture) };
+    let bindings = region_finish::Bindings {
+        region_sums: sums.into(),
+        histogram: histogram.into(),
+        region: slice(into, rendered),
+    };
     let specs = region_finish::Specs { workgroup: 64, classes: head.classes };
     let push = region_finish::Push { groups: count };
     let name = name("finish");
@@ -135,25 +139,26 @@ pub fn region(
         .dispatch([1, 1, 1])
 }
 
-/// Adds the gradients of the pseudo-views, each with the buffer it goes to, and adds to `prepared.accumulated`. The
-/// pictures are those of regions 1, 2, and so on, and all have the same `largest`.
+/// Adds the gradient passes of the pseudo-views. Each image comes with the gradient buffer that its passes write. The
+/// passes also add to `prepared.accumulated`. The images are those of regions 1, 2, and so on, and have the same
+/// `largest`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn correspondence_bwd(
     g: &mut Graph,
     tuning: Tuning,
-    pictures: &[(Pictured, Buffer)],
+    images: &[(ImagePart, Buffer)],
     head: &Head,
     prepared: &Prepared,
     from: &Regions,
 ) -> Result<Correspondence, GraphError> {
-    let count = pictures.iter().map(|(p, _)| list_groups(tuning, p, head.classes)).max().unwrap_or(1);
-    // Each pseudo-view's sums are bound on their own, which asks for some alignment.
+    let count = images.iter().map(|(p, _)| list_groups(tuning, p, head.classes)).max().unwrap_or(1);
+    // Sums of each pseudo-view have their own binding, which requires alignment.
     let pitch = count.next_multiple_of(64);
     let bytes = 4 * u64::from(pitch);
-    let sums = g.transient("correspondence.sums", bytes * pictures.len().max(1) as u64);
-    for (i, (p, grad_image)) in pictures.iter().enumerate() {
+    let sums = g.transient("correspondence.sums", bytes * images.len().max(1) as u64);
+    for (i, (p, grad_image)) in images.iter().enumerate() {
         let name = format!("correspondence{i}");
         let partials = partials(g, &name, head.classes, count);
         let bindings = pseudo::Bindings {
@@ -174,7 +179,7 @@ pub fn correspondence_bwd(
             channels: p.channels,
             first: p.first,
         };
-        let push = pseudo::Push { share: 1.0 / pictures.len() as f32 };
+        let push = pseudo::Push { share: 1.0 / images.len() as f32 };
         let bytes = bytemuck::bytes_of(&push);
         stage(g, &format!("{name}.bwd"), &pseudo::KERNEL, bindings.entries(), specs.entries(), bytes)
             .subgroup_size(Some(tuning.subgroup_size))
@@ -184,14 +189,14 @@ pub fn correspondence_bwd(
     Ok(Correspondence { sums, count, pitch })
 }
 
-/// Adds the training view's part to `grad_image`, whose feature channels must have been written.
+/// Adds the training view's gradients to `grad_image`. Its feature channels must have been written.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn correspondence_train_bwd(
     g: &mut Graph,
     tuning: Tuning,
-    p: &Pictured,
+    p: &ImagePart,
     from: &Regions,
     grad_image: Buffer,
 ) -> Result<(), GraphError> {
@@ -214,7 +219,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn masks_are_bits_from_the_lowest() {
+    fn pack_mask_starts_at_lowest_bit() {
         let mut mask = vec![false; 70];
         [0, 31, 33, 69].into_iter().for_each(|i| mask[i] = true);
         assert_eq!(pack_mask(&mask), [0x8000_0001, 2, 32]);

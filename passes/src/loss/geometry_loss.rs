@@ -1,30 +1,30 @@
-//! `geometry_loss`: what is asked of blended normals and depths, with the gradients.
+//! `geometry_loss`: losses of blended normals and depths, with their gradients.
 //!
-//! The geometry terms of the first stage (SGS-Intrinsic), each a mean over **all** pixels of the view:
-//! * `weight_normal`: 1 - cos of the angle between the blended normal and a prior one; pixels without a prior count as
-//!   0. Both in world space.
-//! * `weight_normal_smooth`: Sobel filters (over 8, border repeated) of the unit normal, absolute, times
-//!   `exp(-|Sobel of the photograph|)` channel by channel, summed over the two directions.
-//! * `weight_depth_smooth`: the same of depth, with the mean over the photograph's channels as the factor.
+//! Geometry terms of the first stage (SGS-Intrinsic), each a mean over **all** pixels of the view:
+//! * `weight_normal`: 1 - cos of the angle between the blended normal and a prior normal, both in world space. Pixels
+//!   without a prior contribute 0.
+//! * `weight_normal_smooth`: absolute Sobel responses (divided by 8, border repeated) of the unit normal, times
+//!   `exp(-|Sobel of the photograph|)` by channel, summed over both directions.
+//! * `weight_depth_smooth`: the same for depth; the factor is the mean over the photograph's channels.
 //! * `weight_depth_variance`: `sqrt(max(variance of depth along the ray, 1e-6))`.
 //!
-//! Depth is `sum(w z) / max(opacity, 1e-3)`, the unit normal `sum(w n) / max(length, 1e-3)`: the floors bound the
-//! gradients of pixels that are almost empty. The variance is a difference of squares: in 32 bits it is good to about
-//! 2e-7 of the squared depth, so scenes should be scaled to depths of a few units.
+//! Depth is `sum(w z) / max(opacity, 1e-3)`, the unit normal is `sum(w n) / max(length, 1e-3)`. The floors bound the
+//! gradients of nearly empty pixels. The variance is a difference of squares. Its error in 32 bits is about 2e-7 of the
+//! squared depth, so scenes should be scaled to depths of a few units.
 //!
-//! Promises: the channels of normals and depth are written for every pixel, and the gradient by transmittance as well
-//! (zero without depth); nothing behind the view's pixels is touched; the same bits from run to run. Whatever the model
-//! lacks is compiled out.
+//! Guarantees: the channels of normals and depth and the gradient by transmittance are written for every pixel; the
+//! latter is zero without depth. Nothing after the view's pixels is changed. Results are bit-identical between runs.
+//! Terms that the model lacks are compiled out.
 //!
-//! Cost a pixel with everything: 32 bytes read (60 from the caches with the margins), 24 written; about 450 operations,
-//! 6 exponentials among them.
+//! Cost per pixel with all terms: 32 bytes read (60 from caches, with the margins), 24 written; about 450 operations, 6
+//! exponentials among them.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::geometry_loss as kernel;
 
-/// What the losses work on.
+/// Inputs of the geometry losses.
 #[derive(Clone, Copy, Debug)]
 pub struct GeometryLoss {
     /// Uniform `Step`: size of the view, offset of its photograph and priors, weights.
@@ -33,33 +33,33 @@ pub struct GeometryLoss {
     pub image: Buffer,
     /// Floats of a pixel of `image` and of its gradient.
     pub channels: u32,
-    /// First of the three channels of normals, if they were blended.
+    /// First of the three channels of normals, if blended.
     pub normals: Option<u32>,
-    /// Channel of depth, followed by that of its square, if they were blended.
+    /// Channel of depth, if blended. The channel of squared depth follows.
     pub depth: Option<u32>,
     /// `[P]` floats.
     pub transmittance: Buffer,
     /// All photographs, packed RGBA8.
     pub targets: Buffer,
-    /// All prior normals ([`super::octahedral_encode`], world space), if there are any.
+    /// Prior normals of all views ([`super::octahedral_encode`], world space), if any.
     pub priors: Option<Buffer>,
-    /// Columns and rows that no view exceeds, each for itself.
+    /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],
 }
 
-/// What is left for [`super::loss_sum`].
+/// Result for [`super::loss_sum`].
 #[derive(Clone, Copy, Debug)]
 pub struct GeometrySums {
-    /// The four losses, summed by workgroup.
+    /// Four losses, summed by workgroup.
     pub sums: Buffer,
     /// Number of workgroups.
     pub count: u32,
 }
 
-/// Columns and rows of a tile: with its margins of 2 it is 32 columns wide, and its shared memory takes 30 KiB.
+/// Columns and rows of a tile. With margins of 2 a tile is 32 columns wide and takes 30 KiB of shared memory.
 const TILE: [u32; 2] = [28, 16];
 
-/// Adds the pass, which writes its channels of `grad_image` and all of `grad_transmittance`.
+/// Adds the pass of the losses. It writes its channels of `grad_image` and all of `grad_transmittance`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -82,7 +82,7 @@ pub fn geometry_loss(
         grad_transmittance: grad_transmittance.into(),
         sums: sums.into(),
     };
-    // On a GPU three runs of six rows keep 96 invocations busy; a CPU has no use for more than its lanes.
+    // On a GPU three runs of six rows occupy 96 invocations; a CPU gains nothing from more invocations than lanes.
     let wide = tuning.subgroup_size >= 32;
     let specs = kernel::Specs {
         workgroup: (4 * tuning.subgroup_size).min(96),

@@ -1,7 +1,8 @@
-//! `material_sum`: what the losses of materials came to, in a record of the step.
+//! `material_sum`: sum of the material losses into a record of the step.
 //!
-//! Promises the same bits from run to run on a device. Cost: 4 bytes a workgroup of `compose`, 8 of `edge_aware`; one
-//! workgroup. The photometric losses of the three pictures have records of their own ([`super::loss_sum`]).
+//! Guarantees: results are bit-identical between runs on a device. Cost: 4 bytes per workgroup of `compose`, 8 of
+//! `edge_aware`; one workgroup. The photometric losses of the three images have their own records
+//! ([`super::loss_sum`]).
 
 use super::{CrossView, EdgeSums, MsgLoss, Saturated};
 use crate::Tuning;
@@ -9,24 +10,24 @@ use crate::kernel::stage;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::material_sum as kernel;
 
-/// The losses that there are.
+/// Material losses of a step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MaterialLosses {
-    /// Pixels of the composed picture that are cut off.
+    /// Counts of composed pixels clipped at white.
     pub saturated: Option<Saturated>,
-    /// Smoothness.
+    /// Edge-aware smoothness.
     pub edge: Option<EdgeSums>,
-    /// Gradients against those of the priors.
+    /// Multi-scale gradient loss against the priors.
     pub msg: Option<MsgLoss>,
-    /// A region's albedo in several views.
+    /// Cross-view loss of a region's albedo.
     pub cross_view: Option<CrossView>,
-    /// Albedo against estimates under other light; the first ones that there are.
+    /// Albedo losses against estimates under other lights. Present ones come first.
     pub relight: [Option<MsgLoss>; 2],
-    /// The same of roughness, which counts with `roughness_share` of what albedo does.
+    /// Roughness losses against the same estimates, weighted by `roughness_share`.
     pub relight_roughness: [Option<MsgLoss>; 2],
-    /// See there.
+    /// Weight of roughness relative to albedo.
     pub roughness_share: f32,
-    /// Albedo of a region against the view's own prior.
+    /// Loss of a region's albedo against the view's own prior.
     pub own_prior: Option<MsgLoss>,
 }
 
@@ -42,7 +43,7 @@ pub fn material_sum(
     of: &MaterialLosses,
     stats: Buffer,
 ) -> Result<(), GraphError> {
-    // What is absent is bound to something that the specialized kernel never touches.
+    // Absent inputs are bound to a buffer that the specialized kernel never reads.
     let results_of = |all: &[Option<MsgLoss>]| all.iter().flatten().map(|r| r.result).collect::<Vec<Buffer>>();
     let (results, gray) = (results_of(&of.relight), results_of(&of.relight_roughness));
     let parts = [
@@ -72,7 +73,7 @@ pub fn material_sum(
     let specs = kernel::Specs {
         workgroup: tuning.workgroup,
         msg: of.msg.is_some(),
-        views: of.cross_view.map_or(0, |c| c.pictures),
+        views: of.cross_view.map_or(0, |c| c.images),
         estimates: results.len() as u32,
         gray_estimates: gray.len() as u32,
         own_prior: of.own_prior.is_some(),

@@ -1,12 +1,12 @@
-//! Losses: each a forward pass that leaves sums, and a gradient by what was rendered.
+//! Losses. Each has a forward pass that writes sums, and a pass for the gradient of the rendered values.
 
 pub mod compose;
 pub mod correspondence;
 pub mod cross_view;
 pub mod edge_aware;
 pub mod geometry_loss;
-pub mod gray_picture;
-pub mod material_pictures;
+pub mod gray_image;
+pub mod material_images;
 pub mod material_sum;
 pub mod msg;
 pub mod octahedral;
@@ -20,13 +20,13 @@ pub mod wanted;
 
 pub use compose::{Compose, Saturated, compose, compose_bwd};
 pub use correspondence::{
-    Correspondence, Pictured, Regions, correspondence_bwd, correspondence_train_bwd, pack_mask, region, regions,
+    Correspondence, ImagePart, Regions, correspondence_bwd, correspondence_train_bwd, pack_mask, region, regions,
 };
-pub use cross_view::{CrossPicture, CrossView, cross_view};
+pub use cross_view::{CrossView, CrossViewImage, cross_view};
 pub use edge_aware::{EdgeAware, EdgeSums, edge_aware};
 pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss};
-pub use gray_picture::{gray_picture, gray_picture_bwd};
-pub use material_pictures::{MaterialPictures, Materials, material_pictures, material_pictures_bwd, pictures};
+pub use gray_image::{gray_image, gray_image_bwd};
+pub use material_images::{MaterialImages, Materials, images, material_images, material_images_bwd};
 pub use material_sum::{MaterialLosses, material_sum};
 pub use msg::{Msg, MsgLoss, msg, own_prior, relight};
 pub use octahedral::{octahedral_decode, octahedral_encode};

@@ -1,26 +1,28 @@
-//! `msg`, `relight` and `own_prior`: materials should change over the picture as their priors do, at several scales.
+//! `msg`, `relight` and `own_prior`: multi-scale gradient losses of materials against priors.
 //!
-//! The multi-scale gradient loss of SGS-Intrinsic (method of Careaga and Aksoy). The difference d of a picture and its prior
-//! is made smaller to 1/2^l of the picture (rounded down, at least a pixel), l = 0 to 3, by a tent of two pixels' width of the
-//! level, pixel centers in the middle, weights over what lies inside the picture. Of each channel, filters of three taps
-//! (0.425287, 0, -0.425287) times (0.229879, 0.540242, 0.229879), with borders mirrored, give sqrt(gx² + gy² + 1e-8); the loss
-//! of a level is the mean over the channels and over the pixels that count, and `msg` the mean over four levels. On each
-//! level a pixel counts if at least 0.99903 of what it is made of does, and all its neighbors likewise; a level where none counts
-//! is 0. In the picture a pixel counts if its prior's alpha is not 0 and its coverage at least 0.5.
+//! Multi-scale gradient loss of SGS-Intrinsic (method of Careaga and Aksoy). The difference d of an image and its prior
+//! is reduced to 1/2^l of the image, l = 0 to 3. Sizes are rounded down, to at least one pixel. The filter is a tent of
+//! two pixels of the level. Pixel centers are in the middle; weights are normalized over the pixels inside the image.
+//! On each channel, three taps (0.425287, 0, -0.425287) times (0.229879, 0.540242, 0.229879), with mirrored borders,
+//! give sqrt(gx² + gy² + 1e-8). The loss of a level is the mean over channels and valid pixels; `msg` is the mean over
+//! four levels. A pixel of a level is valid if valid pixels make up at least 0.99903 of it and of each of its
+//! neighbors. A level without valid pixels contributes 0. A pixel of the image is valid if its prior's alpha is not 0
+//! and its coverage is at least 0.5.
 //!
-//! `relight` compares albedo with an estimate of it under other light (or from elsewhere) within a mask: the squared
-//! difference, summed over channels, mean over the pixels that count, plus `msg` over the same pixels. It has the same
-//! kernels, with its squares where roughness would be summed. `own_prior` is the same against the view's own prior, with a
-//! weight of its own: that loss is not of the paper.
+//! `relight` compares albedo with an estimate of it under other light (or from elsewhere) within a mask. Its loss is
+//! the squared difference, summed over channels and averaged over the valid pixels, plus `msg` over the same pixels.
+//! The kernels are the same; the squares are summed in place of roughness. `own_prior` is the same loss against the
+//! view's own prior, with its own weight. It is not part of the paper.
 //!
-//! Promises: gradients are added to (they must have been written), nothing behind the view's pixels is touched, the same
-//! bits from run to run: the transposed tent is bilinear interpolation between pixels of a level, so gradients are gathered.
-//! Where nothing counts there is no loss and no gradient. Priors may hold anything where their alpha is 0.
+//! Guarantees: adds gradients, which must have been written. Nothing after the view's pixels is changed. Results are
+//! bit-identical between runs: the transposed tent is bilinear interpolation between pixels of a level, so gradients
+//! are gathered. Without valid pixels loss and gradient are zero. Priors may hold any values where their alpha is 0.
 //!
-//! Memory: 48 bytes a pixel between the passes. Cost a pixel: 40 bytes read and 20 written (`difference`); 12 taps of 14
-//! operations (`levels`); 27 bytes read and 21 written, 300 operations (`slopes`); 40 bytes read and 24 changed (`bwd`).
+//! Memory: 48 bytes per pixel between the passes. Cost per pixel: 40 bytes read and 20 written (`difference`); 12 taps
+//! of 14 operations (`levels`); 27 bytes read and 21 written, 300 operations (`slopes`); 40 bytes read and 24 changed
+//! (`bwd`).
 
-use super::MaterialPictures;
+use super::MaterialImages;
 use super::edge_aware::{TILE, shape};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -28,40 +30,41 @@ use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::structs::MsgLevels;
 use sgs_shaders::{msg_bwd, msg_difference, msg_levels, msg_slopes, msg_sum};
 
-/// What is compared with what.
+/// Inputs of the losses.
 #[derive(Clone, Copy, Debug)]
 pub struct Msg {
     /// Uniform `Step`: size of the view, `target_offset`, `mask_offset`.
     pub step: Buffer,
     /// Uniform `MaterialWeights`.
     pub weights: Buffer,
-    /// The pictures; of roughness the first channel counts.
-    pub pictures: MaterialPictures,
+    /// Images of materials. The first channel of roughness counts.
+    pub images: MaterialImages,
     /// `[P]` floats: blended opacity.
     pub coverage: Buffer,
-    /// Packed RGBA8: what albedo is compared with.
+    /// Packed RGBA8: target of albedo.
     pub albedo_prior: Buffer,
-    /// Packed RGBA8: what roughness is compared with, red, if there is such. For [`msg`] alone.
+    /// Packed RGBA8: target of roughness, in red, if any. For [`msg`] only.
     pub roughness_prior: Option<Buffer>,
-    /// Whether priors are those of all views, this one's from `target_offset`; or of this view alone.
+    /// Whether the priors contain all views. This view begins at `target_offset` then. Otherwise they contain this view
+    /// only.
     pub all_views: bool,
-    /// A bit a pixel ([`super::pack_mask`]) from word `mask_offset`, if only those of a mask count.
+    /// Optional mask that restricts the loss. One bit per pixel ([`super::pack_mask`]) from word `mask_offset`.
     pub mask: Option<Buffer>,
-    /// Columns and rows that no view exceeds, each for itself.
+    /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],
 }
 
-/// What is left for [`super::material_sum()`].
+/// Result for [`super::material_sum()`].
 #[derive(Clone, Copy, Debug)]
 pub struct MsgLoss {
-    /// `MsgLevels`.
+    /// `MsgLevels` record.
     pub result: Buffer,
 }
 
-/// Levels, each half as wide and high as the one before.
+/// Number of levels. Each is half as wide and high as the level before.
 const LEVELS: u32 = 4;
 
-/// Pixels of all levels, and tiles.
+/// Returns the number of pixels of all levels, and of tiles.
 fn extent(largest: [u32; 2]) -> (u64, u64) {
     let level = |l: u32| largest.map(|n| u64::from((n >> l).max(1)));
     let tiles = |n: [u64; 2]| n[0].div_ceil(TILE[0].into()) * n[1].div_ceil(TILE[1].into());
@@ -69,27 +72,27 @@ fn extent(largest: [u32; 2]) -> (u64, u64) {
     (all().map(|n| n[0] * n[1]).sum(), all().map(tiles).sum())
 }
 
-/// Adds the passes of the loss, which add to `gradients` what `albedo_msg` and `roughness_msg` weigh.
+/// Adds the passes of the loss. They add gradients weighted by `albedo_msg` and `roughness_msg`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
-pub fn msg(g: &mut Graph, tuning: Tuning, a: &Msg, gradients: &MaterialPictures) -> Result<MsgLoss, GraphError> {
+pub fn msg(g: &mut Graph, tuning: Tuning, a: &Msg, gradients: &MaterialImages) -> Result<MsgLoss, GraphError> {
     compared(g, tuning, "msg", a, gradients, Against::Priors)
 }
 
-/// What is compared with.
+/// Target of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Against {
-    /// The priors of the view, everywhere.
+    /// Priors of the view, everywhere.
     Priors,
-    /// An estimate under other light, which has this share of the weight.
+    /// Estimate under other light, with its share of the weight.
     Estimate(f32),
-    /// The prior of the view, in a region.
+    /// Prior of the view, in a region.
     OwnPrior,
 }
 
-/// Adds the passes `relight{number}` of one estimate, which add to the gradient of albedo what `relight` weighs times
-/// `share`: one by the number of estimates.
+/// Adds the passes `relight{number}` of one estimate. They add the gradient of albedo, weighted by `relight` times
+/// `share`. The share is one over the number of estimates.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -101,16 +104,16 @@ pub fn relight(
     share: f32,
     albedo_gradient: Buffer,
 ) -> Result<MsgLoss, GraphError> {
-    let gradients = MaterialPictures { albedo: albedo_gradient, roughness: None };
+    let gradients = MaterialImages { albedo: albedo_gradient, roughness: None };
     compared(g, tuning, &format!("relight{number}"), a, &gradients, Against::Estimate(share))
 }
 
-/// Adds the passes `own_prior`, which add to the gradient of albedo what `own_prior` weighs.
+/// Adds the passes `own_prior`. They add the gradient of albedo, weighted by `own_prior`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn own_prior(g: &mut Graph, tuning: Tuning, a: &Msg, albedo_gradient: Buffer) -> Result<MsgLoss, GraphError> {
-    let gradients = MaterialPictures { albedo: albedo_gradient, roughness: None };
+    let gradients = MaterialImages { albedo: albedo_gradient, roughness: None };
     compared(g, tuning, "own_prior", a, &gradients, Against::OwnPrior)
 }
 
@@ -119,7 +122,7 @@ fn compared(
     tuning: Tuning,
     name: &str,
     a: &Msg,
-    gradients: &MaterialPictures,
+    gradients: &MaterialImages,
     against: Against,
 ) -> Result<MsgLoss, GraphError> {
     let (all, tiles) = extent(a.largest);
@@ -131,13 +134,13 @@ fn compared(
     let sums = g.transient(name("sums"), 16 * tiles);
     let result = g.transient(name("result"), size_of::<MsgLevels>() as u64);
     let (workgroup, square) = (tuning.workgroup, against != Against::Priors);
-    let gray = a.pictures.roughness.zip(gradients.roughness).zip(a.roughness_prior);
+    let gray = a.images.roughness.zip(gradients.roughness).zip(a.roughness_prior);
 
-    // What is absent is bound to something that the specialized kernel never touches.
+    // Absent inputs are bound to a buffer that the specialized kernel never reads.
     let bindings = msg_difference::Bindings {
         params: a.step.into(),
-        albedo_srgb: a.pictures.albedo.into(),
-        roughness_gray: gray.map_or(a.pictures.albedo, |g| g.0.0).into(),
+        albedo_srgb: a.images.albedo.into(),
+        roughness_gray: gray.map_or(a.images.albedo, |g| g.0.0).into(),
         albedo_prior: a.albedo_prior.into(),
         roughness_prior: gray.map_or(a.albedo_prior, |g| g.1).into(),
         coverage: a.coverage.into(),
@@ -186,7 +189,7 @@ fn compared(
         slopes: slopes.into(),
         result: result.into(),
         albedo_gradient: gradients.albedo.into(),
-        // The sums have been added up: nobody minds that a kernel could write them which does not.
+        // Without roughness the kernel never writes this binding. The sums are not read after this.
         roughness_gradient: gray.map_or(sums, |g| g.0.1).into(),
     };
     let specs = msg_bwd::Specs { workgroup, roughness, square };

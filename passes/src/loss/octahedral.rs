@@ -1,9 +1,10 @@
-//! Unit vectors in 32 bits, as the kernels read prior normals (`octahedral.glsl`).
+//! Octahedral encoding of unit vectors in 32 bits.
 //!
-//! The octahedron's faces unfolded onto a square, 16 bits each way (Meyer et al. 2010): off by 7e-5 radians at most.
-//! The pattern 0 means that there is no vector; the direction that would have it, straight down, is written otherwise.
+//! Kernels read prior normals in this encoding (`octahedral.glsl`). The octahedron's faces are unfolded onto a square,
+//! 16 bits per axis (Meyer et al. 2010). The error is at most 7e-5 radians. The pattern 0 marks an absent vector; the
+//! direction straight down, which would have this pattern, has another encoding.
 
-/// Packs a vector of any length; 0 if it has no direction.
+/// Packs a vector of any length. Returns 0 if it has no direction.
 pub fn octahedral_encode(v: [f32; 3]) -> u32 {
     let v = v.map(f64::from);
     let sum: f64 = v.iter().map(|x| x.abs()).sum();
@@ -15,13 +16,13 @@ pub fn octahedral_encode(v: [f32; 3]) -> u32 {
     let away = |a: f64| if a >= 0.0 { a + fold } else { a - fold };
     let bits = |a: f64| ((0.5 * away(a) + 0.5).clamp(0.0, 1.0) * 65535.0).round() as u32;
     match bits(x) | bits(y) << 16 {
-        // All four corners are the same direction.
+        // All four corners encode the same direction.
         0 => u32::MAX,
         packed => packed,
     }
 }
 
-/// The unit vector, if there is one.
+/// Returns the unit vector, or `None` for the pattern 0.
 pub fn octahedral_decode(packed: u32) -> Option<[f64; 3]> {
     if packed == 0 {
         return None;
@@ -42,7 +43,7 @@ mod tests {
     use crate::reference::rng::Pcg;
 
     #[test]
-    fn directions_survive() {
+    fn round_trip_error_is_below_7e_5() {
         let mut rng = Pcg::new(1);
         let mut cases: Vec<[f32; 3]> = (0..2000).map(|_| [0; 3].map(|_| rng.normal() as f32)).collect();
         for axis in 0..3 {
@@ -61,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_direction_is_absent() {
+    fn vectors_without_direction_encode_to_zero() {
         for v in [[0.0; 3], [f32::NAN, 0.0, 1.0], [f32::INFINITY, 0.0, 0.0]] {
             assert_eq!(octahedral_encode(v), 0);
         }

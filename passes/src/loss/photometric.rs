@@ -1,16 +1,19 @@
-//! `photometric`, `photometric_bwd` (and in place): `weight_l1 * L1 + weight_dssim * (1 - SSIM)` against a photograph, and its gradient.
+//! Photometric loss against a photograph, and its gradient.
 //!
-//! SSIM after Wang et al. 2004 with the constants of 3D Gaussian splatting (Kerbl et al. 2023, section 5): 11 x 11
-//! Gaussian window of sigma 1.5, zero padding, C1 = 1e-4, C2 = 9e-4, mean over pixels and the three channels.
+//! The loss is `weight_l1 * L1 + weight_dssim * (1 - SSIM)`. Passes are `photometric` and `photometric_bwd`, the latter
+//! also in place. SSIM follows Wang et al. 2004 with the constants of 3D Gaussian splatting (Kerbl et al. 2023, section
+//! 5): 11 x 11 Gaussian window of sigma 1.5, zero padding, C1 = 1e-4, C2 = 9e-4, mean over pixels and the three
+//! channels.
 //!
-//! Promises: every gradient of the first three channels is written, nothing behind the current view's pixels is
-//! touched, sums are bit-identical from run to run. Leaves the composition with a background to the caller, whose image
-//! is complete, and the addition of the workgroups' sums to [`super::sum`].
+//! Guarantees: every gradient of the first three channels is written, nothing after the current view's pixels is
+//! changed. Sums are bit-identical between runs. The caller composes the image over its background before, and adds the
+//! sums of the workgroups with [`super::sum`] after.
 //!
-//! Cost a pixel. Device memory: 4 C + 4 read, 36 written (`photometric`); 36 + 4 C + 4 read, 12 written, in a pixel of
-//! 4 C (`photometric_bwd`; in place 4 more are written): 104 bytes for C = 3. A tile's margins make that 2.1 times as much from the caches.
-//! Arithmetic: a window takes 11 multiply-adds a value, columns are filtered 2.4 times (both margins) and rows 1.9
-//! times: 3 channels x 11 x (4 + 3) values x 4.3 = 990 multiply-adds, and 3 x 40 for SSIM.
+//! Cost per pixel. Device memory: 4 C + 4 bytes read, 36 written (`photometric`); 36 + 4 C + 4 read, 12 written, in a
+//! pixel of 4 C (`photometric_bwd`; in place 4 more are written). That is 104 bytes for C = 3. With a tile's margins,
+//! caches supply 2.1 times as much. Arithmetic: a window takes 11 multiply-adds per value; columns are filtered 2.4
+//! times (both margins) and rows 1.9 times. That is 3 channels x 11 x (4 + 3) values x 4.3 = 990 multiply-adds, and 3 x
+//! 40 for SSIM.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -18,25 +21,25 @@ use crate::splat::PixelGradients;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{photometric as forward, photometric_bwd as backward, photometric_bwd_in_place as in_place};
 
-/// What the loss works on.
+/// Inputs of the photometric loss.
 #[derive(Clone, Copy, Debug)]
 pub struct Photometric {
     /// Uniform `Step`: size of the view, offset of its photograph, weights.
     pub step: Buffer,
-    /// `[P * channels]` floats; of each pixel the first three are compared.
+    /// `[P * channels]` floats; the first three channels of each pixel are compared.
     pub image: Buffer,
-    /// All photographs, packed RGBA8. A pixel with alpha 0 does not count: it has no loss and no gradient.
+    /// All photographs, packed RGBA8. A pixel with alpha 0 has no loss and no gradient.
     pub targets: Buffer,
     /// Floats of a pixel of `image` and of its gradient.
     pub channels: u32,
-    /// Columns and rows that no view exceeds, each for itself.
+    /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],
 }
 
-/// What the forward half leaves for the backward half and for [`super::sum`].
+/// Results of the forward pass for the backward pass and for [`super::sum`].
 #[derive(Clone, Copy, Debug)]
 pub struct Partials {
-    /// Derivatives of SSIM by the windowed means.
+    /// Derivatives of SSIM with respect to the windowed means.
     pub partials: Buffer,
     /// L1 and SSIM, summed by workgroup.
     pub sums: Buffer,
@@ -44,16 +47,17 @@ pub struct Partials {
     pub count: u32,
 }
 
-/// Columns and rows of a tile: with its margins of 5 it is 32 columns wide, and its shared memory takes 25 KiB.
+/// Columns and rows of a tile. With margins of 5 a tile is 32 columns wide and takes 25 KiB of shared memory.
 const TILE: [u32; 2] = [22, 16];
 
-/// One invocation for each of the 32 columns of the 3 channels; on a CPU fewer, for barriers cost by the invocation.
+/// Returns the workgroup size: one invocation for each of the 32 columns of the 3 channels. On a CPU it is smaller,
+/// since barriers cost time per invocation.
 fn workgroup(tuning: Tuning) -> u32 {
     (3 * tuning.subgroup_size).min(96)
 }
 
-/// Pixels of a row that one invocation filters. On a GPU half of the tile, so that rows keep all invocations busy; on a
-/// CPU, where idle invocations cost nothing and margins do, all of it.
+/// Returns the pixels of a row that one invocation filters. On a GPU this is half of the tile, so that rows occupy all
+/// invocations. On a CPU it is the whole row: idle invocations cost nothing there, but margins do.
 fn run(tuning: Tuning) -> u32 {
     if tuning.subgroup_size < 32 { TILE[0] } else { TILE[0] / 2 }
 }
@@ -62,7 +66,7 @@ fn tiles(largest: [u32; 2]) -> u32 {
     largest[0].div_ceil(TILE[0]) * largest[1].div_ceil(TILE[1])
 }
 
-/// Adds the forward half.
+/// Adds the forward pass.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -90,7 +94,7 @@ pub fn photometric(g: &mut Graph, tuning: Tuning, a: &Photometric) -> Result<Par
     Ok(Partials { partials, sums, count })
 }
 
-/// Adds the backward half, which overwrites the first three channels of `grad_image`.
+/// Adds the backward pass. It overwrites the first three channels of `grad_image`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -119,11 +123,12 @@ pub fn photometric_bwd(
         .dispatch(groups(u64::from(partials.count), 1))
 }
 
-/// As [`photometric_bwd`] for an image of color alone: the image becomes its own gradient, so that a picture is in memory
-/// once, and what blending's backward starts from is complete.
+/// Adds the backward pass in place, for an image of color only. Like [`photometric_bwd`], but the image becomes its own
+/// gradient: memory holds one image instead of two. Also writes the debt, which completes the inputs of blending's
+/// backward pass.
 ///
 /// # Errors
-/// If a buffer does not belong to the graph, is too small to be bound, or the image has not three channels.
+/// If a buffer does not belong to the graph or is too small to be bound. The image must have three channels.
 pub fn photometric_bwd_in_place(
     g: &mut Graph,
     tuning: Tuning,

@@ -1,18 +1,19 @@
-//! `region_mask` and `carry_mask`: where a region is in the training view, and where the same surface is in a pseudo-view.
+//! `region_mask` and `carry_mask`: bit masks of a region in the training view and in pseudo-views.
 //!
-//! Masks are bits as [`super::pack_mask`] makes them, from the first word, so they serve as `wanted` of
-//! [`crate::splat::blend_features`] and, with a `mask_offset` of 0, as masks of [`super::Pictured`]. Every word of the
-//! output is written up to those of the largest view; bits past the last pixel are 0.
+//! Masks have the format of [`super::pack_mask`], from the first word. They serve as selected pixels of
+//! [`crate::splat::blend_features`] and, with a `mask_offset` of 0, as masks of [`super::ImagePart`]. Every word of the
+//! output is written, up to those of the largest view; bits after the last pixel are 0.
 //!
-//! The paper tracks a region through pictures with a network. Here its surface is known: a pixel of the pseudo-view goes
-//! through its blended depth (sum of weights times z over opacity) into the world and into the training view, and belongs
-//! if it arrives at a pixel of the region whose own depth agrees. A pixel without depth (too transparent, not finite),
-//! behind the training camera, beside its image, hidden there or grazing an edge is in no region. Masks from elsewhere can
-//! take the place of these.
+//! The paper tracks a region through images with a network. Here the region's surface is known. A pixel of the
+//! pseudo-view is unprojected by its blended depth (sum of weights times z over opacity) and projected into the
+//! training view. It belongs to the region if it lands on a pixel of the region whose own depth agrees. Pixels without
+//! depth (too transparent, not finite) belong to no region. Neither do pixels that land behind the training camera or
+//! outside its image, are occluded there, or graze an edge. Masks from other sources can replace these.
 //!
-//! Deterministic: every pixel asks for itself. Cost: `region_mask` reads 2 bytes a pixel; `carry_mask` reads the depth and
-//! transmittance of each pixel of the pseudo-view (4 C + 4 bytes as memory goes) and the same again at the training
-//! view's for pixels that arrive in the region, about 60 operations a pixel. Both write a bit a pixel.
+//! Results are deterministic: each pixel is computed independently. Cost: `region_mask` reads 2 bytes per pixel.
+//! `carry_mask` reads depth and transmittance of each pixel of the pseudo-view (4 C + 4 bytes of memory traffic). For
+//! pixels that land in the region it reads the same from the training view. It takes about 60 operations per pixel.
+//! Both write one bit per pixel.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -20,23 +21,23 @@ use crate::splat::{Blended, Channels, Screen, wanted_words};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{carry_mask as carry, region_mask as kernel};
 
-/// A view that was blended with depth.
+/// View blended with depth.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
-    /// Its `Step`, and how large it can be.
+    /// `Step` and largest size of the view.
     pub screen: Screen,
-    /// What was blended.
+    /// Blended image and transmittance.
     pub blended: Blended,
-    /// Of which channels.
+    /// Blended channels.
     pub channels: Channels,
 }
 
-/// When two views show the same surface.
+/// Thresholds for matching surfaces in two views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CarryOptions {
-    /// Pixels that are less opaque have no depth.
+    /// Smallest opacity of a pixel with a depth.
     pub least_opacity: f32,
-    /// How far depths may be apart, as a share of the training view's.
+    /// Largest difference of depths, relative to the training view's.
     pub tolerance: f32,
 }
 
@@ -46,14 +47,15 @@ impl Default for CarryOptions {
     }
 }
 
-/// Region ids as words: two a word, the lower half first. Views lie one behind the other by pixels, as their photographs do,
-/// not by words.
+/// Packs region ids, two per word, the lower half first. Views follow each other by pixels, as their photographs do; a
+/// view may begin in the middle of a word.
 pub fn pack_regions(ids: &[u16]) -> Vec<u32> {
     ids.chunks(2).map(|pair| u32::from(pair[0]) | u32::from(pair.get(1).copied().unwrap_or(0)) << 16).collect()
 }
 
-/// Adds the pass that finds the step's region in the training view: pixel p is in it if the id at `target_offset` + p of
-/// `ids` ([`pack_regions`]) is the step's `region`, which is not 0. `into`: [`wanted_words`] of the largest view.
+/// Adds the pass that marks the step's region in the training view. Pixel p belongs to the region if the id at
+/// `target_offset` + p of `ids` ([`pack_regions`]) is the step's `region`, which is not 0. `into`: [`wanted_words`] of
+/// the largest view.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -70,11 +72,13 @@ pub fn region_mask(
         .dispatch(groups(wanted_words(screen.pixels()), tuning.workgroup))
 }
 
-/// Adds the pass that carries a region from the training view, where `mask` has it from word `mask_offset` of its step, to
-/// a pseudo-view. `into`: [`wanted_words`] of the largest pseudo-view. Without depth in both, nothing is carried.
+/// Adds the pass that transfers a region from the training view to a pseudo-view. `mask` holds the region from word
+/// `mask_offset` of the training view's step. `into`: [`wanted_words`] of the largest pseudo-view. If either view lacks
+/// depth, the result is empty.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn carry_mask(
     g: &mut Graph,
     tuning: Tuning,
@@ -98,7 +102,7 @@ pub fn carry_mask(
         trained_mask: mask.into(),
         mask: into.into(),
     };
-    // Depth and its square come last.
+    // Depth and squared depth are the last channels.
     let [mine, theirs] = [pseudo, trained].map(|s| s.channels.count());
     let workgroup = tuning.workgroup.next_multiple_of(32);
     let specs = carry::Specs {
@@ -118,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_are_pairs_from_the_lower_half() {
+    fn pack_regions_starts_at_lower_half() {
         assert_eq!(pack_regions(&[1, 0xffff, 3]), [0xffff_0001, 3]);
         assert!(pack_regions(&[]).is_empty());
     }

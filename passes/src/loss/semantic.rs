@@ -1,29 +1,30 @@
-//! `semantic_prepare`, `semantic_loss`, `decoder_gradient`: what is asked of blended features through the decoder.
+//! `semantic_prepare`, `semantic_loss`, `decoder_gradient`: losses of blended features through the decoder.
 //!
-//! SGS-Intrinsic, stage I. Features f, sampled from the picture at the samples of a view's target map (bilinear, first
-//! and last of both on each other), are decoded to v = W f + b = A f'. With target t and the classes' texts T of length
-//! one:
+//! SGS-Intrinsic, stage I. Features f are sampled from the image at the samples of a view's target map (bilinear; first
+//! and last samples coincide with first and last pixels). They are decoded to v = W f + b = A f'. With target t and the
+//! classes' unit text embeddings T:
 //! * `weight_semantic`: mean of 1 - cos(v, t) over the samples whose target is finite and not zero.
-//! * `weight_semantic_class`: mean cross-entropy of the softmax over (T v / |v|) / temperature to the target's label, over
-//!   the samples that have one.
+//! * `weight_semantic_class`: mean cross-entropy of the softmax of (T v / |v|) / temperature against the target's
+//!   label, over the samples that have a label.
 //!
-//! Nothing 512 wide is formed but one product of the targets with A and one of the gradient: |v|² = f'ᵀ(AᵀA)f' and T v =
-//! (T A) f'. A decoded vector shorter than 1e-3 of its parts (those of every feature and the bias, as if none were
-//! along another), or than 1e-8, has no direction: cosine and logits 0, no gradient. Features may have any size: they are divided by their largest first. A sample whose features are not finite
-//! adds nothing and is counted.
+//! Only two products are 512 wide: the targets with A, and one of the gradient. The rest uses |v|² = f'ᵀ(AᵀA)f' and T v
+//! = (T A) f'. A decoded vector has no direction if it is shorter than 1e-3 of its terms' size, or than 1e-8. The terms
+//! are those of every feature and the bias, taken as orthogonal. Cosine and logits are 0 then, without a gradient.
+//! Features may have any magnitude: they are divided by their largest first. A sample with non-finite features
+//! contributes nothing and is counted.
 //!
-//! Promises: at wanted pixels every feature channel of the gradient is written, by a gather, without atomics, and nowhere
-//! else; the same bits from run to run on a device. Leaves to the caller: adding other gradients of these channels afterwards, and Adam
-//! ([`crate::scene::decoder_step`]).
+//! Guarantees: every feature channel of the gradient is written at the selected pixels and nowhere else, by gathering,
+//! without atomics. Results are bit-identical between runs on a device. The caller adds other gradients of these
+//! channels afterwards, and runs Adam ([`crate::scene::decoder_step`]).
 //!
-//! What many need is fetched by lanes together and handed round: rows of the decoder, and in `semantic_samples`, where the
-//! 32 features of an item lie over the lanes, rows of the small matrices. That suits processors too, on which a number
-//! from memory costs a subgroup as much as sixty multiply-adds.
+//! Lanes fetch shared data together and exchange it by subgroup operations. These are rows of the decoder and, in
+//! `semantic_samples`, rows of the small matrices; there the 32 features of an item are spread over the lanes. CPUs
+//! gain too: a number from memory costs a subgroup as much as sixty multiply-adds there.
 //!
-//! Cost, of M samples and C classes. `semantic_project`: 1024 + 144 bytes and 33 792 operations a sample, `semantic_outer`
-//! the same; `semantic_samples`: 912 bytes and about 7000 + 270 C operations; `semantic_gather`: 128 bytes a sample and a
-//! pixel that it touches, a bit a pixel. The memory is 272 bytes a sample and 72 KiB a run of samples, whatever the size
-//! of the picture.
+//! Cost for M samples and C classes. `semantic_project`: 1024 + 144 bytes and 33 792 operations per sample;
+//! `semantic_outer` the same. `semantic_samples`: 912 bytes and about 7000 + 270 C operations. `semantic_gather`: 128
+//! bytes per sample and per pixel that it touches, and one bit per pixel. Memory: 272 bytes per sample and 72 KiB per
+//! run of samples, independent of the image size.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -35,54 +36,54 @@ use sgs_shaders::{
     semantic_project, semantic_reduce, semantic_samples, semantic_target,
 };
 
-/// Most workgroups that sum up for the decoder; each leaves (33 + C) rows of sums.
+/// Largest number of workgroups that sum for the decoder. Each writes (33 + C) rows of sums.
 const MOST_GROUPS: u64 = 256;
 
-/// Bytes of a row of 33 numbers, padded.
+/// Bytes of a row of 33 floats, padded.
 const ROW: u64 = 144;
 
-/// Fewest rows of a part of the decoder.
+/// Smallest number of rows in a part of the decoder.
 const LEAST_ROWS: u64 = 16;
 
-/// Fewest samples of a run of `semantic_outer`.
+/// Smallest number of samples in a run of `semantic_outer`.
 const LEAST_RUN: u32 = 64;
 
-/// The decoder and the classes.
+/// Decoder and classes.
 #[derive(Clone, Copy, Debug)]
 pub struct Head {
     /// `[512 * 33]` floats: rows of 32 weights and a bias.
     pub decoder: Buffer,
-    /// `[classes * 512]` floats, each row of length one ([`normalize_embeddings`]).
+    /// `[classes * 512]` floats, each row of unit length ([`normalize_embeddings`]).
     pub embeddings: Buffer,
-    /// How many classes, at least one.
+    /// Number of classes, at least one.
     pub classes: u32,
 }
 
-/// What stands for the decoder in a step.
+/// Small matrices that replace the decoder in a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Prepared {
-    /// Rows of 33 numbers, padded to 36: the 33 of AᵀA, then those of T A by class.
+    /// Rows of 33 floats, padded to 36: the 33 rows of AᵀA, then those of T A by class.
     pub matrices: Buffer,
-    /// Rows likewise, zero at first: the sums that `decoder_gradient` makes of; losses add to them.
+    /// Sums for `decoder_gradient`, in rows of the same layout. Zero at first; losses add to them.
     pub accumulated: Buffer,
-    /// How many classes.
+    /// Number of classes.
     pub classes: u32,
-    /// Kernel sizes that it was made with.
+    /// Kernel sizes of the passes that computed the matrices.
     pub tuning: Tuning,
 }
 
-/// The targets of all views, one behind the other.
+/// Targets of all views, one after the other.
 #[derive(Clone, Copy, Debug)]
 pub struct SemanticTargets {
-    /// `[samples * 256]` words of two halves.
+    /// `[samples * 256]` words of two half floats.
     pub features: Buffer,
-    /// `[samples]` of `SemanticTarget`, by [`semantic_targets`].
+    /// `[samples]` of `SemanticTarget`, from [`semantic_targets`].
     pub targets: Buffer,
-    /// Samples of the largest map.
+    /// Number of samples in the largest map.
     pub largest: u32,
 }
 
-/// What the loss of a training view works on. The view's map is the step's `semantic_size` and `semantic_offset`; the
+/// Inputs of a training view's semantic loss. The view's map is the step's `semantic_size` and `semantic_offset`. The
 /// means are over its `semantic_valid` and `semantic_labeled`.
 #[derive(Clone, Copy, Debug)]
 pub struct SemanticLoss {
@@ -94,28 +95,29 @@ pub struct SemanticLoss {
     pub channels: u32,
     /// Channel of the first of the 32 features.
     pub first: u32,
-    /// Columns and rows that no view exceeds, each for itself.
+    /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],
-    /// What the features should become.
+    /// Targets of the features.
     pub targets: SemanticTargets,
-    /// A bit a pixel: where somebody wants the gradient. Pixels that samples touch must be among them.
+    /// One bit per pixel: selection of the pixels whose gradient is written. It must include the pixels that samples
+    /// touch.
     pub wanted: Buffer,
 }
 
-/// What the loss leaves.
+/// Results of the loss.
 #[derive(Clone, Copy, Debug)]
 pub struct SemanticSums {
-    /// By workgroup: 1 - cos, cross-entropy, samples that did not count.
+    /// By workgroup: 1 - cos, cross-entropy, number of samples that did not count.
     pub sums: Buffer,
     /// Number of workgroups.
     pub count: u32,
-    /// By run, 512 padded rows of 33: the part of the decoder's gradient that needs the targets.
+    /// By run, 512 padded rows of 33: the term of the decoder's gradient that needs the targets.
     pub outer: Buffer,
     /// Number of runs.
     pub runs: u32,
 }
 
-/// Rows of 512 brought to length one; a row of zeros, or with a number that is not finite, becomes zeros.
+/// Scales rows of 512 to unit length. A row of zeros, or with a non-finite number, becomes zeros.
 pub fn normalize_embeddings(rows: &[f32]) -> Vec<f32> {
     let unit = |row: &[f32]| {
         let length = row.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>().sqrt();
@@ -125,11 +127,12 @@ pub fn normalize_embeddings(rows: &[f32]) -> Vec<f32> {
     rows.chunks(EMBEDDING).flat_map(unit).collect()
 }
 
-/// Adds the pass that works out what targets say, once: `targets`, `[samples]` of `SemanticTarget`. The label is the
-/// class of the largest cosine, or the one in `given` (a word a sample; out of range means none).
+/// Adds the pass that precomputes `targets`, `[samples]` of `SemanticTarget`. It runs once. The label is the class of
+/// the largest cosine, or the entry of `given` (one word per sample; out of range means none).
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn semantic_targets(
     g: &mut Graph,
     tuning: Tuning,
@@ -159,7 +162,8 @@ pub fn semantic_targets(
     pass.subgroup_size(Some(tuning.subgroup_size)).dispatch(groups(u64::from(samples), 1))
 }
 
-/// Adds the passes that make the decoder's small matrices. Once a step, before every loss that has the same head.
+/// Adds the passes that compute the decoder's small matrices. They run once per step, before all losses with the same
+/// head.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -190,39 +194,39 @@ pub fn semantic_prepare(g: &mut Graph, tuning: Tuning, head: &Head) -> Result<Pr
     Ok(prepared)
 }
 
-/// Rows of the sums that become the decoder's gradient.
+/// Returns the number of rows in the sums of the decoder's gradient.
 fn count_rows(classes: u32) -> u64 {
     AUGMENTED as u64 + u64::from(classes)
 }
 
-/// Rows of 33 numbers that a lane has in registers where not much else is there.
+/// Returns the number of rows of 33 floats that a lane holds in registers. Kernels with few other registers use it.
 fn rows_per_lane(tuning: Tuning) -> u32 {
     (32 / tuning.subgroup_size).max(2)
 }
 
-/// Workgroups for so many items that come in pieces of `piece`. Each may take several of them, in batches of so many
-/// rounds of loops.
+/// Returns the number of workgroups for `items` that come in chunks of `piece`. A workgroup may take several chunks, in
+/// batches of `rounds` loop iterations each.
 pub(super) fn batch_groups(tuning: Tuning, items: u64, piece: u32, rounds: u32) -> u32 {
     let batch = u64::from(tuning.subgroup_size * tuning.tiles());
     let all = items.div_ceil(batch) * u64::from(rounds);
-    // What a workgroup does but once is less than a quarter.
+    // The work that a workgroup does only once takes less than a quarter of the iterations.
     let enough = MOST_GROUPS.min(u64::from(tuning.workers)).max(all.div_ceil(u64::from(tuning.rounds) / 4 * 3));
     items.div_ceil(u64::from(piece)).clamp(1, enough) as u32
 }
 
-/// Into how many parts the decoder's rows are cut where so many workgroups would each go through all of them: about as
-/// many as keep the device busy.
+/// Returns the number of parts into which the decoder's rows are split. Without a split, each of `blocks` workgroups
+/// would process all rows. The parts are about as many as occupy the device.
 fn decoder_parts(tuning: Tuning, blocks: u64) -> u32 {
     let parts = u64::from(tuning.workers).div_ceil(blocks.max(1)).next_power_of_two();
     parts.min(EMBEDDING as u64 / LEAST_ROWS) as u32
 }
 
-/// Sums of `groups` workgroups.
+/// Declares the sums of `groups` workgroups.
 pub(super) fn partials(g: &mut Graph, name: &str, classes: u32, groups: u32) -> Buffer {
     g.transient(format!("{name}.partials"), u64::from(groups) * count_rows(classes) * ROW)
 }
 
-/// Adds the workgroups' sums to those of the step.
+/// Adds the pass that adds the workgroups' sums to those of the step.
 pub(super) fn reduce(
     g: &mut Graph,
     tuning: Tuning,
@@ -234,7 +238,9 @@ pub(super) fn reduce(
     sum_parts(g, tuning, name, partials, prepared.accumulated, count_rows(prepared.classes) * ROW / 4, count, true)
 }
 
-/// Adds the pass that adds up `count` runs of `width` sums: to what is in `into`, or in place of it.
+/// Adds the pass that sums `count` runs of `width` values. With `add` it adds them to `into`, otherwise it overwrites
+/// `into`.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 fn sum_parts(
     g: &mut Graph,
     tuning: Tuning,
@@ -251,12 +257,12 @@ fn sum_parts(
     let name = format!("{name}.reduce");
     let pass = stage(g, &name, &semantic_reduce::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push));
     let pass = pass.bind("partials", partials);
-    // What is replaced is not read.
+    // Overwritten values are not read.
     let pass = if add { pass.bind("accumulated", into) } else { pass.bind_discard("accumulated", into) };
     pass.dispatch(groups(width, tuning.workgroup / sharing))
 }
 
-/// Adds the loss of a training view: writes the feature channels of `grad_image` at the wanted pixels, and adds to
+/// Adds the loss of a training view. Writes the feature channels of `grad_image` at the selected pixels, and adds to
 /// `prepared.accumulated`.
 ///
 /// # Errors
@@ -316,7 +322,7 @@ pub fn semantic_loss(
     Ok(SemanticSums { sums, count, outer, runs })
 }
 
-/// The gradient of sampled features, back to pixels.
+/// Adds the pass that gathers the gradient of sampled features at pixels.
 fn gather(
     g: &mut Graph,
     tuning: Tuning,
@@ -331,7 +337,7 @@ fn gather(
         grad_image: grad_image.into(),
     };
     let subgroup = tuning.subgroup_size;
-    // Many lanes have the pixels of several side by side; few have more to do in each.
+    // Wide subgroups spread the channels of a pixel over 8 lanes; in narrow ones a lane sums all channels of its pixel.
     let across = if tuning.narrow() { 1 } else { 8 };
     let specs = semantic_gather::Specs { subgroup, channels: a.channels, first: a.first, across };
     let blocks = (u64::from(a.largest[0]) * u64::from(a.largest[1])).div_ceil(u64::from(32 * subgroup)).max(1);
@@ -340,9 +346,9 @@ fn gather(
         .dispatch([blocks.min(1 << 15) as u32, 1, 1])
 }
 
-/// The sums over samples of t (s f')ᵀ, by runs of samples; how many runs.
+/// Adds the pass that sums t (s f')ᵀ over samples, by runs. Returns the sums and the number of runs.
 fn outer(g: &mut Graph, tuning: Tuning, a: &SemanticLoss, rows: Buffer) -> Result<(Buffer, u32), GraphError> {
-    // Rows of a lane are pairs; see rows_per_lane().
+    // A lane's rows are pairs; see rows_per_lane().
     let words = rows_per_lane(tuning);
     let stripes = EMBEDDING as u32 / (2 * words * tuning.subgroup_size);
     let most = (tuning.workers / stripes).max(1);
@@ -364,8 +370,8 @@ fn outer(g: &mut Graph, tuning: Tuning, a: &SemanticLoss, rows: Buffer) -> Resul
     Ok((outer, runs))
 }
 
-/// Adds the pass that writes `gradient`, `[512 * 33]` floats, from what all losses left. `sums`: of the training view, if
-/// it has targets.
+/// Adds the pass that writes `gradient`, `[512 * 33]` floats. It combines the results of all losses. `sums`: results of
+/// the training view, if it has targets.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -392,9 +398,9 @@ pub fn decoder_gradient(
         .dispatch(groups(EMBEDDING as u64, tiles * subgroup))
 }
 
-/// The pixels of a picture of that size that the samples of a map touch, row by row.
+/// Returns the mask of the pixels that samples of a map touch, row by row. `size`: of the image; `map`: of the map.
 pub fn sampled_pixels(size: [u32; 2], map: [u32; 2]) -> Vec<bool> {
-    // As in semantic.glsl: first and last pixel and sample coincide.
+    // As in semantic.glsl: first and last pixel coincide with first and last sample.
     let axis = |k: usize| {
         let mut touched = vec![false; size[k] as usize];
         let steps = map[k].max(2) - 1;
@@ -411,7 +417,7 @@ pub fn sampled_pixels(size: [u32; 2], map: [u32; 2]) -> Vec<bool> {
     rows.iter().flat_map(|&y| columns.iter().map(move |&x| x && y)).collect()
 }
 
-/// How many of a map's samples say something, and how many have a class: the step's `semantic_valid` and
+/// Returns the numbers of valid and of labeled samples in a map. They are the step's `semantic_valid` and
 /// `semantic_labeled`.
 pub fn count_targets(targets: &[SemanticTarget]) -> [u32; 2] {
     let valid = targets.iter().filter(|t| t.inverse_norm > 0.0).count();

@@ -1,11 +1,11 @@
-//! `semantic_labels`: the class of every pixel, and how much it has of one.
+//! `semantic_labels`: class of every pixel, and its relevance to a queried class.
 //!
-//! The class is that of the largest cosine between decoded features and text, the first of equals. Its relevance to a
-//! queried class is the softmax's probability at the step's temperature, or the cosine itself. Pixels with features that
-//! are not finite have [`NO_LABEL`] and relevance 0. Nothing is said about pixels without splats: their features are zero,
-//! and the class is that of the decoder's bias; mask them by transmittance.
+//! The class has the largest cosine between decoded features and text embedding; the first of equal ones. The relevance
+//! is the softmax probability of the queried class at the step's temperature, or its cosine. Pixels with non-finite
+//! features have [`NO_LABEL`] and relevance 0. Results at pixels without splats have no meaning: their features are
+//! zero, so the class is that of the decoder's bias. Mask them by transmittance.
 //!
-//! Cost a pixel: 128 bytes read, 8 written, about 2300 + 140 C operations.
+//! Cost per pixel: 128 bytes read, 8 written, about 2300 + 140 C operations.
 
 use super::semantic::{Prepared, batch_groups};
 use crate::Tuning;
@@ -13,19 +13,19 @@ use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::semantic_labels as kernel;
 
-/// Where there is no class.
+/// Label of pixels and samples without a class.
 pub const NO_LABEL: u32 = u32::MAX;
 
-/// What relevance means.
+/// Measure of relevance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Relevance {
-    /// Probability of the class by softmax.
+    /// Softmax probability of the class.
     Probability,
-    /// Cosine between decoded features and the class's text.
+    /// Cosine between decoded features and the class's text embedding.
     Cosine,
 }
 
-/// What is classified.
+/// Inputs of the classification.
 #[derive(Clone, Copy, Debug)]
 pub struct SemanticLabels {
     /// Uniform `Step`: size of the view, temperature.
@@ -36,17 +36,18 @@ pub struct SemanticLabels {
     pub channels: u32,
     /// Channel of the first of the 32 features.
     pub first: u32,
-    /// Columns and rows that no view exceeds, each for itself.
+    /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],
-    /// How many classes.
+    /// Number of classes.
     pub classes: u32,
-    /// The class whose relevance is asked for.
+    /// Class whose relevance is computed.
     pub query: u32,
-    /// What that is.
+    /// Measure of relevance.
     pub meaning: Relevance,
 }
 
-/// Workgroups: one a batch, but on narrow subgroups, where each keeps all rows of the matrices, as few as possible.
+/// Returns the number of workgroups: one per batch. On narrow subgroups, where each workgroup holds all rows of the
+/// matrices, it is as small as possible.
 fn label_groups(tuning: Tuning, pixels: u64, classes: u32) -> u64 {
     let batch = tuning.subgroup_size * tuning.tiles();
     match tuning.narrow() {
@@ -55,7 +56,7 @@ fn label_groups(tuning: Tuning, pixels: u64, classes: u32) -> u64 {
     }
 }
 
-/// Adds the pass. `labels`: a word a pixel; `relevance`: a float a pixel.
+/// Adds the pass of the classification. `labels`: one word per pixel; `relevance`: one float per pixel.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

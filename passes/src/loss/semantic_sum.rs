@@ -1,7 +1,7 @@
-//! `semantic_sum`: the losses of meaning, added to the record that [`super::loss_sum`] wrote.
+//! `semantic_sum`: sum of the semantic losses, added to the record of [`super::loss_sum`].
 //!
-//! Promises the same bits from run to run on a device. Cost: 12 bytes a workgroup of the semantic loss, 4 of each
-//! pseudo-view's; one workgroup.
+//! Guarantees: results are bit-identical between runs on a device. Cost: 12 bytes per workgroup of the semantic loss, 4
+//! of each pseudo-view's; one workgroup.
 
 use super::correspondence::{Correspondence, Regions};
 use super::semantic::SemanticSums;
@@ -10,7 +10,7 @@ use crate::kernel::stage;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::semantic_sum as kernel;
 
-/// Adds the pass, if there is anything to add to `stats` (a `LossStats`).
+/// Adds the pass that adds to `stats` (a `LossStats`). Without losses it adds no pass.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -22,7 +22,7 @@ pub fn semantic_sum(
     correspondence: Option<(&Correspondence, &Regions)>,
     stats: Buffer,
 ) -> Result<(), GraphError> {
-    // What is absent is bound to something that specialized kernels never touch.
+    // Absent inputs are bound to a buffer that specialized kernels never read.
     let Some(any) = semantic.map(|s| s.sums).or(correspondence.map(|c| c.0.sums)) else { return Ok(()) };
     let bindings = kernel::Bindings {
         params: step.into(),

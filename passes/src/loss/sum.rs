@@ -1,7 +1,7 @@
-//! `loss_sum`: the workgroups' sums of all losses, added in a fixed order into the record of the step.
+//! `loss_sum`: sum of all losses' workgroup sums, in a fixed order, into the record of the step.
 //!
-//! Promises the same bits from run to run on a device. Cost: 8 bytes a workgroup of the photometric loss, 16 of the
-//! geometry losses; one workgroup.
+//! Guarantees: results are bit-identical between runs on a device. Cost: 8 bytes per workgroup of the photometric loss,
+//! 16 of the geometry losses; one workgroup.
 
 use crate::Tuning;
 use crate::kernel::stage;

@@ -1,9 +1,9 @@
-//! `wanted_samples`: the pixels of a view at which losses of meaning look, a bit a pixel.
+//! `wanted_samples`: bit mask of the pixels whose features the semantic losses read.
 //!
-//! They are those that samples of the view's target map are interpolated from ([`super::semantic_loss`]), and those of a
-//! region ([`super::region`]). Features are blended there and nowhere else.
+//! These are the pixels that samples of the view's target map are interpolated from ([`super::semantic_loss`]), and
+//! those of a region ([`super::region`]). Features are blended at these pixels only.
 //!
-//! Cost: 4 bytes and about 600 operations for 32 pixels.
+//! Cost: 4 bytes and about 600 operations per 32 pixels.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -12,7 +12,8 @@ use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::wanted_samples as kernel;
 
 /// Adds the pass that writes `wanted` ([`wanted_words`] of the largest view). `mask`: bits of a region, from the step's
-/// `mask_offset`; those past the last pixel must be down. Without one, `stand_in`, any buffer that was written, is bound.
+/// `mask_offset`; bits after the last pixel must be 0. Without a mask, `stand_in` is bound, any buffer that was
+/// written.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -26,7 +27,7 @@ pub fn wanted_samples(
 ) -> Result<(), GraphError> {
     let bindings = kernel::Bindings {
         params: screen.step.into(),
-        // Specialized kernels never touch what is absent.
+        // Absent inputs are bound to a buffer that specialized kernels never read.
         mask: mask.unwrap_or(stand_in).into(),
         pixel_mask: wanted.into(),
     };

@@ -1,17 +1,17 @@
-//! `adam`: one step of Adam for a parameter group whose gradients lie in a buffer.
+//! `adam`: one Adam step of a parameter group with gradients in a buffer.
 //!
-//! Kingma and Ba 2015, for Gaussians with epsilon 1e-15 (Kerbl et al. 2023). Promises: nothing changes when a flag of the step is
-//! raised; gradients that are not finite are skipped and counted; gradients beyond 1e15 count as 1e15, so that the second
-//! moment stays finite; with [`Adam::skip_zero`] what was not seen in a step is left exactly as it is.
+//! Kingma and Ba 2015; epsilon 1e-15 for Gaussians (Kerbl et al. 2023). Guarantees: a raised flag of the step prevents
+//! all changes. Non-finite gradients are skipped and counted. Gradients are clamped to ±1e15, so that the second moment
+//! stays finite. With [`Adam::skip_zero`], elements that a step did not see stay unchanged.
 //!
-//! Cost a scalar: 16 bytes read, 12 written, about 15 operations.
+//! Cost per scalar: 16 bytes read, 12 written, about 15 operations.
 
 use crate::kernel::stage;
 use crate::{Tuning, kernel};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::adam;
 
-/// Which learning rate a group follows.
+/// Learning rate of a group.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rate {
     /// `lr_means` of the step.
@@ -32,9 +32,9 @@ pub enum Rate {
     Decoder,
     /// `lr_semantics` of the step.
     Semantics,
-    /// One that never changes.
+    /// Constant rate.
     Constant(f32),
-    /// This one times `lr_share` of the step.
+    /// This value times `lr_share` of the step.
     Share(f32),
 }
 
@@ -56,41 +56,41 @@ impl Rate {
     }
 }
 
-/// Epsilon of everything that Gaussians carry.
+/// Epsilon for all parameters of Gaussians.
 pub const EPSILON: f32 = 1e-15;
 
-/// A parameter group and what drives it.
+/// Adam inputs of a parameter group.
 #[derive(Clone, Copy, Debug)]
 pub struct Adam {
     /// Uniform `Step`: learning rates and bias corrections.
     pub step: Buffer,
-    /// A `Work`: the number of elements.
+    /// Number of elements, a `Work`.
     pub live: Buffer,
-    /// Words of which none may be set.
+    /// Flag words. If any is not zero, the step changes nothing.
     pub flags: Buffer,
-    /// How many words.
+    /// Number of flag words.
     pub flag_words: u32,
-    /// Scalars of an element.
+    /// Scalars per element.
     pub width: u32,
-    /// Most elements that there can be.
+    /// Largest number of elements.
     pub capacity: u64,
-    /// The learning rate.
+    /// Learning rate of the group.
     pub rate: Rate,
-    /// Whether an exactly-zero gradient leaves its scalar and moments untouched, rather than letting them decay.
+    /// Whether a zero gradient leaves its scalar and moments unchanged. Otherwise the moments decay.
     pub skip_zero: bool,
     /// Added to the root of the second moment: [`EPSILON`] for Gaussians.
     pub epsilon: f32,
-    /// Gradients, `width` an element.
+    /// Gradients, `width` per element.
     pub gradients: Buffer,
-    /// Parameters, likewise.
+    /// Parameters, `width` per element.
     pub parameters: Buffer,
     /// First and second moment of each scalar.
     pub moments: Buffer,
-    /// A counter, increased by the number of skipped gradients.
+    /// Counter of skipped gradients.
     pub skipped: Buffer,
 }
 
-/// Adds the pass.
+/// Adds the Adam pass of a parameter group.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -113,7 +113,7 @@ pub fn adam(g: &mut Graph, tuning: Tuning, name: &str, a: &Adam) -> Result<(), G
         epsilon: a.epsilon,
     };
     let rate = if let Rate::Constant(rate) | Rate::Share(rate) = a.rate { rate } else { 0.0 };
-    // Every invocation has one element's worth of scalars when all of the capacity is alive.
+    // With the full capacity in use, an invocation processes the scalars of one element.
     stage(g, name, &adam::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&adam::Push { rate }))
         .dispatch(kernel::groups(a.capacity, tuning.workgroup))
 }

@@ -1,9 +1,9 @@
 //! `adam_unseen`: Adam for Gaussians that the fused update of a step did not move.
 //!
-//! Where other views left them a gradient they follow it. Otherwise it is zero: their moments decay and carry them on for a
-//! while, as in 3DGS (Kerbl et al. 2023), or, if Adam is sparse, they stay as they are. Gaussians with a gradient in the
-//! group that is not finite are skipped in this group, and counted. Cost a scalar of what was not seen: 12 bytes read, 12
-//! written, 4 more read for a gradient.
+//! Gaussians with gradients from other views follow them. Otherwise the gradient is zero. Dense Adam lets their moments
+//! decay and continues to move them, as in 3DGS (Kerbl et al. 2023); sparse Adam leaves them unchanged. A Gaussian with
+//! a non-finite gradient in the group is skipped in this group and counted. Cost per scalar of an unseen Gaussian: 12
+//! bytes read, 12 written, and 4 more read for a gradient.
 
 use crate::Tuning;
 use crate::kernel::stage;
@@ -11,45 +11,45 @@ use crate::optim::Rate;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::adam_unseen as kernel;
 
-/// Gradients of a group, somewhere in rows by Gaussian.
+/// Gradients of a group, stored in rows by Gaussian.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows {
-    /// The rows.
+    /// Buffer of the rows.
     pub buffer: Buffer,
-    /// Scalars of a row.
+    /// Scalars per row.
     pub stride: u32,
-    /// Where in a row the group begins.
+    /// Position of the group's first scalar in a row.
     pub first: u32,
 }
 
-/// A parameter group, and which of its Gaussians were seen.
+/// Inputs for a parameter group, and a record of its updated Gaussians.
 #[derive(Clone, Copy, Debug)]
 pub struct AdamUnseen {
     /// Uniform `Step`: learning rates and bias corrections.
     pub step: Buffer,
-    /// A `Work`: the number of Gaussians.
+    /// Number of Gaussians, a `Work`.
     pub live: Buffer,
-    /// A word that is not zero when the step must change nothing.
+    /// Flag word. If it is not zero, the step changes nothing.
     pub flags: Buffer,
-    /// A word a Gaussian: not zero if it was updated, or skipped, already.
+    /// One word per Gaussian: not zero if it was already updated or skipped.
     pub seen: Buffer,
-    /// Scalars of a Gaussian.
+    /// Scalars per Gaussian.
     pub width: u32,
-    /// The learning rate; not a constant one.
+    /// Learning rate of the group, which must not be constant.
     pub rate: Rate,
     /// Parameters.
     pub parameters: Buffer,
     /// First and second moments.
     pub moments: Buffer,
-    /// What other views left; without, all gradients are zero.
+    /// Gradients from other views. Without them all gradients are zero.
     pub gradients: Option<Rows>,
-    /// Whether an exactly-zero gradient leaves its scalar and moments untouched.
+    /// Whether a zero gradient leaves its scalar and moments unchanged.
     pub sparse: bool,
-    /// A counter, increased by the number of skipped Gaussians.
+    /// Counter of skipped Gaussians.
     pub skipped: Buffer,
 }
 
-/// Adds the pass.
+/// Adds the Adam pass of a parameter group.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

@@ -1,28 +1,31 @@
-//! `densify`: Gaussians that are not needed go, those that pull hard are doubled. All on the GPU, in place.
+//! `densify`: pruning, cloning and splitting of Gaussians, on the GPU and in place.
 //!
-//! Kerbl et al. 2023, section 5.2, with the pruning by accumulated weight of SGS-Intrinsic. A Gaussian
-//! is pruned if it is fainter than a threshold, has gathered too little blending weight, is too large, or has a number
-//! that is not finite. Of the others, one whose screen-space gradient is large on average is refined: cloned if it is
-//! small (parent and child equal), split if it is large (both halves drawn from it, scales divided by 1.6). A large mean
-//! gradient by its raw normal refines it as well, if `normal_threshold` is above 0.
+//! Kerbl et al. 2023, section 5.2, with the pruning by accumulated weight of SGS-Intrinsic. A Gaussian is pruned if its
+//! opacity or its accumulated blending weight is below a threshold. Gaussians that are too large or contain a
+//! non-finite number are pruned too. Of the others, those with a large mean screen-space gradient are refined. Small
+//! ones are cloned: parent and child are equal. Large ones are split: both halves are sampled from the parent, and
+//! scales are divided by 1.6. A large mean gradient by the raw normal also causes refinement, if `normal_threshold` is
+//! above 0.
 //!
-//! Promises:
-//! * the live Gaussians are `0..N'` afterwards, and at least one remains if there was one;
-//! * `N'` exceeds neither the cap nor the capacity (unless pruning alone leaves more than the cap); if not all can be
-//!   refined, the ones with the strongest gradients are (in steps of an eighth of an octave, then by index), and the
-//!   number of refused ones is reported;
-//! * whatever is neither pruned nor split keeps its numbers and moments bit for bit; moments of what is new are zero;
-//! * the result depends on nothing but the input and the seed;
-//! * no copy of the parameters is made, and nothing is read back: the new count goes into the `Work` record.
+//! Guarantees:
+//! * The live Gaussians are `0..N'` afterwards. At least one remains if there was one.
+//! * `N'` exceeds neither the cap nor the capacity, unless pruning alone leaves more than the cap. If not all
+//!   candidates fit, those with the strongest gradients are refined (in steps of an eighth of an octave, then by
+//!   index). The number of rejected candidates is reported.
+//! * Gaussians that are neither pruned nor split keep their parameters and moments bit for bit. Moments of new
+//!   Gaussians are zero.
+//! * The result depends only on the input and the seed.
+//! * Parameters are not copied as a whole. Nothing is read back: the new count goes into the `Work` record.
 //!
-//! How: verdicts and a histogram of gradient strengths (`densify_decide`); totals and, under the cap, the cut-off
-//! (`densify_plan`); prefix sums over three flags rank the pruned, the strong and those at the cut-off
-//! (`densify_flags`); a list of the holes (`densify_slots`) and of who is copied where (`densify_assign`); the copies,
-//! group by group (`densify_move`); the halves of splits (`densify_split`); statistics to zero.
+//! Passes: `densify_decide` writes verdicts and a histogram of gradient strengths. `densify_plan` computes totals and,
+//! if the cap applies, the cut-off. `densify_flags` and prefix sums of three flags rank the pruned Gaussians, the
+//! strong ones and those at the cut-off. `densify_slots` lists the holes, `densify_assign` the copies and their
+//! targets. `densify_move` copies group by group, `densify_split` makes the halves of splits. Finally the statistics
+//! are cleared.
 //!
-//! Cost a Gaussian: 72 bytes of parameters and statistics read; 100 bytes of flags, ranks and lists read and written.
-//! Then 12 bytes read and 12 to 24 written for each scalar of what is cloned, split or moved (59 with all bands of
-//! spherical harmonics). Memory: 36 bytes for each Gaussian of the capacity, for the duration.
+//! Cost per Gaussian: 72 bytes of parameters and statistics read; 100 bytes of flags, ranks and lists read and written.
+//! Cloned, split and moved Gaussians add 12 bytes read and 12 to 24 written per scalar (59 scalars with all bands of
+//! spherical harmonics). Memory: 36 bytes per Gaussian of the capacity, during the passes.
 
 use crate::Tuning;
 use crate::kernel::{splat_specs, stage};
@@ -37,29 +40,29 @@ use sgs_shaders::{
 /// Words of the counters: five, and the histogram of gradient strengths.
 const COUNTERS: u64 = 5 + 2048;
 
-/// What densification works on.
+/// Inputs of densification.
 #[derive(Clone, Copy, Debug)]
 pub struct Densify {
-    /// Which groups there are.
+    /// Parameter groups of the model.
     pub model: Model,
-    /// Most Gaussians that there is room for.
+    /// Largest number of Gaussians.
     pub capacity: u32,
     /// Parameters, by position in [`Group::ALL`].
     pub parameters: [Buffer; Group::COUNT],
-    /// Moments, likewise.
+    /// Moments, by position in [`Group::ALL`].
     pub moments: [Buffer; Group::COUNT],
     /// By Gaussian: sum of screen gradients, their number, sum of blending weights, sum of gradients by the raw normal.
     pub statistics: Buffer,
-    /// The number of Gaussians, a `Work`.
+    /// Number of Gaussians, a `Work`.
     pub live: Buffer,
     /// Uniform `Densify`: thresholds, cap, seed.
     pub settings: Buffer,
-    /// What happened, a `DensifyStats`.
+    /// Results, a `DensifyStats`.
     pub stats: Buffer,
 }
 
 impl Densify {
-    /// For Gaussians declared for training; none without moments and statistics.
+    /// Returns the inputs for Gaussians declared for training. Without moments or statistics returns `None`.
     pub fn of(gaussians: &Handles, settings: Buffer, stats: Buffer) -> Option<Densify> {
         Some(Densify {
             model: gaussians.model,
@@ -78,14 +81,14 @@ impl Densify {
     }
 }
 
-/// What the passes leave for each other.
+/// Buffers that passes write for later passes.
 struct Lists {
     verdicts: Buffer,
     counters: Buffer,
-    /// Two `Work` records of the number before: for the kernels here and for the prefix sums.
+    /// Two `Work` records of the count before densification: for these kernels and for the prefix sums.
     before: Buffer,
     plan: Buffer,
-    /// Flags, then ranks.
+    /// Flags, later ranks.
     holes: Buffer,
     strong: Buffer,
     ties: Buffer,
@@ -113,7 +116,7 @@ impl Lists {
     }
 }
 
-/// Adds all passes.
+/// Adds all passes of densification.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -126,7 +129,7 @@ pub fn densify(g: &mut Graph, tuning: Tuning, a: &Densify) -> Result<(), GraphEr
     g.fill("densify_reset", a.statistics, 0)
 }
 
-/// Verdicts and plan.
+/// Adds the passes that compute verdicts and plan.
 fn decide(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
     let Tuning { workgroup, .. } = tuning;
     g.fill("densify_clear", lists.counters, 0)?;
@@ -163,7 +166,7 @@ fn decide(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(
     stage(g, "densify_plan", kernel, bindings.entries(), specs.entries(), push).dispatch([1, 1, 1])
 }
 
-/// Ranks of the pruned, the strong and the ties.
+/// Adds the passes that rank pruned Gaussians, strong candidates and ties.
 fn rank(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
     let bindings = densify_flags::Bindings {
         before: lists.before.into(),
@@ -187,7 +190,7 @@ fn rank(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(),
     Ok(())
 }
 
-/// Who goes where.
+/// Adds the passes that assign targets to copies.
 fn assign(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
     let Tuning { workgroup, .. } = tuning;
     let bindings = densify_slots::Bindings {
@@ -216,7 +219,7 @@ fn assign(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(
         .dispatch_indirect(lists.before, 0)
 }
 
-/// The copies of every group, and what makes the halves of a split different.
+/// Adds the passes that copy every group. The last pass separates the halves of each split.
 fn copy(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
     let Tuning { workgroup, .. } = tuning;
     for group in a.model.groups() {

@@ -1,4 +1,4 @@
-//! What follows the gradients: the optimizer, and the number of Gaussians.
+//! Optimizer, densification and pruning, opacity reset.
 
 pub mod adam;
 pub mod adam_unseen;

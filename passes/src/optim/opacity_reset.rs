@@ -1,13 +1,14 @@
-//! `opacity_reset`: cuts all opacities to 0.01 and forgets their moments (Kerbl et al. 2023, section 5.2).
+//! `opacity_reset`: clamps opacities to at most 0.01 and clears their moments.
 //!
-//! Promises: logits that are not numbers become that of 0.01 as well. Cost a Gaussian: 4 bytes read, 12 written.
+//! Kerbl et al. 2023, section 5.2. Guarantees: NaN logits become that of 0.01 as well. Cost per Gaussian: 4 bytes read,
+//! 12 written.
 
 use crate::Tuning;
 use crate::kernel::stage;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::opacity_reset;
 
-/// Adds the pass. `live`: the number of Gaussians, a `Work`.
+/// Adds the pass. `live`: number of Gaussians, a `Work`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

@@ -1,4 +1,4 @@
-//! Densification and opacity reset, each a plan of its own between training steps.
+//! Densification and opacity reset: separate plans that run between training steps.
 
 use crate::Tuning;
 use crate::optim::densify::{Densify, densify};
@@ -10,7 +10,7 @@ use sgs_engine::{Device, DeviceBuffer, Error, Location, Result};
 use sgs_shaders::structs::{Densify as Settings, DensifyStats};
 use std::sync::Arc;
 
-/// Densification, ready to be replayed.
+/// Densification plan, replayable.
 pub struct DensifyStep {
     exec: Executor,
     settings: Buffer,
@@ -18,8 +18,9 @@ pub struct DensifyStep {
 }
 
 impl DensifyStep {
-    /// Builds the plan for Gaussians that are trained. `arena`: memory that may be shared, since nothing of it outlives
-    /// a replay.
+    /// Builds the plan for Gaussians in training.
+    ///
+    /// `arena`: memory that may be shared, since no content outlives a replay.
     ///
     /// # Errors
     /// If memory runs out, or the Gaussians have no optimizer.
@@ -43,15 +44,15 @@ impl DensifyStep {
         Ok((Arc::new(g.compile(&CompileOptions::default())?), settings, handles, out))
     }
 
-    /// The plan for Gaussians that do not exist yet, for what it would cost.
+    /// Compiles the plan for a layout without allocating it, to estimate its cost.
     ///
     /// # Errors
-    /// If they have no optimizer.
+    /// If the layout has no optimizer.
     pub fn plan(tuning: &Tuning, gaussians: &Layout) -> Result<Arc<Plan>> {
         Ok(DensifyStep::declare(tuning, gaussians)?.0)
     }
 
-    /// Densifies once and waits for the outcome.
+    /// Densifies once and waits for the result.
     ///
     /// # Errors
     /// If the device fails.
@@ -64,7 +65,7 @@ impl DensifyStep {
     }
 }
 
-/// Opacity reset, ready to be replayed.
+/// Opacity reset plan, replayable.
 pub struct OpacityReset {
     exec: Executor,
 }
@@ -85,7 +86,7 @@ impl OpacityReset {
         Ok(OpacityReset { exec })
     }
 
-    /// Resets once; later work on the device comes after it.
+    /// Submits one reset; work submitted later runs after it.
     ///
     /// # Errors
     /// If the device fails.

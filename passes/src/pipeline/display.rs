@@ -1,7 +1,7 @@
-//! From a picture on the device to one that a window takes.
+//! Converts a rendered image on the device to the image of a window.
 //!
-//! Promises: nothing is read back or made from picture to picture; everything that changes travels in the frame's own
-//! uniforms. Leaves drawing the picture to views, and the window to the engine's swapchain.
+//! Guarantees: nothing is read back or allocated per frame. All changing data travels in the frame's uniforms. Views
+//! draw the source image; the engine's swapchain owns the window.
 
 use super::{ViewError, ViewResult};
 use crate::splat::{Letters, Mark, Show, ShowStep, ShownKind, TexelFormat, show};
@@ -10,33 +10,33 @@ use sgs_engine::graph::{Buffer, CompileOptions, Graph, ImageState};
 use sgs_engine::{Device, DeviceBuffer, DeviceImage, ImageFormat, Location, Ticket};
 use std::sync::Arc;
 
-/// Letters along a line and lines, marks: the most that a [`Display`] has room for.
+/// Capacity of a [`Display`]: text cells and marks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DisplayRoom {
-    /// Letters along a line.
+    /// Characters per line.
     pub columns: u32,
-    /// Lines.
+    /// Number of lines.
     pub rows: u32,
-    /// Marks.
+    /// Number of marks.
     pub marks: u32,
 }
 
-/// What lies over a picture, and how it is shown.
+/// Overlay of an image, and its presentation.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown<'a> {
-    /// What the picture holds.
+    /// Content of the source image.
     pub kind: ShownKind,
-    /// Factor of light or values.
+    /// Factor on light or values.
     pub gain: f32,
-    /// As many as there is room for.
+    /// Marks; those beyond the capacity are ignored.
     pub marks: &'a [Mark],
-    /// As many bytes as [`DisplayRoom`] has cells, or none.
+    /// One byte per cell of [`DisplayRoom`], or empty.
     pub text: &'a [u8],
-    /// Pixels of the screen along a pixel of a letter.
+    /// Screen pixels along one pixel of a glyph.
     pub letter_size: u32,
 }
 
-/// A font on the device, for displays of any size.
+/// Font on the device, for displays of any size.
 #[derive(Clone)]
 pub struct Font {
     letters: Letters,
@@ -44,7 +44,7 @@ pub struct Font {
 }
 
 impl Font {
-    /// Uploads the pixels of letters: a byte each, letter by letter, row by row; what is missing is blank.
+    /// Uploads the glyph pixels: one byte each, by glyph, then by row. Missing pixels are blank.
     ///
     /// # Errors
     /// If memory runs out.
@@ -58,19 +58,19 @@ impl Font {
     }
 }
 
-/// Shows pictures of one size in one format.
+/// Display of images of one size in one format.
 pub struct Display {
     exec: Executor,
     room: DisplayRoom,
     step: Buffer,
     marks: Buffer,
     text: Buffer,
-    picture: DeviceImage,
+    rendered: DeviceImage,
     window: DeviceImage,
 }
 
 impl Display {
-    /// Prepares for pictures of a size, to be shown in an 8-bit format.
+    /// Prepares for source images of a size, to be shown in an 8-bit format.
     ///
     /// # Errors
     /// [`ViewError::Format`] for other formats; if memory runs out.
@@ -84,15 +84,16 @@ impl Display {
         Display::scaled(device, font, [size, size], format, room)
     }
 
-    /// Prepares for a window and for pictures of another size, which are interpolated bilinearly: `[window, picture]`. Marks
-    /// and letters have the window's resolution.
+    /// Prepares for a window and for source images of another size: `[window, source]`.
+    ///
+    /// Source images are interpolated bilinearly. Marks and text have the window's resolution.
     ///
     /// # Errors
-    /// As for [`Display::new`].
+    /// As [`Display::new`].
     pub fn scaled(
         device: &Device,
         font: &Font,
-        [size, picture_size]: [[u32; 2]; 2],
+        [size, image_size]: [[u32; 2]; 2],
         format: ImageFormat,
         room: DisplayRoom,
     ) -> ViewResult<Display> {
@@ -100,20 +101,20 @@ impl Display {
         if texel.bytes() != 4 {
             return Err(ViewError::Format(format));
         }
-        // Where this format of a picture cannot be read by kernels there is no Vulkan.
-        let picture = device.image("picture", picture_size, ImageFormat::Rgba16Float)?;
+        // Every Vulkan implementation lets kernels read images of this format.
+        let rendered = device.image("image", image_size, ImageFormat::Rgba16Float)?;
         let window = device.image("window", size, format)?;
         let mut g = Graph::new("display");
         let what = Show {
             step: g.uniform("show_step", size_of::<ShowStep>() as u64),
-            picture: g.external_image(
-                "picture",
-                picture_size,
+            image: g.external_image(
+                "image",
+                image_size,
                 ImageFormat::Rgba16Float,
                 ImageState::General,
                 ImageState::General,
             ),
-            picture_size,
+            render_size: image_size,
             marks: g.uniform("marks", size_of::<Mark>() as u64 * u64::from(room.marks.max(1))),
             text: g.uniform("text", u64::from(room.columns * room.rows).next_multiple_of(4).max(4)),
             font: g.input("font", font.letters.bytes()),
@@ -127,29 +128,31 @@ impl Display {
         let options = ExecOptions { frames_in_flight: 2, ..Default::default() };
         let mut exec = Executor::new(device, plan, options)?;
         exec.bind(what.font, &font.pixels)?;
-        exec.bind_image(what.picture, &picture)?;
+        exec.bind_image(what.image, &rendered)?;
         exec.bind_image(target, &window)?;
         let Show { step, marks, text, .. } = what;
-        Ok(Display { exec, room, step, marks, text, picture, window })
+        Ok(Display { exec, room, step, marks, text, rendered, window })
     }
 
-    /// Where views draw what is to be shown: [`ImageFormat::Rgba16Float`], in the general layout.
-    pub fn picture(&self) -> &DeviceImage {
-        &self.picture
+    /// Returns the image that views draw into: [`ImageFormat::Rgba16Float`], in the general layout.
+    pub fn image(&self) -> &DeviceImage {
+        &self.rendered
     }
 
-    /// What was shown, in the general layout.
+    /// Returns the displayed image, in the general layout.
     pub fn window(&self) -> &DeviceImage {
         &self.window
     }
 
-    /// What it has room for.
+    /// Returns the capacity.
     pub fn room(&self) -> DisplayRoom {
         self.room
     }
 
-    /// Submits what makes [`Display::window`] of [`Display::picture`], behind everything submitted so far. Marks and letters
-    /// beyond the room are left out.
+    /// Submits the conversion of the source image to the window's image.
+    ///
+    /// Reads [`Display::image`] and writes [`Display::window`], after all earlier submissions. Ignores marks and text
+    /// beyond the capacity.
     ///
     /// # Errors
     /// If the device fails.
@@ -171,7 +174,7 @@ impl Display {
         self.exec.submit(&uniforms)
     }
 
-    /// Waits for what was submitted.
+    /// Waits for the submitted work.
     ///
     /// # Errors
     /// If the device fails.

@@ -1,7 +1,7 @@
-//! From blended features on the device to the classes of pixels on the host.
+//! Classifies pixels by their blended features; features stay on the device, labels go to the host.
 //!
-//! Promises: labels and relevances of the same features are the same every time. Leaves to the caller which pixels show
-//! anything at all: features of nothing have the class of the decoder's bias.
+//! Guarantees: equal features give equal labels and relevances. The caller decides which pixels show a surface:
+//! features of an empty pixel get the class of the decoder's bias.
 
 use super::Step;
 use crate::Tuning;
@@ -12,44 +12,44 @@ use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
 
-/// A class that is asked about at every pixel.
+/// Request for the relevance of one class at every pixel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Query {
-    /// The class whose relevance is wanted.
+    /// Class.
     pub class: u32,
-    /// What relevance is.
+    /// Definition of relevance.
     pub meaning: Relevance,
 }
 
-/// Where features lie on the device.
+/// Blended features on the device.
 #[derive(Clone, Copy, Debug)]
 pub struct FeatureImage<'a> {
     /// `[pixels * channels]` floats, or more.
     pub buffer: &'a DeviceBuffer,
     /// Columns and rows.
     pub size: [u32; 2],
-    /// Floats of a pixel.
+    /// Floats per pixel.
     pub channels: u32,
-    /// The one at which its 32 features begin.
+    /// Channel of the first of the 32 features.
     pub first: u32,
 }
 
-/// The classes of a picture.
+/// Classes of the pixels of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LabelMap {
-    /// Class of each pixel; [`crate::loss::NO_LABEL`] where its features are not finite.
+    /// Class of each pixel; [`crate::loss::NO_LABEL`] if the pixel's features are not finite.
     pub labels: Vec<u32>,
-    /// By query: how much each pixel has of the class.
+    /// Relevance of each pixel, by query.
     pub relevance: Vec<Vec<f32>>,
 }
 
-/// Classifies pictures again and again; made anew when their buffer is of another kind.
+/// Classifier of images, reusable; it is rebuilt if the layout of the feature buffer changes.
 pub struct Labeler {
     device: Device,
     tuning: Tuning,
     embeddings: DeviceBuffer,
     classes: u32,
-    /// Logits are divided by it before the softmax.
+    /// Divisor of the logits before the softmax.
     temperature: f32,
     queries: Vec<Query>,
     state: Option<State>,
@@ -62,12 +62,14 @@ struct State {
     image: Buffer,
     labels: DeviceBuffer,
     relevance: Vec<DeviceBuffer>,
-    /// Bytes of the features' buffer, floats of a pixel, first feature.
+    /// Bytes of the feature buffer, floats per pixel, first feature channel.
     made_for: (u64, u32, u32),
 }
 
 impl Labeler {
-    /// For these classes: rows of 512, each of length one.
+    /// Prepares a classifier for these classes.
+    ///
+    /// `embeddings`: rows of 512 floats, each of length one.
     ///
     /// # Errors
     /// If memory runs out.
@@ -91,7 +93,7 @@ impl Labeler {
         })
     }
 
-    /// Classifies a picture.
+    /// Classifies the pixels of an image (waits for the device).
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -125,7 +127,7 @@ impl Labeler {
         let head = Head { decoder: handles.parameters, embeddings, classes: self.classes };
         let prepared = semantic_prepare(&mut g, self.tuning, &head)?;
         let labels = g.external("labels", 4 * pixels);
-        // Without a question, one that nobody hears the answer to.
+        // The kernel needs a query. Without one, a placeholder writes its relevance to a transient buffer.
         let unasked = [Query { class: 0, meaning: Relevance::Cosine }];
         let queries = if self.queries.is_empty() { &unasked[..] } else { &self.queries };
         let mut relevance = Vec::new();

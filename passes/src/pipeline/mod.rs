@@ -1,7 +1,8 @@
-//! Stages joined: a geometry training step, a render, and a view into an image.
+//! Pipelines: training steps, renders, shaded views and their display.
 //!
-//! Promises: built once and replayed; when the tile entries overflow nothing is lost: the flag stays up, every later
-//! step changes nothing, and the host grows the buffer and replays from the first step that it spoiled.
+//! Guarantees: plans are built once and replayed. An overflow of tile entries loses no training state. The flag stays
+//! set, and every later step leaves the parameters unchanged. The host grows the buffer and replays from the first step
+//! that the overflow affected.
 
 mod densify;
 mod display;
@@ -22,12 +23,12 @@ pub use geometry::{
 };
 pub use intrinsic::{
     COPIES, EnvironmentMemory, EnvironmentRefresh, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters,
-    IntrinsicRates, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, KeptEnvironment, RelitOptions,
-    RelitView,
+    IntrinsicRates, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, RelitOptions, RelitView,
+    StoredEnvironment,
 };
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use lit::{Lighting, LitEnvironment, LitFrame, LitLayer, LitOptions, LitScene, LitView};
-pub use render::{Picture, Renderer};
+pub use render::{RenderedImage, Renderer};
 pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader};
 pub use status::{RING, Status};
 pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape, WeightColumns};

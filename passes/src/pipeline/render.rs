@@ -1,37 +1,37 @@
-//! From Gaussians and a camera to a picture on the host, and on demand its semantic features on the device.
+//! Renders Gaussians to an image on the host.
+//!
+//! Optionally blends their semantic features on the device.
 
 use super::{Camera, Step};
 use crate::Tuning;
 use crate::scene::{FEATURES, Gaussians, Handles, Layout};
-use crate::splat::{
-    Blended, Channels, Screen, Wanted, blend, blend_features, features_pack, intersect, project, wanted_words,
-};
+use crate::splat::{Blended, Channels, Screen, Wanted, blend, blend_features, intersect, project, wanted_words};
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// A rendered view.
+/// Rendered image.
 #[derive(Clone, Debug)]
-pub struct Picture {
+pub struct RenderedImage {
     /// Columns and rows.
     pub size: [u32; 2],
-    /// Floats of a pixel.
+    /// Floats per pixel.
     pub channels: u32,
-    /// `[pixels * channels]`, blended values unchanged, rgb over the background.
+    /// `[pixels * channels]` floats: blended values, colors over the background.
     pub image: Vec<f32>,
-    /// `[pixels]`
+    /// `[pixels]` floats: transmittance.
     pub transmittance: Vec<f32>,
 }
 
-/// Renders Gaussians again and again; grows its buffers by itself.
+/// Reusable renderer that grows its buffers as required.
 pub struct Renderer {
     device: Device,
     tuning: Tuning,
     largest: [u32; 2],
     channels: Channels,
-    /// Whether semantic features are blended where the Gaussians have them.
+    /// Blends semantic features if the Gaussians have them.
     features: bool,
     capacity: u32,
     state: State,
@@ -48,10 +48,10 @@ struct State {
     wanted: DeviceBuffer,
 }
 
-/// Least room for tile entries.
+/// Minimum capacity of tile entries.
 const LEAST: u32 = 1 << 12;
 
-/// Room for tile entries where nobody knows their number.
+/// Estimates the capacity of tile entries.
 fn usual(gaussians: &Gaussians) -> u32 {
     gaussians.capacity.saturating_mul(2).clamp(LEAST, 1 << 24)
 }
@@ -71,8 +71,9 @@ impl Renderer {
         Renderer::of(device, tuning, gaussians, largest, channels, false, usual(gaussians))
     }
 
-    /// As [`Renderer::new`], and blends the semantic features at every pixel if the Gaussians have them. They stay on the
-    /// device ([`Renderer::features`]): 128 bytes a pixel.
+    /// Prepares as [`Renderer::new`], and blends semantic features if present.
+    ///
+    /// Blends at every pixel. The features stay on the device ([`Renderer::features`]): 128 bytes per pixel.
     ///
     /// # Errors
     /// If memory runs out.
@@ -86,7 +87,9 @@ impl Renderer {
         Renderer::of(device, tuning, gaussians, largest, channels, true, usual(gaussians))
     }
 
-    /// As [`Renderer::new`], with room for so many tile entries at first: where memory is short and their number is known.
+    /// Prepares as [`Renderer::new`], with this initial capacity of tile entries.
+    ///
+    /// Useful if memory is short and the number of entries is known.
     ///
     /// # Errors
     /// If memory runs out.
@@ -114,10 +117,12 @@ impl Renderer {
         Ok(Renderer { device: device.clone(), tuning, largest, channels, features, capacity, state })
     }
 
-    /// Bytes of device memory that [`Renderer::with_entries`] takes for Gaussians of such a layout, but for its uniform.
+    /// Returns the device memory of a renderer in bytes, without its uniform.
+    ///
+    /// The parameters are those of [`Renderer::with_entries`].
     ///
     /// # Errors
-    /// If so many make no graph.
+    /// If the graph rejects the sizes.
     pub fn bytes(t: &Tuning, layout: &Layout, largest: [u32; 2], channels: Channels, entries: u32) -> Result<u64> {
         let d = Declared::new(t, layout, largest, channels, false, entries.max(LEAST))?;
         Ok(d.plan.arena_bytes + d.outputs().map(|b| d.plan.buffers[b.index()].bytes).sum::<u64>())
@@ -133,11 +138,11 @@ impl Renderer {
         camera: &Camera,
         sh_degree: u32,
         background: [f32; 3],
-    ) -> Result<Picture> {
+    ) -> Result<RenderedImage> {
         let (size, _) = self.run(gaussians, camera, sh_degree, background)?;
         let pixels = size[0] as usize * size[1] as usize;
         let channels = self.channels.count();
-        Ok(Picture {
+        Ok(RenderedImage {
             size,
             channels,
             image: self.device.download_as(&self.state.image, pixels * channels as usize)?,
@@ -145,7 +150,9 @@ impl Renderer {
         })
     }
 
-    /// Renders one view without readback and returns the seconds from submission until the device has finished.
+    /// Renders one view without readback and returns the duration.
+    ///
+    /// The duration counts seconds from submission to completion.
     ///
     /// # Errors
     /// If memory runs out while growing, or the device fails.
@@ -159,7 +166,7 @@ impl Renderer {
         self.run(gaussians, camera, sh_degree, background).map(|(_, seconds)| seconds)
     }
 
-    /// Renders one view. Returns its size and the seconds of the pass that had room for all tile entries.
+    /// Renders one view. Returns its size and the seconds of the first run without overflow.
     fn run(
         &mut self,
         gaussians: &Gaussians,
@@ -193,13 +200,15 @@ impl Renderer {
         }
     }
 
-    /// Blended semantic features of the last view, `[pixels * 32]` floats, row by row, not over any background; the buffer
-    /// may be larger. None if they were not asked for, or the Gaussians have none.
+    /// Returns the blended semantic features of the last view.
+    ///
+    /// `[pixels * 32]` floats by row, without background; the buffer may be larger. Returns `None` if features were not
+    /// requested or the Gaussians have none.
     pub fn features(&self) -> Option<&DeviceBuffer> {
         self.state.features.as_ref()
     }
 
-    /// The executor, for its plan and its times.
+    /// Returns the executor, for its plan and its pass times.
     pub fn executor(&mut self) -> &mut Executor {
         &mut self.state.exec
     }
@@ -211,7 +220,7 @@ impl Renderer {
     }
 }
 
-/// What is rendered by, before there is memory for it.
+/// Compiled graph of a renderer, before its memory is allocated.
 struct Declared {
     plan: Arc<Plan>,
     step: Buffer,
@@ -243,22 +252,21 @@ impl Declared {
         let visible = project(&mut g, t, &screen, &gaussians, channels)?;
         let entries = intersect(&mut g, t, &screen, &visible, capacity, flags)?;
         blend(&mut g, t, &screen, &visible, &entries, &Blended { image, transmittance })?;
-        // A group that is absent has nothing behind it that a kernel could read.
+        // An absent group has no memory that a kernel could read.
         let features = (features && layout.model.semantics)
             .then(|| g.external("feature_image", 4 * FEATURES as u64 * screen.pixels()));
         if let Some(into) = features {
             let everywhere = g.transient("everywhere", 4 * wanted_words(screen.pixels()));
             g.fill("want_all", everywhere, u32::MAX)?;
             let wanted = Wanted { pixels: everywhere, dense: true };
-            let handles = features_pack(&mut g, t, &gaussians)?;
-            blend_features(&mut g, t, &screen, &handles, &visible, &entries, wanted, into)?;
+            blend_features(&mut g, t, &screen, &gaussians, &visible, &entries, wanted, into)?;
         }
         g.copy("copy_wanted", entries.wanted, wanted)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         Ok(Declared { plan, step, gaussians, image, transmittance, features, flags, wanted })
     }
 
-    /// What there is beside the arena and the uniform.
+    /// Returns the buffers besides the arena and the uniform.
     fn outputs(&self) -> impl Iterator<Item = Buffer> {
         [self.image, self.transmittance, self.flags, self.wanted].into_iter().chain(self.features)
     }

@@ -1,4 +1,6 @@
-//! Shaded pictures of Gaussians with materials, under point lights and an environment, part by part on the host.
+//! Shades Gaussians with materials and downloads each term.
+//!
+//! Light comes from point lights and an environment map.
 
 use super::{EnvironmentMemory, Step, Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
@@ -19,30 +21,32 @@ use sgs_shaders::structs::{Camera, FieldStep};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Everything that shades, in device memory.
+/// Shading inputs in device memory.
 #[derive(Debug)]
 pub struct ShadedScene {
-    /// A length of the world that is 1 in device memory: places of Gaussians, lights and the visibility field are in this unit, gains
-    /// are divided by its square. Cameras that are given, and points that are returned, are the world's.
+    /// World length of one unit in device memory.
+    ///
+    /// Gaussians, lights and the visibility field are positioned in this unit; gains are divided by its square. Cameras
+    /// passed in and points returned are in world units.
     pub unit: f32,
-    /// Geometry with normals.
+    /// Gaussians with normals.
     pub gaussians: Gaussians,
-    /// Raw albedo, 3 a Gaussian.
+    /// Raw albedo, 3 floats per Gaussian.
     pub albedo: Trainable,
-    /// Raw roughness.
+    /// Raw roughness, 1 float per Gaussian.
     pub roughness: Trainable,
-    /// Raw metallic.
+    /// Raw metallic, 1 float per Gaussian, if present.
     pub metallic: Option<Trainable>,
     /// Point lights.
     pub lights: Option<ShadedLights>,
-    /// The surroundings.
+    /// Environment map.
     pub environment: Option<ShadedEnvironment>,
-    /// What lights see, if anything is in their way.
+    /// Visibility of the lights; without it nothing occludes them.
     pub visibility: Option<ShadedVisibility>,
 }
 
 impl ShadedScene {
-    /// A camera of the world in the scene's unit.
+    /// Converts a camera from world units to the scene's unit.
     pub(super) fn camera(&self, camera: &Camera) -> Camera {
         let by = 1.0 / self.unit;
         let mut camera = *camera;
@@ -53,21 +57,21 @@ impl ShadedScene {
     }
 }
 
-/// What lights see, in device memory.
+/// Visibility of lights in device memory.
 #[derive(Debug)]
 pub enum ShadedVisibility {
-    /// What has been learned.
+    /// Learned visibility field.
     Field {
-        /// Tables and layers.
+        /// Hash tables and network layers.
         field: VisibilityField,
-        /// Its box; what else a step's uniform holds is filled in.
+        /// Box of the field; the remaining fields of the uniform are filled in per view.
         place: FieldStep,
     },
-    /// What rays through the Gaussians find.
+    /// Visibility by tracing rays through the Gaussians.
     Traced {
-        /// The tree.
+        /// Tree over the Gaussians.
         memory: TracedMemory,
-        /// What it is.
+        /// Shape of the tree.
         shape: TracedShape,
     },
 }
@@ -75,68 +79,70 @@ pub enum ShadedVisibility {
 /// Point lights in device memory.
 #[derive(Debug)]
 pub struct ShadedLights {
-    /// Their number and layout.
+    /// Number of lights and layout of their parameters.
     pub model: LightModel,
-    /// Factor of all their light.
+    /// Factor on the light of all lights.
     pub normalizer: f32,
-    /// `[lights * 3]`
+    /// `[lights * 3]`: positions.
     pub positions: Trainable,
     /// Rows of lobes.
     pub lobes: Trainable,
-    /// `[lights]`: 0 is off.
+    /// `[lights]`: gains; 0 is off.
     pub gains: Trainable,
 }
 
-/// An environment in device memory.
+/// Environment map in device memory.
 #[derive(Debug)]
 pub struct ShadedEnvironment {
-    /// Its tables.
+    /// Filter tables.
     pub tables: Environment,
-    /// Where they lie.
+    /// Device memory of the tables.
     pub memory: EnvironmentMemory,
-    /// Its texels.
+    /// Texels.
     pub texels: Trainable,
 }
 
-/// A shaded view. Floats by pixel, row by row; light is linear and what surfaces send, not yet over any background.
+/// Shaded view on the host.
+///
+/// Floats by pixel, row by row. Light is the linear radiance of the surfaces, before compositing over a background.
 #[derive(Clone, Debug, Default)]
 pub struct Shaded {
     /// Columns and rows.
     pub size: [u32; 2],
-    /// World, 3.
+    /// Positions in world units, 3 floats per pixel.
     pub points: Vec<f32>,
-    /// World, unit or zero, 3.
+    /// Normals in world space, unit or zero, 3 floats per pixel.
     pub normals: Vec<f32>,
-    /// Opacity, 1.
+    /// Opacity, 1 float per pixel.
     pub coverage: Vec<f32>,
-    /// Linear albedo and roughness, 4.
+    /// Linear albedo and roughness, 4 floats per pixel.
     pub materials: Vec<f32>,
-    /// 1; empty without.
+    /// Metallic, 1 float per pixel; empty if the scene has none.
     pub metallic: Vec<f32>,
-    /// Light of lamps, 3.
+    /// Light of the point lights, 3 floats per pixel.
     pub direct: Vec<f32>,
-    /// The part of it that is diffuse, 3.
+    /// Diffuse term of `direct`, 3 floats per pixel.
     pub direct_diffuse: Vec<f32>,
-    /// Light of the surroundings, 3.
+    /// Light of the environment map, 3 floats per pixel.
     pub ambient: Vec<f32>,
-    /// The part of it that is diffuse, 3.
+    /// Diffuse term of `ambient`, 3 floats per pixel.
     pub ambient_diffuse: Vec<f32>,
-    /// The surroundings themselves along each ray, 3.
+    /// Environment map along each camera ray, 3 floats per pixel.
     pub background: Vec<f32>,
-    /// How much of the lights a pixel sees, mean over those there are, 1; empty where nothing is in their way.
+    /// Visibility of the lights, mean over all lights, 1 float per pixel; empty without occlusion.
     pub visibility: Vec<f32>,
 }
 
-/// Shades again and again.
+/// Reusable shader of views.
 pub struct Shader {
     device: Device,
     tuning: Tuning,
     builder: SurfaceBuilder,
     surface: Option<Surface>,
     state: Option<State>,
-    /// From where the surface is seen.
+    /// Camera of the current surface.
     seen: Option<Camera>,
-    /// Whether it is asked how much of the lights pixels see.
+    /// Computes [`Shaded::visibility`].
     visibility: bool,
 }
 
@@ -147,12 +153,12 @@ struct State {
     surface: SurfaceHandles,
     /// Uniform of the visibility field.
     field: Option<Buffer>,
-    /// Whether anything is in the way of lights, and it is asked how much.
+    /// Whether visibility is requested and the scene has occlusion.
     hidden: bool,
     outputs: Vec<DeviceBuffer>,
 }
 
-/// Floats a pixel of each output: materials, metallic, direct and its diffuse part, ambient and its, background, visibility.
+/// Name and floats per pixel of each output, in the order of the bindings.
 const OUTPUTS: [(&str, u64); 8] = [
     ("shaded_materials", 4),
     ("shaded_metallic", 1),
@@ -164,11 +170,11 @@ const OUTPUTS: [(&str, u64); 8] = [
     ("shaded_visibility", 1),
 ];
 
-/// Which of them is light of lamps.
+/// Index of the light of the point lights in [`OUTPUTS`].
 const DIRECT: usize = 2;
 
 impl Shader {
-    /// Prepares for views of at most `largest` columns and rows; larger ones make room.
+    /// Prepares for views of at most `largest` columns and rows; a larger view grows the buffers.
     ///
     /// # Errors
     /// If memory runs out.
@@ -177,14 +183,16 @@ impl Shader {
         Ok(Shader { device: device.clone(), tuning, builder, surface: None, state: None, seen: None, visibility: true })
     }
 
-    /// Leaves [`Shaded::visibility`] empty: it is a mean over all lights, those that are off among them, and takes as long as
-    /// shading with all where it is learned.
+    /// Leaves [`Shaded::visibility`] empty.
+    ///
+    /// That mean covers all lights, including those that are off. With a learned field it takes as long as shading with
+    /// all lights.
     pub fn without_visibility(mut self) -> Shader {
         (self.visibility, self.state) = (false, None);
         self
     }
 
-    /// Shades a view.
+    /// Shades a view and downloads all outputs.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -198,18 +206,20 @@ impl Shader {
         shaded
     }
 
-    /// Shades a view without readback and returns the seconds from the first submission until the device has finished.
+    /// Shades a view without readback and returns the duration.
+    ///
+    /// The duration counts seconds of submitted work, without allocation.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn time(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<f64> {
         let seconds = self.run(scene, camera);
-        // Nobody has read what this view covers, which [`Shader::again`] relies on.
+        // `Shader::again` needs a view whose outputs were downloaded.
         self.seen = None;
         seconds
     }
 
-    /// Shades a view; the outputs stay on the device. Returns the seconds without those of allocation.
+    /// Shades a view and leaves the outputs on the device. Returns the seconds without allocation.
     fn run(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<f64> {
         self.seen = None;
         let camera = &scene.camera(camera);
@@ -245,8 +255,10 @@ impl Shader {
         done.map(|()| seconds)
     }
 
-    /// Light of the lamps as they shine by now, 3 floats a pixel as [`Shaded::direct`], where it was this view that was shaded last: what it sees of
-    /// the geometry is still there. None otherwise.
+    /// Shades the last view again under the current lights.
+    ///
+    /// Reuses the surface of that view. Returns the light of the point lights, 3 floats per pixel as
+    /// [`Shaded::direct`]. Returns `None` if `camera` is not the camera of the last shaded view.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -262,8 +274,10 @@ impl Shader {
         }
     }
 
-    /// Shades each Gaussian alone, at its center, as seen from a place: pixel `i` of `surface`
-    /// ([`Surface::of_gaussians`]) is Gaussian `i`. The surface and the place are in the scene's unit.
+    /// Shades each Gaussian at its center, as seen from a point.
+    ///
+    /// Pixel `i` of `surface` ([`Surface::of_gaussians`]) is Gaussian `i`. The surface and the point are in the scene's
+    /// unit.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -274,7 +288,7 @@ impl Shader {
             Some(state) => state,
             None => State::new(&self.device, &self.tuning, scene, shape, self.visibility)?,
         };
-        // Where a pixel lies in a picture matters to what is behind everything, which nobody asks for.
+        // The position of a pixel in the image affects only the background, which no caller reads.
         let camera = Camera {
             world_to_camera: [[1.0, 0.0, 0.0, -from[0]], [0.0, 1.0, 0.0, -from[1]], [0.0, 0.0, 1.0, -from[2]]],
             position: from,
@@ -289,7 +303,7 @@ impl Shader {
         shaded
     }
 
-    /// Forgets what was made for a scene whose parts have come or gone.
+    /// Discards the plan, after components of the scene were added or removed.
     pub fn forget(&mut self) {
         self.state = None;
     }
@@ -383,7 +397,7 @@ impl State {
         if metallic.is_none() {
             g.fill("no_metallic", out[1], 0)?;
         }
-        // Rays are traced for light, and counted by the way.
+        // Traced shading also writes visibility.
         if tree.is_none() && (field.is_none() || !means) {
             g.fill("no_visibility", out[7], 0)?;
         }
@@ -412,7 +426,7 @@ impl State {
         Ok(State { shape, exec, step, surface, field: field.map(|f| f.field.step), hidden, outputs })
     }
 
-    /// Works out everything for a view of a surface.
+    /// Computes all outputs for a view of a surface.
     fn run(&mut self, t: &Tuning, scene: &ShadedScene, surface: &Surface, camera: &Camera) -> Result<()> {
         surface.bind(&mut self.exec, &self.surface)?;
         let mut camera = *camera;
@@ -434,13 +448,13 @@ impl State {
         self.exec.finish()
     }
 
-    /// An output of the view that was worked out last.
+    /// Downloads one output of the last shaded view.
     fn read(&self, device: &Device, output: usize, camera: &Camera) -> Result<Vec<f32>> {
         let pixels = camera.size[0] as usize * camera.size[1] as usize;
         device.download_as(&self.outputs[output], OUTPUTS[output].1 as usize * pixels)
     }
 
-    /// All outputs of the view that was worked out last.
+    /// Downloads all outputs of the last shaded view.
     fn download(&self, device: &Device, scene: &ShadedScene, surface: &Surface, camera: &Camera) -> Result<Shaded> {
         let pixels = camera.size[0] as usize * camera.size[1] as usize;
         let [points, normals, coverage] = surface.download(device)?;

@@ -1,17 +1,17 @@
-//! What a training step tells the host, some steps late: a flag, a counter, and a ring of reports.
+//! Status that training steps report to the host, some steps late: a flag, a counter and a ring of reports.
 
 use sgs_engine::graph::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::StepReport;
 
-/// Reports that the ring holds.
+/// Number of reports in the ring.
 pub const RING: u32 = 64;
 
-/// The flag's bit that the host sets itself.
+/// Bit of the flag that only the host sets.
 const HELD: u32 = 1 << 31;
 
-/// Buffers that outlive the executors of a training run.
+/// Status buffers that outlive the executors of a training run.
 #[derive(Debug)]
 pub struct Status {
     flags: DeviceBuffer,
@@ -19,19 +19,19 @@ pub struct Status {
     reports: DeviceBuffer,
 }
 
-/// Their handles in a graph.
+/// Handles of the status buffers in a graph.
 #[derive(Clone, Copy, Debug)]
 pub struct StatusHandles {
-    /// One word: not zero once something overflowed.
+    /// One word: nonzero after an overflow.
     pub flags: Buffer,
-    /// One word: splats whose gradients were not finite.
+    /// One word: number of splats with non-finite gradients.
     pub skipped: Buffer,
-    /// The ring.
+    /// Ring of reports.
     pub reports: Buffer,
 }
 
 impl Status {
-    /// Makes them, all clear.
+    /// Allocates the buffers and clears them.
     ///
     /// # Errors
     /// If memory runs out.
@@ -46,7 +46,7 @@ impl Status {
         Ok(Status { flags, skipped, reports })
     }
 
-    /// Puts the flag up: steps from now on change no parameter until it is cleared.
+    /// Sets the flag: later steps change no parameter until it is cleared.
     ///
     /// # Errors
     /// If the device fails.
@@ -54,7 +54,7 @@ impl Status {
         device.fill(&self.flags, HELD)
     }
 
-    /// Takes the flag down, after the cause was removed.
+    /// Clears the flag, after its cause was removed.
     ///
     /// # Errors
     /// If the device fails.
@@ -62,10 +62,10 @@ impl Status {
         device.fill(&self.flags, 0)
     }
 
-    /// The report of a step that is done.
+    /// Returns the report of a completed step.
     ///
     /// # Errors
-    /// If the memory is not visible, which would be a defect.
+    /// If the memory is not host-visible, which indicates a bug.
     pub fn report(&self, step: u32) -> Result<StepReport> {
         let bytes = size_of::<StepReport>() as u64;
         let mut report = StepReport::default();
@@ -73,7 +73,7 @@ impl Status {
         Ok(report)
     }
 
-    /// Bytes that all of it takes.
+    /// Bytes of all status buffers.
     pub const BYTES: u64 = 8 + RING as u64 * size_of::<StepReport>() as u64;
 
     pub(crate) fn declare(g: &mut Graph) -> StatusHandles {

@@ -1,8 +1,8 @@
-//! What a view sees of fixed geometry: surfaces by pixel, and the weights of the Gaussians there, both ways.
+//! Per-view surfaces of fixed geometry: surfaces by pixel, and the weights of the Gaussians by row and by column.
 //!
-//! Worked out once for a view and kept, or worked out again before each step where memory is short: it is the same pass over
-//! the same numbers either way, so that results are the same bits. The host waits while it is kept, since it has to know how
-//! many weights there are; it waits for nothing when room is known.
+//! Surfaces are computed once per view and stored, or recomputed before each step if memory is short. Both use the same
+//! pass and inputs, so results are bitwise equal. Storing waits for the device, because the host needs the number of
+//! weights; with known capacity nothing waits.
 
 use super::Step;
 use crate::Tuning;
@@ -15,16 +15,16 @@ use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Camera;
 use std::sync::Arc;
 
-/// How large surfaces are.
+/// Dimensions of a view's surfaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SurfaceShape {
-    /// Columns and rows that no view exceeds.
+    /// Maximum columns and rows of a view.
     pub largest: [u32; 2],
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: u32,
-    /// Room for weights.
+    /// Capacity of weights.
     pub weights: u32,
-    /// Bits of a weight, 32 or 16 ([`crate::Accuracy::weight_bits`]).
+    /// Bits per weight, 32 or 16 ([`crate::Accuracy::weight_bits`]).
     pub weight_bits: u32,
 }
 
@@ -52,12 +52,12 @@ impl SurfaceShape {
         [12 * p, 12 * p, 4 * p, 4 * (p + 1), w, kept, 4 * (u64::from(self.gaussians) + 1), w, kept]
     }
 
-    /// Bytes of one view's surfaces.
+    /// Returns the bytes of one view's surfaces.
     pub fn bytes(&self) -> u64 {
         self.each().iter().sum()
     }
 
-    /// Declares the surfaces of a view in a graph; `written` where a pass of it fills them.
+    /// Declares the surfaces of a view in a graph; `written` if one of its passes fills them.
     pub fn declare(&self, g: &mut Graph, prefix: &str, written: bool) -> SurfaceHandles {
         let mut at = NAMES.iter().zip(self.each()).map(|(name, bytes)| {
             let name = format!("{prefix}{name}");
@@ -78,12 +78,12 @@ impl SurfaceShape {
     }
 }
 
-/// A view's surfaces in one graph.
+/// Handles of a view's surfaces in one graph.
 #[derive(Clone, Copy, Debug)]
 pub struct SurfaceHandles {
-    /// By pixel.
+    /// Surfaces by pixel.
     pub surfaces: Surfaces,
-    /// The matrix.
+    /// Weight matrix.
     pub weights: Weights,
 }
 
@@ -94,7 +94,7 @@ impl SurfaceHandles {
     }
 }
 
-/// A view's surfaces in device memory.
+/// Surfaces of a view in device memory.
 #[derive(Clone, Debug)]
 pub struct Surface {
     shape: SurfaceShape,
@@ -102,7 +102,7 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// Room for the surfaces of a view.
+    /// Allocates the surfaces of a view.
     ///
     /// # Errors
     /// If memory runs out.
@@ -112,8 +112,10 @@ impl Surface {
         Ok(Surface { shape, buffers })
     }
 
-    /// A picture of each Gaussian alone, at its center: pixel `i` is Gaussian `i`, opaque, and what is left of the last row is
-    /// empty. Three floats a Gaussian each; normals are unit or zero. For colors by Gaussian rather than by view.
+    /// Creates a surface with one opaque pixel per Gaussian, at its center.
+    ///
+    /// Pixel `i` is Gaussian `i`; the rest of the last row is empty. `points` and `normals` hold three floats per
+    /// Gaussian; normals are unit or zero. Used for colors by Gaussian instead of by view.
     ///
     /// # Errors
     /// If memory runs out.
@@ -150,20 +152,20 @@ impl Surface {
         Ok(surface)
     }
 
-    /// How large it is.
+    /// Returns the dimensions.
     pub fn shape(&self) -> SurfaceShape {
         self.shape
     }
 
-    /// Puts it behind its handles.
+    /// Binds the buffers to their handles.
     ///
     /// # Errors
-    /// If the plan was made for a larger one.
+    /// If the plan was compiled for larger buffers.
     pub fn bind(&self, exec: &mut Executor, handles: &SurfaceHandles) -> Result<()> {
         handles.buffers().iter().zip(&self.buffers).try_for_each(|(handle, buffer)| exec.bind(*handle, buffer))
     }
 
-    /// Points, normals and coverage on the host (waits for the device).
+    /// Downloads points, normals and coverage (waits for the device).
     ///
     /// # Errors
     /// If the device fails.
@@ -176,7 +178,7 @@ impl Surface {
         ])
     }
 
-    /// Its weights on the host (waits for the device).
+    /// Downloads the weights (waits for the device).
     ///
     /// # Errors
     /// If the device fails.
@@ -198,26 +200,26 @@ impl Surface {
     }
 }
 
-/// The weights of a view on the host, Gaussian by Gaussian.
+/// Weights of a view on the host, by Gaussian.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WeightColumns {
-    /// Where each Gaussian's weights begin, and where the last one's end.
+    /// Index of each Gaussian's first weight, then the total number of weights.
     pub starts: Vec<u32>,
-    /// Pixels.
+    /// Pixel of each weight.
     pub pixels: Vec<u32>,
-    /// What a Gaussian is of the surface there.
+    /// Contribution of the Gaussian to the pixel's surface.
     pub weights: Vec<f32>,
 }
 
 impl WeightColumns {
-    /// Pixels and weights of a Gaussian.
+    /// Returns the pixels and weights of a Gaussian.
     pub fn of(&self, gaussian: usize) -> impl Iterator<Item = (usize, f32)> + '_ {
         let range = self.starts[gaussian] as usize..self.starts[gaussian + 1] as usize;
         self.pixels[range.clone()].iter().map(|p| *p as usize).zip(self.weights[range].iter().copied())
     }
 }
 
-/// Fills surfaces, view by view.
+/// Builder that fills surfaces, view by view.
 pub struct SurfaceBuilder {
     device: Device,
     tuning: Tuning,
@@ -231,13 +233,14 @@ struct State {
     step: Buffer,
     gaussians: Handles,
     into: SurfaceHandles,
-    /// Whether something did not fit; entries wanted; weights wanted.
+    /// Overflow flag.
     flags: DeviceBuffer,
+    /// Required entries and required weights.
     wanted: [DeviceBuffer; 2],
 }
 
 impl SurfaceBuilder {
-    /// Prepares for views of at most `largest` columns and rows. The Gaussians need normals.
+    /// Prepares for views of at most `largest` columns and rows. The Gaussians must have normals.
     ///
     /// # Errors
     /// If memory runs out.
@@ -251,28 +254,30 @@ impl SurfaceBuilder {
         Ok(SurfaceBuilder { device: device.clone(), tuning, shape, entry_capacity, state })
     }
 
-    /// The plan of a builder that does not exist yet, for what it would cost.
+    /// Compiles the plan of a builder without creating it, to estimate its cost.
     ///
     /// # Errors
-    /// If the sizes make no graph.
+    /// If the graph rejects the sizes.
     pub fn plan(t: &Tuning, gaussians: &Layout, shape: SurfaceShape, entry_capacity: u32) -> Result<Arc<Plan>> {
         Ok(declare(t, gaussians, shape, entry_capacity)?.plan)
     }
 
-    /// The room that the views seen so far need ([`SurfaceBuilder::measure`]).
+    /// Returns the dimensions that the measured views require.
+    ///
+    /// See [`SurfaceBuilder::measure`].
     pub fn shape(&self) -> SurfaceShape {
         self.shape
     }
 
-    /// Its plan, for what it costs; beside arena and uniforms it has [`SurfaceBuilder::BYTES`].
+    /// Returns the plan; [`SurfaceBuilder::BYTES`] adds to its arena and uniforms.
     pub fn compiled(&self) -> &Plan {
         self.state.exec.plan()
     }
 
-    /// Bytes of its flags.
+    /// Bytes of the flag and the required counts.
     pub const BYTES: u64 = 12;
 
-    /// Makes room for a view: it fits from now on, and so does every view that did before (waits for the device).
+    /// Grows the capacity until a view fits (waits for the device). Earlier views still fit.
     ///
     /// # Errors
     /// If memory runs out.
@@ -295,7 +300,7 @@ impl SurfaceBuilder {
         }
     }
 
-    /// Room for weights, no more than is needed by views whose largest wanted this many.
+    /// Sets the capacity of weights to this number, the maximum over the views.
     ///
     /// # Errors
     /// If memory runs out.
@@ -307,7 +312,9 @@ impl SurfaceBuilder {
         Ok(())
     }
 
-    /// How many weights the last measured view wanted (waits for the device).
+    /// Returns the number of weights required by the last measured view.
+    ///
+    /// Waits for the device.
     ///
     /// # Errors
     /// If the device fails.
@@ -330,7 +337,7 @@ impl SurfaceBuilder {
         Ok(())
     }
 
-    /// Waits for what was submitted.
+    /// Waits for the submitted work.
     ///
     /// # Errors
     /// If the device fails.
@@ -360,7 +367,7 @@ impl State {
     }
 }
 
-/// A compiled builder and what is bound to it.
+/// Compiled builder and the handles to bind.
 struct Declared {
     plan: Arc<Plan>,
     step: Buffer,

@@ -1,8 +1,8 @@
-//! From Gaussians and a camera into an image, without the host looking at anything on the way.
+//! Renders Gaussians into an image on the device, without intermediate host access.
 //!
-//! Promises: nothing is read back on the path. Tile entries that do not fit leave a frame without splats; the device
-//! counts it, and the room is made before the next frame that is prepared after the count is seen. Leaves submitting, or
-//! recording into a host's commands, to the caller, who gets the executor for it.
+//! Guarantees: the path reads nothing back. A frame whose tile entries do not fit shows no splats. The device counts
+//! such frames; capacity grows before the next frame that is prepared after the host reads the count. The caller
+//! submits, or records into a host's commands; it gets the executor for that.
 
 use super::{Camera, Step};
 use crate::Tuning;
@@ -15,89 +15,89 @@ use sgs_engine::graph::{Buffer, CompileOptions, Graph, Image, ImageState};
 use sgs_engine::{Device, DeviceBuffer, DeviceImage, ImageFormat, Location, Ticket};
 use std::sync::Arc;
 
-/// What can be wrong with a view.
+/// Error of a view.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ViewError {
-    /// The GPU side failed.
+    /// GPU error.
     #[error(transparent)]
     Engine(#[from] sgs_engine::Error),
-    /// Normals are to be shown, but there are none.
+    /// Normals are requested, but the Gaussians have none.
     #[error("The normals are to be shown, but the Gaussians have none.")]
     NoNormals,
-    /// Numbers would go through a decoding that is made for colors.
+    /// A layer that is not a color would be decoded from sRGB when read.
     #[error("{layer:?} cannot be shown in {format}: reading it decodes colors. Use a format without sRGB.")]
     SrgbData {
-        /// What is to be shown.
+        /// Requested layer.
         layer: Layer,
-        /// In which format.
+        /// Requested format.
         format: ImageFormat,
     },
-    /// Materials would go through a decoding that is made for colors.
+    /// Material values would be decoded from sRGB when read.
     #[error("{what} cannot be shown in {format}: reading it decodes colors. Use a format without sRGB.")]
     SrgbValues {
-        /// What is to be shown.
+        /// Name of the requested layer.
         what: &'static str,
-        /// In which format.
+        /// Requested format.
         format: ImageFormat,
     },
-    /// A part is to be shown that the scene does not have.
+    /// A component is requested that the scene lacks.
     #[error("The scene has no {0}, so that it cannot be shown.")]
     Without(&'static str),
-    /// A format that no kernel packs.
+    /// Format that no kernel packs.
     #[error("A view cannot be shown in {0}.")]
     Format(ImageFormat),
-    /// An image or a camera that is not of the size that was prepared for.
+    /// Size of an image or a camera that differs from the size of the view.
     #[error("The view is {} x {} pixels, but the {what} is {} x {}.", view[0], view[1], given[0], given[1])]
     Size {
         /// `image` or `camera`.
         what: &'static str,
-        /// The view.
+        /// Columns and rows of the view.
         view: [u32; 2],
-        /// What was given.
+        /// Columns and rows of the image or camera.
         given: [u32; 2],
     },
 }
 
-/// Result with the error of views.
+/// Result with [`ViewError`] as its error.
 pub type ViewResult<T> = std::result::Result<T, ViewError>;
 
-/// What a view is made for.
+/// Options of a [`View`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ViewOptions {
     /// Columns and rows of the images.
     pub size: [u32; 2],
-    /// What is shown, and how.
+    /// Layer and its encoding.
     pub presented: Presented,
-    /// The state in which images are found. Their texels are overwritten, so that [`ImageState::Undefined`] will do.
+    /// Image state before a frame. A frame overwrites all texels, so [`ImageState::Undefined`] is sufficient.
     pub entry: ImageState,
-    /// The state in which images are left.
+    /// Image state after a frame.
     pub exit: ImageState,
-    /// Frames that may be in flight together.
+    /// Maximum number of frames in flight.
     pub frames_in_flight: usize,
-    /// Room for tile entries at first; 0 guesses.
+    /// Initial capacity of tile entries; 0 estimates it.
     pub entry_capacity: u32,
 }
 
-/// One frame.
+/// Inputs of one frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame {
-    /// From where.
+    /// Camera.
     pub camera: Camera,
-    /// Highest band of spherical harmonics to use; more than the Gaussians have is as many as they have.
+    /// Highest band of spherical harmonics; clamped to the bands of the Gaussians.
     pub sh_degree: u32,
-    /// What lies behind, display-referred.
+    /// Background color, display-referred.
     pub background: [f32; 3],
 }
 
-/// What the device has said of frames so far, some frames late.
+/// Device-side statistics of completed frames; they lag behind submission.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ViewReport {
-    /// Frames that are done.
+    /// Number of completed frames.
     pub frames: u32,
-    /// Of these, the ones that lacked room and show the background alone.
+    /// Number of completed frames that overflowed and show only the background.
     pub incomplete: u32,
-    /// Most tile entries that a frame wanted.
+    /// Largest number of tile entries that a frame required.
     pub wanted: u32,
 }
 
@@ -122,7 +122,7 @@ impl From<TexelFormat> for ImageFormat {
     }
 }
 
-/// Renders into images of one size and format, frame by frame.
+/// Renderer into images of one size and format, frame by frame.
 pub struct View {
     device: Device,
     tuning: Tuning,
@@ -131,7 +131,7 @@ pub struct View {
     capacity: u32,
     report: DeviceBuffer,
     state: State,
-    /// Plans with less room, of which a host still holds recordings.
+    /// Plans with less capacity, of which a host still holds recordings.
     retired: Vec<Executor>,
 }
 
@@ -143,10 +143,10 @@ struct State {
 }
 
 impl View {
-    /// Prepares for frames of some Gaussians.
+    /// Prepares a view of these Gaussians.
     ///
     /// # Errors
-    /// If normals are wanted and there are none, if the format cannot show the layer, or if memory runs out.
+    /// If normals are requested but absent, the format cannot show the layer, or memory runs out.
     pub fn new(device: &Device, tuning: Tuning, gaussians: &Gaussians, options: ViewOptions) -> ViewResult<View> {
         let layer = options.presented.layer;
         if layer == Layer::Normal && !gaussians.model.normals {
@@ -169,16 +169,19 @@ impl View {
         Ok(View { device, tuning, options, channels, capacity, report, state, retired: Vec::new() })
     }
 
-    /// What it was made for.
+    /// Returns the options of the view.
     pub fn options(&self) -> &ViewOptions {
         &self.options
     }
 
-    /// Prepares one frame and hands over the executor with its uniforms: to be submitted, with semaphores or without, or
-    /// recorded into a host's commands. Makes room first if an earlier frame is known to have lacked it.
+    /// Prepares one frame and passes the executor with the frame's uniforms to `how`.
+    ///
+    /// `how` submits, with or without semaphores, or records into a host's commands. Grows the capacity first if an
+    /// earlier frame is known to have overflowed.
     ///
     /// # Errors
-    /// If image or camera have another size than the view, or memory runs out; and what `how` returns.
+    /// If the size of the image or the camera differs from that of the view, or memory runs out. Passes on the errors
+    /// of `how`.
     pub fn frame<R>(
         &mut self,
         gaussians: &Gaussians,
@@ -206,7 +209,7 @@ impl View {
         Ok(how(&mut self.state.exec, &[(self.state.step, bytemuck::bytes_of(&step))])?)
     }
 
-    /// Submits one frame into an image of ours; see [`View::frame`].
+    /// Submits one frame into an image of this device; see [`View::frame`].
     ///
     /// # Errors
     /// As [`View::frame`]; if the device fails.
@@ -214,22 +217,22 @@ impl View {
         self.frame(gaussians, image, frame, |exec, uniforms| exec.submit(uniforms))
     }
 
-    /// What is known of the frames that are done. Waits for nothing.
+    /// Returns the statistics of completed frames without waiting.
     ///
     /// # Errors
-    /// If the memory is not visible, which would be a defect.
+    /// If the memory is not host-visible, which indicates a bug.
     pub fn report(&self) -> sgs_engine::Result<ViewReport> {
         let mut words = [0u32; 3];
         self.report.read(0, bytemuck::cast_slice_mut(&mut words))?;
         Ok(ViewReport { frames: words[0], incomplete: words[1], wanted: words[2] })
     }
 
-    /// Room for tile entries.
+    /// Returns the capacity of tile entries.
     pub fn entry_capacity(&self) -> u32 {
         self.capacity
     }
 
-    /// Recordings that a host still holds.
+    /// Returns the number of recordings that a host still holds.
     ///
     /// # Errors
     /// If the device fails.
@@ -237,7 +240,7 @@ impl View {
         self.retired.iter().chain([&self.state.exec]).map(Executor::recordings).sum()
     }
 
-    /// Waits for the frames submitted here; recordings are the host's to wait for.
+    /// Waits for the frames submitted here, but not for a host's recordings.
     ///
     /// # Errors
     /// If the device fails.

@@ -1,8 +1,8 @@
-//! Primitives: prefix sums, sorting, and how much work there is.
+//! Primitives: prefix sums, sorting, and counts of work.
 //!
-//! Counts may come from the host or from the GPU ([`Count`]); in the second case dispatches are indirect and nothing is
-//! read back. All of them are built from passes that only need the end of the pass before (reduce, then scan): nothing
-//! waits for another workgroup within a pass, which Vulkan does not promise to work.
+//! Counts come from the host or from the GPU ([`Count`]). With GPU counts dispatches are indirect and nothing is read
+//! back. Primitives consist of passes that depend only on the end of the previous pass (reduce, then scan). No
+//! workgroup waits for another within a pass, since Vulkan does not guarantee progress there.
 
 mod radix_sort;
 mod scan;

@@ -1,16 +1,18 @@
-//! Stable sort of 32-bit keys with 32-bit values by a range of the keys' bits, digit by digit from the lowest.
+//! Stable radix sort of 32-bit keys with 32-bit values by a range of bits.
 //!
-//! Three passes a digit (reduce, then scan):
+//! The sort processes digits from the lowest. Three passes per digit (reduce, then scan):
 //!
-//! * `radix_histogram`: how often each digit occurs in each block. Reads 4 bytes an element.
-//! * `scan_spine`: prefix sums over the blocks, one workgroup a digit. Reads and writes 4 bytes a digit and *block*.
-//! * `radix_scatter`: moves every element to its place. Reads 8 bytes an element, writes 8. Without given values the
-//!   first one reads 4; the last one writes 4 if the keys are not wanted. On devices with subgroups of at most 8
-//!   (processors) `radix_scatter_direct` does the same without shared memory for whole blocks.
+//! * `radix_histogram`: counts each digit in each block. Reads 4 bytes per element.
+//! * `scan_spine`: prefix sums over the blocks, one workgroup per digit. Reads and writes 4 bytes per digit and
+//!   *block*.
+//! * `radix_scatter`: moves every element to its position. Reads 8 bytes per element, writes 8. Without input values
+//!   the first pass reads 4; the last pass writes 4 if the caller does not need the keys. On devices with subgroups of
+//!   at most 8 (CPUs) `radix_scatter_direct` does the same without shared memory for whole blocks.
 //!
-//! Together 20 bytes an element and digit, and 16 for each value of the digit and *block*: 1 byte an element at 8 bits.
+//! The total is 20 bytes per element and digit, and 16 per value of the digit and *block*: 1 byte per element at 8
+//! bits.
 //!
-//! The range is cut into as few digits as possible, of nearly the same width: 9 bits become 5 + 4, not 8 + 1.
+//! The range is split into as few digits as possible, of nearly equal width: 9 bits become 5 + 4, not 8 + 1.
 
 use super::scan::{ScanShape, spine};
 use super::work::{Count, words};
@@ -23,33 +25,33 @@ use std::ops::Range;
 /// Bits of the widest digit.
 const MAX_DIGIT_BITS: u32 = 8;
 
-/// Subgroups whose counters fit in shared memory.
+/// Largest number of subgroups whose counters fit in shared memory.
 const MAX_SUBGROUPS: u32 = 32;
 
-/// How a sort is cut into pieces.
+/// Block and digit sizes of a sort.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SortShape {
     /// Subgroup size that the pipelines run at.
     pub subgroup_size: u32,
-    /// Invocations of a workgroup, a multiple of the subgroup size and at most 32 subgroups.
+    /// Invocations per workgroup: a multiple of the subgroup size, at most 32 subgroups.
     pub workgroup: u32,
-    /// Elements of an invocation; `workgroup * items` is at most 4096, and 65535 if `direct`.
+    /// Elements per invocation. `workgroup * items` is at most 4096, or 65535 if `direct`.
     pub items: u32,
-    /// Bits of a digit at most, 1 to 8.
+    /// Largest number of bits of a digit, 1 to 8.
     pub digit_bits: u32,
-    /// Counters of a digit in `radix_histogram`; divides `workgroup`, and `copies << digit_bits` is at most 8192.
+    /// Counters per digit in `radix_histogram`. Divides `workgroup`; `copies << digit_bits` is at most 8192.
     pub copies: u32,
-    /// Elements go straight to their places. The workgroup is one subgroup.
+    /// Whether elements move to their positions without shared memory. The workgroup is one subgroup then.
     pub direct: bool,
 }
 
 impl SortShape {
-    /// Elements of a workgroup: at this group size a [`Count::Gpu`] needs no pass of its own.
+    /// Returns the elements of a workgroup. A [`Count::Gpu`] with a record of this group size needs no extra pass.
     pub fn block(&self) -> u32 {
         self.workgroup * self.items
     }
 
-    /// Whether the kernels can have it: what the fields say.
+    /// Returns whether the sizes meet the limits that the fields document.
     fn is_valid(&self) -> bool {
         let SortShape { subgroup_size, workgroup, digit_bits, copies, direct, .. } = *self;
         let subgroups = if direct { workgroup == subgroup_size } else { workgroup <= MAX_SUBGROUPS * subgroup_size };
@@ -85,17 +87,17 @@ impl From<Tuning> for SortShape {
     }
 }
 
-/// A part of a key that one round sorts by.
+/// Part of a key that one round sorts by.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Digit {
-    /// Its lowest bit.
+    /// Lowest bit of the digit.
     pub shift: u32,
-    /// How many.
+    /// Number of bits.
     pub bits: u32,
 }
 
-/// Cuts a range of bits into digits, the lowest first. Bits above 31 are zero in every key and left out; an empty range
-/// gives one digit of no bits, which keeps the order.
+/// Splits a range of bits into digits, the lowest first. Bits above 31 are zero in every key and omitted. An empty
+/// range gives one digit of no bits, which preserves the order.
 pub fn digits(bits: Range<u32>, digit_bits: u32) -> Vec<Digit> {
     let low = bits.start.min(31);
     let width = bits.end.min(32).saturating_sub(bits.start);
@@ -104,20 +106,21 @@ pub fn digits(bits: Range<u32>, digit_bits: u32) -> Vec<Digit> {
     (0..rounds).map(|round| Digit { shift: begin(round), bits: begin(round + 1) - begin(round) }).collect()
 }
 
-/// Where the result of a sort is: transients of the graph, as long as the count's maximum.
+/// Result of a sort: transients of the graph, sized for the count's maximum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sorted {
-    /// The keys, if they were wanted.
+    /// Sorted keys, if requested.
     pub keys: Option<Slice>,
-    /// The values.
+    /// Sorted values.
     pub values: Slice,
 }
 
-/// Adds the passes that sort pairs by the bits `bits` of their keys, stably. Without `values` the values are the
-/// positions 0, 1, 2… The input stays as it is. Not to want the keys saves 4 bytes an element.
+/// Adds the passes that sort pairs stably by the bits `bits` of their keys. Without `values` the values are the
+/// positions 0, 1, 2… The input is not changed. `want_keys = false` saves 4 bytes per element.
 ///
 /// # Errors
 /// If a slice does not belong to the graph or is too small.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn radix_sort(
     g: &mut Graph,
     shape: impl Into<SortShape>,
@@ -152,7 +155,7 @@ pub fn radix_sort(
         let scan = ScanShape { subgroup_size: subgroup, workgroup, items };
         spine(g, &format!("{name}.radix_spine{round}"), scan, count, counts, totals, rows, keys)?;
 
-        // Buffers of their own for each round: the plan gives them the memory of those that are done with.
+        // Each round declares its own buffers; the plan reuses the memory of finished rounds.
         let keys_sorted = Slice::from(g.transient(format!("{name}.keys{round}"), bytes));
         let values_sorted = Slice::from(g.transient(format!("{name}.values{round}"), bytes));
         let pass = format!("{name}.radix_scatter{round}");
@@ -181,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn digits_cover_the_range_evenly() {
+    fn digits_cover_range_evenly() {
         let widths = |range, most| digits(range, most).iter().map(|d| d.bits).collect::<Vec<_>>();
         assert_eq!(widths(0..32, 8), [8, 8, 8, 8]);
         assert_eq!(widths(0..9, 8), [5, 4]);

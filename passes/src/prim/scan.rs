@@ -1,14 +1,17 @@
-//! Exclusive prefix sums of any number of words, in three passes (reduce, then scan).
+//! Exclusive prefix sums of any number of words.
 //!
-//! * `scan_reduce`: the sum of each block. Reads 4 bytes an element. With an index, `scan_gather`: reads 8, writes 4.
-//! * `scan_spine`: prefix sums of the block sums, by one workgroup, and the total. Reads and writes 4 bytes a *block*.
-//! * `scan_down` (`scan_down_in_place`): prefix sums within each block. Reads 4 bytes an element, writes 4.
+//! Three passes (reduce, then scan):
 //!
-//! Together 12 bytes an element, 20 with an index.
+//! * `scan_reduce`: sums each block. Reads 4 bytes per element. With an index, `scan_gather`: reads 8, writes 4.
+//! * `scan_spine`: prefix sums of the block sums, by one workgroup, and the total. Reads and writes 4 bytes per
+//!   *block*.
+//! * `scan_down` (`scan_down_in_place`): prefix sums within each block. Reads 4 bytes per element, writes 4.
 //!
-//! Promises: sums that would pass 0xFFFFFFFF stay there, so a total that large says "too many" and never a small wrong
-//! number. That holds as long as the sum over a block does not wrap: blocks have 8192 elements at most, so for elements
-//! below 2^19. Nothing behind the last element is written.
+//! The total is 12 bytes per element, 20 with an index.
+//!
+//! Guarantees: sums saturate at 0xFFFFFFFF, so an overflow never gives a small wrong total. This holds if the sum over
+//! a block does not wrap. Blocks have at most 8192 elements, so it holds for elements below 2^19. Nothing after the
+//! last element is written.
 
 use super::work::{Blocks, Count, words};
 use crate::Tuning;
@@ -17,19 +20,19 @@ use bytemuck::bytes_of;
 use sgs_engine::graph::{Graph, GraphError, Slice};
 use sgs_shaders::{scan_down, scan_down_in_place, scan_gather, scan_reduce, scan_spine};
 
-/// How a scan is cut into pieces.
+/// Block sizes of a scan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ScanShape {
     /// Subgroup size that the pipelines run at.
     pub subgroup_size: u32,
-    /// Invocations of a workgroup, a multiple of the subgroup size.
+    /// Invocations per workgroup, a multiple of the subgroup size.
     pub workgroup: u32,
-    /// Elements of an invocation; `workgroup * items` is at most 8192.
+    /// Elements per invocation. `workgroup * items` is at most 8192.
     pub items: u32,
 }
 
 impl ScanShape {
-    /// Elements of a workgroup: at this group size a [`Count::Gpu`] needs no pass of its own.
+    /// Returns the elements of a workgroup. A [`Count::Gpu`] with a record of this group size needs no extra pass.
     pub fn block(&self) -> u32 {
         self.workgroup * self.items
     }
@@ -39,7 +42,7 @@ impl From<Tuning> for ScanShape {
     fn from(tuning: Tuning) -> Self {
         let Tuning { subgroup_size, workgroup, .. } = tuning;
         if subgroup_size <= 8 {
-            // A processor: barriers between subgroups cost more than they hide.
+            // On a CPU, barriers between subgroups cost more than they hide.
             ScanShape { subgroup_size, workgroup: subgroup_size, items: 4096 / subgroup_size }
         } else {
             ScanShape { subgroup_size, workgroup, items: (4096 / workgroup).max(1) }
@@ -47,11 +50,13 @@ impl From<Tuning> for ScanShape {
     }
 }
 
-/// Adds the passes that write the exclusive prefix sums of `input` (of `input[index[i]]` with an index) to `output` and
-/// the sum of all to the word `total`. Input and output may be the same slice, unless there is an index.
+/// Adds the passes that write the exclusive prefix sums of `input` to `output`. With an index they sum
+/// `input[index[i]]`. The word `total` receives the sum of all elements. Input and output may be the same slice, unless
+/// an index is present.
 ///
 /// # Errors
 /// If a slice does not belong to the graph, cannot be written, is too small, or overlaps another.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn exclusive_scan(
     g: &mut Graph,
     shape: impl Into<ScanShape>,
@@ -68,7 +73,7 @@ pub fn exclusive_scan(
     let (input, output, total) = (input.into(), output.into(), total.into());
     let count = count.in_blocks(g, name, shape.block())?;
     let elements = |slice| words(name, slice, count.max);
-    // With an index the input is as long as the index says, which only its author knows.
+    // With an index the required length of the input depends on the index, which only the caller knows.
     let source = if index.is_some() { input } else { elements(input)? };
     let target = elements(output)?;
     let sums = Slice::from(g.transient(format!("{name}.sums"), 4 * u64::from(count.most())));
@@ -106,8 +111,9 @@ pub fn exclusive_scan(
     }
 }
 
-/// Adds the pass that scans `rows` rows of block sums in place and writes the total of each. `idle` is any memory that
-/// it does not write.
+/// Adds the pass that scans `rows` rows of block sums in place. It writes the total of each row to `totals`. `idle` is
+/// any memory that the pass does not write.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub(super) fn spine(
     g: &mut Graph,
     name: &str,
@@ -118,7 +124,7 @@ pub(super) fn spine(
     rows: u32,
     idle: Slice,
 ) -> Result<(), GraphError> {
-    // One round if 16 sums an invocation are enough, and no larger than what there is to do: most scans are short.
+    // Up to 16 sums per invocation allow one round. Most scans are short, so the workgroup is no larger than necessary.
     let items = count.most().div_ceil(shape.workgroup).clamp(1, 16);
     let workgroup = count.most().div_ceil(items).next_multiple_of(shape.subgroup_size).min(shape.workgroup);
     let totals = words(name, totals, rows)?;

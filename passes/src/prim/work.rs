@@ -1,8 +1,8 @@
-//! How many elements a pass works on, and the Work records behind counts that only the GPU knows.
+//! Element counts of passes, and Work records of counts that only the GPU knows.
 //!
-//! A Work record (`work.glsl`) is the arguments of an indirect dispatch with the number of elements. Its arguments fit
-//! one group size, so a count that several kernels follow has several records; [`work`] writes them, and refuses counts
-//! beyond the capacity. Cost: one workgroup, 4 bytes read, 68 written.
+//! A Work record (`work.glsl`) holds the arguments of an indirect dispatch and the number of elements. Its arguments
+//! fit one group size, so a count that several kernels use has several records. [`work`] writes the records and rejects
+//! counts beyond the capacity. Cost: one workgroup, 4 bytes read, 68 written.
 
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Graph, GraphError, Slice};
@@ -11,42 +11,42 @@ use sgs_shaders::{Kernel, regroup, work as kernel};
 
 const RECORD_BYTES: u64 = size_of::<Work>() as u64;
 
-/// Work records of one count, one behind the other.
+/// Work records of one count, one after the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Records {
-    /// Where the first one begins; kernels that need the count are bound to this.
+    /// Slice of the first record. Kernels that need the count bind it.
     pub slice: Slice,
-    /// Elements of a workgroup, by record; 0 where there is no record.
+    /// Elements of a workgroup, by record; 0 for an absent record.
     pub group_sizes: [u32; 4],
-    /// The count is never larger.
+    /// Upper bound of the count.
     pub max: u32,
 }
 
 impl Records {
-    /// A single record.
+    /// Returns a single record.
     pub fn one(slice: impl Into<Slice>, group_size: u32, max: u32) -> Records {
         Records { slice: slice.into(), group_sizes: [group_size, 0, 0, 0], max }
     }
 
-    /// Byte offset, in the buffer, of the record for a group size.
+    /// Returns the record's byte offset in the buffer for a group size.
     pub fn offset(&self, group_size: u32) -> Option<u64> {
         let position = self.group_sizes.iter().position(|&size| size == group_size && size > 0)?;
         Some(self.slice.offset + position as u64 * RECORD_BYTES)
     }
 }
 
-/// A number of elements.
+/// Number of elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Count {
-    /// Known now.
+    /// Known when the graph is built.
     Host(u32),
-    /// Known to the GPU when the pass runs. Primitives that find no record for their group size add a pass that makes
-    /// one.
+    /// Known to the GPU when the pass runs. Primitives without a record for their group size add a pass that creates
+    /// it.
     Gpu(Records),
 }
 
 impl Count {
-    /// The largest that it can be.
+    /// Returns the upper bound of the count.
     pub fn max(&self) -> u32 {
         match self {
             Count::Host(count) => *count,
@@ -54,7 +54,7 @@ impl Count {
         }
     }
 
-    /// What dispatches of one group size need, by a pass of its own if need be.
+    /// Returns the count in blocks of one size. Adds a pass that creates the record if none fits.
     pub(super) fn in_blocks(self, g: &mut Graph, name: &str, block: u32) -> Result<Blocks, GraphError> {
         let record = match self {
             Count::Host(_) => None,
@@ -67,7 +67,7 @@ impl Count {
     }
 }
 
-/// Adds the pass that makes a record for another group size.
+/// Adds the pass that creates a record for another group size.
 fn regroup(g: &mut Graph, name: &str, work: Slice, group_size: u32) -> Result<Slice, GraphError> {
     let regrouped = Slice::from(g.transient(format!("{name}.work"), RECORD_BYTES));
     let bindings = regroup::Bindings { work, regrouped };
@@ -77,34 +77,35 @@ fn regroup(g: &mut Graph, name: &str, work: Slice, group_size: u32) -> Result<Sl
     Ok(regrouped)
 }
 
-/// A count in blocks of one size.
+/// Count in blocks of one size.
 #[derive(Clone, Copy)]
 pub(super) struct Blocks {
-    /// Elements at most.
+    /// Largest number of elements.
     pub max: u32,
     /// Elements of a block.
     pub block: u32,
-    /// A binding that holds the count, and where in its buffer the arguments of the dispatch are.
+    /// Binding with the count, and byte offset of the dispatch arguments in its buffer.
     record: Option<(Slice, u64)>,
 }
 
 impl Blocks {
-    /// Whether kernels have to ask for the count.
+    /// Returns whether kernels read the count from the GPU.
     pub fn on_gpu(&self) -> bool {
         self.record.is_some()
     }
 
-    /// Blocks at most, and at least one.
+    /// Returns the largest number of blocks, at least one.
     pub fn most(&self) -> u32 {
         self.max.div_ceil(self.block).max(1)
     }
 
-    /// What the binding `work` is bound to; `idle` is anything that the pass does not write.
+    /// Returns the slice to bind to `work`. `idle` is any memory that the pass does not write.
     pub fn work(&self, idle: Slice) -> Slice {
         self.record.map_or(Slice { bytes: 4, ..idle }, |(slice, _)| slice)
     }
 
-    /// Adds a pass with a workgroup for each block, at a given subgroup size.
+    /// Adds a pass with one workgroup per block, at the requested subgroup size.
+    #[expect(clippy::too_many_arguments, reason = "declares a kernel")]
     pub fn stage(
         &self,
         g: &mut Graph,
@@ -123,21 +124,21 @@ impl Blocks {
     }
 }
 
-/// What happens to a count that exceeds the capacity.
+/// Handling of a count that exceeds the capacity.
 #[derive(Clone, Copy, Debug)]
 pub struct Overflow {
-    /// The largest count that there is room for.
+    /// Largest count that fits.
     pub capacity: u32,
-    /// A word of flags; clearing it is up to the caller.
+    /// Flag word; the caller clears it.
     pub flags: Slice,
-    /// What is set in it.
+    /// Bits that an overflow sets in the flag word.
     pub flag: u32,
-    /// A word that receives the count before it is refused.
+    /// Word that receives the count, even if it exceeds the capacity.
     pub wanted: Slice,
 }
 
-/// Adds the pass that turns the word `source` into Work records for several group sizes (unused ones may be 0, the
-/// first may not), 64 bytes in `records`. A count beyond the capacity becomes 0 and raises the flag.
+/// Adds the pass that converts the word `source` into Work records. Each record has its own group size; unused sizes
+/// may be 0, the first may not. `records` has 64 bytes. A count beyond the capacity becomes 0 and sets the flag.
 ///
 /// # Errors
 /// If a slice does not belong to the graph, cannot be written, or is too small.
@@ -157,13 +158,13 @@ pub fn work(
         required: words(name, wanted, 1)?,
         flags: words(name, flags, 1)?,
     };
-    // Unused records are written, too, so that nothing in the buffer is undefined.
+    // Unused records are written too, so that the whole buffer is defined.
     let push = kernel::Push { group_sizes: group_sizes.map(|size| size.max(1)), capacity, flag };
     stage(g, name, &kernel::KERNEL, bindings.entries(), [], bytemuck::bytes_of(&push)).dispatch([1, 1, 1])?;
     Ok(Records { slice, group_sizes, max: capacity })
 }
 
-/// The first `count` words of a slice (at least one, since nothing cannot be bound).
+/// Returns the first `count` words of a slice; at least one, since an empty slice cannot be bound.
 pub(super) fn words(pass: &str, slice: Slice, count: u32) -> Result<Slice, GraphError> {
     let bytes = 4 * u64::from(count.max(1));
     if slice.bytes < bytes {
@@ -175,6 +176,6 @@ pub(super) fn words(pass: &str, slice: Slice, count: u32) -> Result<Slice, Graph
             size: slice.offset + slice.bytes,
         });
     }
-    // Whether a slice without a length of its own lies in its buffer is for the graph to say.
+    // The graph checks whether a slice without its own length lies within its buffer.
     Ok(Slice { bytes, ..slice })
 }

@@ -1,5 +1,5 @@
-//! `blend` and the whole render: the CPU twin in double precision. No tiles: every splat is tried at every pixel of its
-//! box, nearest first.
+//! References of `blend` and of the whole render, in double precision on the CPU. Without tiles: every splat is
+//! evaluated at every pixel of its box, nearest first.
 
 use crate::Accuracy;
 use crate::scene::SEMANTIC_FEATURES;
@@ -7,15 +7,17 @@ use crate::scene::SEMANTIC_FEATURES;
 use super::project::{Camera, Gaussians, Projected, project_at};
 use glam::DVec2;
 
-/// What blending leaves.
+/// Result of blending.
 #[derive(Clone, Debug)]
 pub struct Blended {
-    /// `[pixels * channels]`, composited over the background (first three channels); semantic features come last.
+    /// Image composited over the background, `[pixels * channels]`. The background has the first three channels.
+    /// Semantic features come last.
     pub image: Vec<f64>,
-    /// `[pixels]`
+    /// Transmittance, `[pixels]`.
     pub transmittance: Vec<f64>,
-    /// Whether a pixel met a number close to one of the thresholds (1/255, 0.99, 1e-4 or others in their place, two depths that single
-    /// precision may order either way, or a color between two that are stored): there single and double precision may rightly differ.
+    /// Whether single and double precision may legitimately differ at a pixel. Reasons: a value is close to one of the
+    /// thresholds (1/255, 0.99, 1e-4 or their replacements). Two depths may be ordered either way in single precision.
+    /// A color lies between two stored values.
     pub doubtful: Vec<bool>,
 }
 
@@ -24,7 +26,7 @@ pub fn blend(splats: &[Projected], size: [u32; 2], channels: usize, background: 
     blend_at(splats, size, channels, background, &Accuracy::EXACT)
 }
 
-/// The same with another accuracy. The exponential is always exact.
+/// Blends like [`blend`] at a given accuracy. The exponential is always exact.
 pub fn blend_at(splats: &[Projected], size: [u32; 2], channels: usize, background: [f64; 3], a: &Accuracy) -> Blended {
     let (alpha_min, transmittance_min) = (f64::from(a.alpha_min), f64::from(a.transmittance_min));
     let pixels = size[0] as usize * size[1] as usize;
@@ -84,12 +86,12 @@ pub fn blend_at(splats: &[Projected], size: [u32; 2], channels: usize, backgroun
     Blended { image, transmittance, doubtful }
 }
 
-/// Projects and blends.
+/// Projects and blends Gaussians.
 pub fn render(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool, background: [f64; 3]) -> Blended {
     render_at(g, camera, sh_degree, depth, background, &Accuracy::EXACT)
 }
 
-/// The same with another accuracy.
+/// Renders like [`render`] at a given accuracy.
 pub fn render_at(
     g: &Gaussians,
     camera: &Camera,

@@ -1,50 +1,52 @@
-//! Twin of `brdf.glsl`: what a surface does with light from one direction, from the definitions.
+//! Reference of `brdf.glsl`: reflectance for light from one direction.
 //!
-//! Lambert; GGX with height-correlated Smith masking, Schlick's Fresnel term (Walter et al. 2007; Heitz 2014; Schlick 1994).
+//! Lambert; GGX with height-correlated Smith masking, Schlick's Fresnel term (Walter et al. 2007; Heitz 2014; Schlick
+//! 1994).
 
 use std::f64::consts::PI;
 
-/// Smallest alpha = roughness².
+/// Minimum alpha = roughness².
 pub const ALPHA_MIN: f64 = 1e-3;
-/// Smallest n·v.
+/// Minimum n·v.
 pub const NV_MIN: f64 = 1e-4;
 
-/// A vector.
+/// Vector.
 pub type V3 = [f64; 3];
 
-/// Scalar product.
+/// Returns the scalar product.
 pub fn dot(a: V3, b: V3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Vector product.
+/// Returns the vector product.
 pub fn cross(a: V3, b: V3) -> V3 {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// `a + t b`.
+/// Returns `a + t b`.
 pub fn along(a: V3, t: f64, b: V3) -> V3 {
     [a[0] + t * b[0], a[1] + t * b[1], a[2] + t * b[2]]
 }
 
-/// Unit vector; zero for zero.
+/// Returns the unit vector; zero for zero.
 pub fn unit(a: V3) -> V3 {
     let size = dot(a, a).sqrt();
     if size > 0.0 { a.map(|x| x / size) } else { a }
 }
 
-/// What a surface is made of.
+/// Material of a surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
-    /// Linear.
+    /// Linear albedo.
     pub albedo: V3,
     /// Square root of alpha.
     pub roughness: f64,
-    /// 0 to 1.
+    /// Metallic, 0 to 1.
     pub metallic: f64,
 }
 
-/// Diffuse and specular part of the reflectance for unit directions to the light and to the viewer, n·l > 0.
+/// Returns the diffuse and the specular reflectance. `l` and `v` are unit directions to the light and to the viewer,
+/// with n·l > 0.
 pub fn brdf(m: Material, n: V3, l: V3, v: V3) -> [V3; 2] {
     let a = (m.roughness * m.roughness).max(ALPHA_MIN).powi(2);
     let h = unit(along(l, 1.0, v));
@@ -62,10 +64,11 @@ pub fn brdf(m: Material, n: V3, l: V3, v: V3) -> [V3; 2] {
 mod tests {
     use super::*;
 
-    /// Share of a unit beam from direction v that leaves again, by the specular part alone with F = 1 and by everything.
+    /// Returns the reflected share of a unit beam from direction v. The first number is that of the specular term alone
+    /// with F = 1, the second that of all terms.
     ///
-    /// The highlight is integrated over half vectors, drawn by the inverse of GGX's distribution, so that it needs few points
-    /// however narrow it is: `dl = 4 (l·h) dh`, and points have density `D (n·h)`.
+    /// The highlight is integrated over half vectors, drawn by the inverse of GGX's distribution. The integral
+    /// therefore needs few points, however narrow the highlight: `dl = 4 (l·h) dh`, and points have density `D (n·h)`.
     fn reflected(m: Material, nv: f64) -> [f64; 2] {
         let v = [(1.0 - nv * nv).sqrt(), 0.0, nv];
         let n = [0.0, 0.0, 1.0];
@@ -89,27 +92,27 @@ mod tests {
             }
         }
         let points = f64::from(count * count);
-        // Lambert's part is albedo (1 - metallic), exactly.
+        // The Lambertian term is exactly albedo (1 - metallic).
         [mirror / points, whole / points + m.albedo[0] * (1.0 - m.metallic)]
     }
 
     #[test]
-    fn the_mirror_part_creates_no_energy() {
+    fn specular_term_conserves_energy() {
         for roughness in [0.04, 0.09, 0.2, 0.4, 0.6, 0.8, 1.0] {
             for nv in [0.02, 0.1, 0.3, 0.6, 0.9, 1.0] {
                 let m = Material { albedo: [1.0; 3], roughness, metallic: 1.0 };
                 let [mirror, whole] = reflected(m, nv);
                 assert!(mirror <= 1.0 + 1e-3 && mirror > 0.3, "{roughness} {nv}: {mirror}");
                 assert!((mirror - whole).abs() < 1e-12);
-                // A smooth surface loses nothing.
+                // A smooth surface loses no energy.
                 assert!(roughness > 0.1 || nv < 0.3 || mirror > 0.98, "{roughness} {nv}: {mirror}");
             }
         }
     }
 
-    /// With Lambert's part beside it, energy is created only where Fresnel's term grows: never more than its share.
+    /// With the Lambertian term, the excess energy is at most the Fresnel term.
     #[test]
-    fn a_painted_surface_exceeds_one_at_most_by_its_fresnel_term() {
+    fn dielectric_exceeds_one_at_most_by_its_fresnel_term() {
         for roughness in [0.09, 0.3, 1.0] {
             for nv in [0.1, 0.5, 1.0] {
                 let dark = reflected(Material { albedo: [0.0; 3], roughness, metallic: 0.0 }, nv)[1];
@@ -121,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn light_and_eye_may_change_places() {
+    fn brdf_is_reciprocal() {
         let n = [0.0, 0.0, 1.0];
         let (l, v) = (unit([0.3, -0.2, 0.6]), unit([-0.7, 0.1, 0.4]));
         let m = Material { albedo: [0.2, 0.5, 0.9], roughness: 0.35, metallic: 0.4 };

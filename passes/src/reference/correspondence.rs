@@ -1,54 +1,54 @@
-//! Twin of the correspondence loss of a region between a training view and pseudo-views.
+//! Reference of a region's correspondence loss between training and pseudo-views.
 
 use super::semantic::{Head, Rounding as PlaceRounding, dot};
 
-/// A picture's features, pixel by pixel, and where the region is in it.
+/// Features of an image by pixel, and the mask of the region.
 #[derive(Clone, Debug)]
-pub struct Picture {
-    /// `[P * features]`.
+pub struct MaskedImage {
+    /// Features, `[P * features]`.
     pub image: Vec<f64>,
-    /// Whether a pixel belongs.
+    /// Whether a pixel belongs to the region.
     pub mask: Vec<bool>,
 }
 
-/// Regions of fewer pixels are no evidence.
+/// Minimum number of pixels of a region that counts.
 pub const LEAST_PIXELS: usize = 16;
 
-/// The two means over the pseudo-views, and how many of these counted.
+/// Means of the two terms over the pseudo-views, and the number of valid views.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Terms {
     /// Distance of mean features.
     pub distance: f64,
     /// Cross-entropy to the training view's class.
     pub class: f64,
-    /// Pseudo-views whose regions are large enough.
+    /// Number of pseudo-views whose regions are large enough.
     pub pairs: usize,
 }
 
-/// Gradients: of the training view, of each pseudo-view, of the decoder.
+/// Gradients of the training view, the pseudo-views and the decoder.
 #[derive(Clone, Debug)]
 pub struct Gradient {
-    /// By the training view's features.
+    /// Gradient of the training view's features.
     pub train: Vec<f64>,
-    /// By each pseudo-view's.
+    /// Gradient of each pseudo-view's features.
     pub pseudo: Vec<Vec<f64>>,
-    /// By the decoder.
+    /// Gradient of the decoder.
     pub decoder: Vec<f64>,
 }
 
-/// What single precision rounds numbers by, in units of the last place: the size of what they are sums of.
+/// Bounds of single-precision rounding errors, in units of the last place. A bound is the magnitude of a sum's terms.
 #[derive(Clone, Debug)]
 pub struct Rounding {
-    /// Of the means.
+    /// Bounds of the means.
     pub terms: Terms,
-    /// Of gradients.
+    /// Bounds of the gradients.
     pub gradient: Gradient,
-    /// Whether rounding cannot change which class most pixels of the training view have, or whether something decoded is
-    /// nothing.
+    /// Whether rounding cannot change the result's discrete decisions. These are the class of most pixels of the
+    /// training view, and whether a decoded vector counts as zero.
     pub sure: bool,
 }
 
-impl Picture {
+impl MaskedImage {
     fn members(&self, features: usize) -> Vec<usize> {
         let finite = |p: usize| self.image[p * features..][..features].iter().all(|x| x.is_finite());
         (0..self.mask.len()).filter(|&p| self.mask[p] && finite(p)).collect()
@@ -60,17 +60,17 @@ impl Picture {
         (0..features).map(|k| members.iter().map(|&p| self.image[p * features + k]).sum::<f64>() / n).collect()
     }
 
-    /// Means of the sizes.
+    /// Returns the means of the magnitudes.
     fn size(&self, features: usize) -> Vec<f64> {
-        Picture { image: self.image.iter().map(|x| x.abs()).collect(), mask: self.mask.clone() }.mean(features)
+        MaskedImage { image: self.image.iter().map(|x| x.abs()).collect(), mask: self.mask.clone() }.mean(features)
     }
 
-    /// The class of most of its pixels, the first of equals.
+    /// Returns the class of most pixels of the region, the first among equals.
     pub fn majority(&self, head: &Head) -> usize {
         self.majority_surely(head).0
     }
 
-    /// The same, and whether single precision says so too.
+    /// Returns the majority class, and whether single precision is certain to agree.
     fn majority_surely(&self, head: &Head) -> (usize, bool) {
         let (mut counts, mut near) = (vec![0_usize; head.classes()], 0);
         for p in self.members(head.features) {
@@ -89,11 +89,11 @@ impl Picture {
     }
 }
 
-/// The loss and its gradient times `weight`.
+/// Returns the loss and its gradient times `weight`.
 pub fn correspondence(
     head: &Head,
-    train: &Picture,
-    pseudo: &[Picture],
+    train: &MaskedImage,
+    pseudo: &[MaskedImage],
     weight: f64,
     temperature: f64,
 ) -> (Terms, Gradient) {
@@ -101,11 +101,11 @@ pub fn correspondence(
     (terms, gradient)
 }
 
-/// The same, and what single precision rounds it by.
+/// Returns the loss, its gradient, and bounds of single-precision rounding errors.
 pub fn correspondence_rounding(
     head: &Head,
-    train: &Picture,
-    pseudo: &[Picture],
+    train: &MaskedImage,
+    pseudo: &[MaskedImage],
     weight: f64,
     temperature: f64,
 ) -> (Terms, Gradient, Rounding) {
@@ -121,18 +121,18 @@ pub fn correspondence_rounding(
     let mine = train.members(n);
     let (label, sure) = train.majority_surely(head);
     let share = 1.0 / pseudo.len().max(1) as f64;
-    for (i, picture) in pseudo.iter().enumerate() {
-        let theirs = picture.members(n);
+    for (i, rendered) in pseudo.iter().enumerate() {
+        let theirs = rendered.members(n);
         if mine.len() < LEAST_PIXELS || theirs.len() < LEAST_PIXELS {
             continue;
         }
         terms.pairs += 1;
-        let apart: Vec<f64> = picture.mean(n).iter().zip(train.mean(n)).map(|(a, b)| a - b).collect();
+        let apart: Vec<f64> = rendered.mean(n).iter().zip(train.mean(n)).map(|(a, b)| a - b).collect();
         let distance = dot(&apart, &apart).sqrt();
         terms.distance += share * distance;
         let toward = |k: usize| if distance > 0.0 { weight * share * apart[k] / distance } else { 0.0 };
-        // A difference of means is off by these, each and all of it.
-        let sizes: Vec<f64> = picture.size(n).iter().zip(train.size(n)).map(|(a, b)| a + b).collect();
+        // Rounding bounds of a difference of means: of each component, and of the norm.
+        let sizes: Vec<f64> = rendered.size(n).iter().zip(train.size(n)).map(|(a, b)| a + b).collect();
         let size = dot(&sizes, &sizes).sqrt();
         rounding.terms.distance += share * size;
         let off = |k: usize| {
@@ -145,7 +145,7 @@ pub fn correspondence_rounding(
         }
         let count = theirs.len() as f64;
         for &p in &theirs {
-            let f = &picture.image[p * n..][..n];
+            let f = &rendered.image[p * n..][..n];
             let d = head.decode(f);
             let (entropy, by_unit) = head.cross_entropy(&d, label, temperature);
             terms.class += share * entropy / count;
@@ -169,24 +169,24 @@ mod tests {
     use crate::reference::rng::Pcg;
     use crate::reference::semantic::tests::head;
 
-    fn picture(pixels: usize, share: f64, rng: &mut Pcg) -> Picture {
+    fn rendered(pixels: usize, share: f64, rng: &mut Pcg) -> MaskedImage {
         let image = (0..3 * pixels).map(|_| rng.normal()).collect();
-        Picture { image, mask: (0..pixels).map(|_| rng.uniform() < share).collect() }
+        MaskedImage { image, mask: (0..pixels).map(|_| rng.uniform() < share).collect() }
     }
 
     #[test]
-    fn gradient_is_the_finite_difference() {
+    fn gradient_matches_finite_differences() {
         let mut rng = Pcg::new(9);
         let h = head(3, 7, 4, &mut rng);
-        let train = picture(60, 0.7, &mut rng);
+        let train = rendered(60, 0.7, &mut rng);
         // The last region is too small.
-        let pseudo = [picture(40, 0.9, &mut rng), picture(50, 0.6, &mut rng), picture(50, 0.1, &mut rng)];
+        let pseudo = [rendered(40, 0.9, &mut rng), rendered(50, 0.6, &mut rng), rendered(50, 0.1, &mut rng)];
         let (weight, temperature) = (0.6, 0.5);
         let (terms, gradient) = correspondence(&h, &train, &pseudo, weight, temperature);
         assert_eq!(terms.pairs, 2);
         let label = train.majority(&h);
-        let total = |h: &Head, train: &Picture, pseudo: &[Picture]| {
-            // The class has no gradient, and must not change while others are taken.
+        let total = |h: &Head, train: &MaskedImage, pseudo: &[MaskedImage]| {
+            // The class has no gradient, and must not change during differencing.
             assert_eq!(train.majority(h), label);
             let t = correspondence(h, train, pseudo, weight, temperature).0;
             weight * (t.distance + t.class)
@@ -198,7 +198,9 @@ mod tests {
                 assert!((fd - expected[i]).abs() < 1e-7, "{i}: {fd} {}", expected[i]);
             }
         };
-        check(&train.image, &gradient.train, &|x| total(&h, &Picture { image: x.to_vec(), ..train.clone() }, &pseudo));
+        check(&train.image, &gradient.train, &|x| {
+            total(&h, &MaskedImage { image: x.to_vec(), ..train.clone() }, &pseudo)
+        });
         for i in 0..3 {
             check(&pseudo[i].image, &gradient.pseudo[i], &|x| {
                 let mut moved = pseudo.clone();
@@ -210,10 +212,10 @@ mod tests {
     }
 
     #[test]
-    fn regions_that_agree_have_no_distance_and_no_gradient_of_it() {
+    fn equal_regions_have_no_distance_and_no_distance_gradient() {
         let mut rng = Pcg::new(2);
         let h = head(3, 5, 2, &mut rng);
-        let train = picture(64, 1.0, &mut rng);
+        let train = rendered(64, 1.0, &mut rng);
         let (terms, gradient) = correspondence(&h, &train, std::slice::from_ref(&train), 1.0, 1.0);
         assert_eq!((terms.distance, terms.pairs), (0.0, 1));
         assert!(gradient.train.iter().all(|&g| g == 0.0));

@@ -1,31 +1,31 @@
-//! Twin of `densify`: verdicts, who ends up in which slot, and the halves of a split.
+//! Reference of `densify`: verdicts, slots, and the halves of a split.
 //!
-//! Slots are filled one by one, as a person would, rather than through ranks and prefix sums as in the kernels.
+//! Slots are filled one by one, rather than through ranks and prefix sums as in the kernels.
 
 use super::rng::{normal_from, random_bits};
 
-/// Thresholds; those of `Densify` in `densify.glsl`.
+/// Thresholds, as in `Densify` of `densify.glsl`.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
-    /// Mean screen gradient from which a Gaussian is refined.
+    /// Minimum mean screen gradient of a Gaussian that is refined.
     pub grad_threshold: f64,
-    /// Mean gradient by the raw normal from which it is refined as well; 0 for none.
+    /// Minimum mean gradient of the raw normal that also causes refinement; 0 for none.
     pub normal_threshold: f64,
-    /// Largest axis above which it is split, else cloned.
+    /// Size of the largest axis above which to split instead of clone.
     pub split_size: f64,
-    /// Fainter ones are pruned.
+    /// Opacity below which a Gaussian is pruned.
     pub prune_opacity: f64,
-    /// With less blending weight they are pruned.
+    /// Sum of blending weights below which a Gaussian is pruned.
     pub prune_weight: f64,
-    /// With a larger axis they are pruned.
+    /// Size of the largest axis above which a Gaussian is pruned.
     pub prune_size: f64,
-    /// Most Gaussians afterwards.
+    /// Maximum number of Gaussians afterwards.
     pub cap: usize,
-    /// Of the random numbers.
+    /// Seed of the random numbers.
     pub seed: u32,
 }
 
-/// What decides about a Gaussian.
+/// Inputs of a Gaussian's verdict.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate {
     /// Center.
@@ -38,28 +38,29 @@ pub struct Candidate {
     pub opacity_logit: f64,
     /// Band 0 of the spherical harmonics.
     pub sh0: [f64; 3],
-    /// Sum of screen gradients, their number, sum of blending weights, sum of gradients by the raw normal.
+    /// Densification statistics. Sum of screen gradients, their number, sum of blending weights, sum of gradients of
+    /// the raw normal.
     pub statistics: [f64; 4],
 }
 
-/// What happens to a Gaussian.
+/// Decision about a Gaussian.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Stays.
+    /// Keeps the Gaussian.
     Keep,
-    /// Goes; `valid` if all of its numbers are finite.
+    /// Removes the Gaussian; `valid` if all of its numbers are finite.
     Prune {
-        /// Whether it could stay if nothing else does.
+        /// Whether the Gaussian could stay if all others are removed.
         valid: bool,
     },
-    /// Gets a twin.
+    /// Clones the Gaussian.
     Clone {
-        /// Order among those that want to be refined.
+        /// Priority among the Gaussians to be refined.
         strength: u32,
     },
-    /// Becomes two smaller ones.
+    /// Replaces the Gaussian by two smaller ones.
     Split {
-        /// Order among those that want to be refined.
+        /// Priority among the Gaussians to be refined.
         strength: u32,
     },
 }
@@ -73,18 +74,18 @@ impl Verdict {
     }
 }
 
-/// Where the Gaussian in a slot comes from.
+/// Origin of the Gaussian in a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Origin {
-    /// It was in that slot, and is unchanged.
+    /// Unchanged Gaussian of that slot.
     Same(usize),
-    /// A copy of the one in that slot, without moments.
-    Twin(usize),
-    /// One of the two halves of the one in that slot, without moments.
+    /// Clone of the Gaussian in that slot, without moments.
+    Duplicate(usize),
+    /// Half of the split Gaussian in that slot, without moments.
     Half(usize, u32),
 }
 
-/// Decides (Kerbl et al. 2023, section 5.2; pruning by weight: SGS-Intrinsic).
+/// Returns the verdict on a Gaussian. Kerbl et al. 2023, section 5.2; pruning by weight: SGS-Intrinsic.
 pub fn verdict(c: &Candidate, s: &Settings) -> Verdict {
     let numbers = [&c.mean[..], &c.log_scale, &c.rotation, &[c.opacity_logit], &c.sh0];
     let valid = numbers.iter().all(|n| n.iter().all(|x| x.is_finite()));
@@ -105,18 +106,19 @@ pub fn verdict(c: &Candidate, s: &Settings) -> Verdict {
     if s.normal_threshold > 0.0 {
         gradient = gradient.max(by_normal / s.normal_threshold * s.grad_threshold);
     }
-    // Eight steps an octave: the leading bits of the number in 32 bits.
+    // Eight steps per octave: the leading bits of the single-precision number.
     let strength = 1 + ((gradient.max(0.0) as f32).to_bits() >> 20);
     if largest > s.split_size { Verdict::Split { strength } } else { Verdict::Clone { strength } }
 }
 
-/// Whether it goes for want of blending weight alone: its numbers are finite, and it is opaque enough.
+/// Returns whether a Gaussian is pruned only for a lack of blending weight. Its numbers are finite, and its opacity is
+/// sufficient.
 pub fn weightless(c: &Candidate, s: &Settings) -> bool {
     let goes = verdict(c, s) == Verdict::Prune { valid: true };
     goes && 1.0 / (1.0 + (-c.opacity_logit).exp()) >= s.prune_opacity && c.statistics[2] < s.prune_weight
 }
 
-/// Those that are refined, in the order in which their children are placed, and the number of refused ones.
+/// Returns the accepted Gaussians in placement order, and the number of rejections.
 fn accepted(verdicts: &[Verdict], room: usize) -> (Vec<usize>, usize) {
     let strength = |i: &usize| verdicts[*i].strength().unwrap_or(0);
     let mut wanted: Vec<usize> = (0..verdicts.len()).filter(|&i| verdicts[i].strength().is_some()).collect();
@@ -130,7 +132,7 @@ fn accepted(verdicts: &[Verdict], room: usize) -> (Vec<usize>, usize) {
     (wanted, refused)
 }
 
-/// The slots afterwards, and the number of refused refinements.
+/// Returns the slots after densification, and the number of rejected refinements.
 pub fn layout(verdicts: &[Verdict], cap: usize) -> (Vec<Origin>, usize) {
     let pruned = |v: &Verdict| matches!(v, Verdict::Prune { .. });
     let mut slots: Vec<Option<Origin>> =
@@ -146,7 +148,7 @@ pub fn layout(verdicts: &[Verdict], cap: usize) -> (Vec<Origin>, usize) {
             slots[parent] = Some(Origin::Half(parent, 0));
             Origin::Half(parent, 1)
         } else {
-            Origin::Twin(parent)
+            Origin::Duplicate(parent)
         };
         match slots.iter_mut().find(|s| s.is_none()) {
             Some(slot) => *slot = Some(child),
@@ -160,7 +162,7 @@ pub fn layout(verdicts: &[Verdict], cap: usize) -> (Vec<Origin>, usize) {
     (filled.unwrap_or_default(), refused)
 }
 
-/// Center and logarithms of scales of one half of a split.
+/// Returns the center and the logarithms of scales of one half of a split.
 pub fn half(c: &Candidate, parent: usize, which: u32, seed: u32) -> ([f64; 3], [f64; 3]) {
     let bits = |k| random_bits(seed, parent as u32, 4 * which + k);
     let ([a, b], [d, _]) = (normal_from(bits(0), bits(1)), normal_from(bits(2), bits(3)));
@@ -184,26 +186,29 @@ mod tests {
     const PRUNE: Verdict = Verdict::Prune { valid: true };
 
     #[test]
-    fn children_fill_holes_and_the_tail_fills_the_rest() {
+    fn new_gaussians_fill_holes_and_the_tail_fills_the_rest() {
         let clone = Verdict::Clone { strength: 5 };
         let (slots, refused) = layout(&[PRUNE, KEEP, PRUNE, PRUNE, clone, KEEP], 100);
-        assert_eq!((slots, refused), (vec![Origin::Twin(4), Origin::Same(1), Origin::Same(4), Origin::Same(5)], 0));
+        assert_eq!(
+            (slots, refused),
+            (vec![Origin::Duplicate(4), Origin::Same(1), Origin::Same(4), Origin::Same(5)], 0)
+        );
         let split = Verdict::Split { strength: 5 };
         let (slots, _) = layout(&[split, KEEP], 100);
         assert_eq!(slots, [Origin::Half(0, 0), Origin::Same(1), Origin::Half(0, 1)]);
     }
 
     #[test]
-    fn the_strongest_come_first_under_a_cap() {
+    fn strongest_are_refined_first_under_a_cap() {
         let of = |strength| Verdict::Clone { strength };
         let (slots, refused) = layout(&[of(1), of(3), of(2), of(2), of(9)], 8);
-        assert_eq!(slots[5..], [Origin::Twin(1), Origin::Twin(4), Origin::Twin(2)]);
+        assert_eq!(slots[5..], [Origin::Duplicate(1), Origin::Duplicate(4), Origin::Duplicate(2)]);
         assert_eq!(refused, 2);
         assert_eq!(layout(&[of(1), of(3)], 1), (vec![Origin::Same(0), Origin::Same(1)], 2));
     }
 
     #[test]
-    fn one_remains() {
+    fn at_least_one_gaussian_remains() {
         let bad = Verdict::Prune { valid: false };
         assert_eq!(layout(&[bad, bad, PRUNE, PRUNE], 100).0, [Origin::Same(2)]);
         assert_eq!(layout(&[bad, bad], 100).0, [Origin::Same(0)]);

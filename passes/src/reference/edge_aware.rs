@@ -1,9 +1,10 @@
-//! Twin of `edge_aware`: a picture should be smooth where the photograph is.
+//! Reference of `edge_aware`: an image should be smooth where the photograph is.
 
 use super::photometric::unpack;
 use super::taps::{SOBEL, filtered};
 
-/// `exp(-|Sobel of the photograph|)` for each channel of a picture: channel by channel, or the mean for a picture of one.
+/// Returns `exp(-|Sobel of the photograph|)` for each channel of an image. An image with three channels has one value
+/// per channel, an image with one channel the mean.
 fn edge(photo: &[u32], taps: &[(usize, f64)], channels: usize) -> Vec<f64> {
     let of = |c: usize| (-taps.iter().map(|&(q, w)| w * unpack(photo[q], c)).sum::<f64>().abs()).exp();
     let all = [of(0), of(1), of(2)];
@@ -14,28 +15,28 @@ fn sign(x: f64) -> f64 {
     if x == 0.0 { 0.0 } else { x.signum() }
 }
 
-/// The loss of a picture of three channels or one, mean over pixels and channels.
-pub fn edge_aware(picture: &[f64], channels: usize, photo: &[u32], size: [usize; 2]) -> f64 {
+/// Returns the loss of an image of three channels or one. The loss is the mean over pixels and channels.
+pub fn edge_aware(image: &[f64], channels: usize, photo: &[u32], size: [usize; 2]) -> f64 {
     let mut sum = 0.0;
     for p in 0..photo.len() {
         for vertical in [false, true] {
             let taps = SOBEL.taps(size, p, vertical);
             let edge = edge(photo, &taps, channels);
-            sum += (0..channels).map(|c| edge[c] * filtered(&taps, picture, channels, c).abs()).sum::<f64>();
+            sum += (0..channels).map(|c| edge[c] * filtered(&taps, image, channels, c).abs()).sum::<f64>();
         }
     }
-    sum / picture.len() as f64
+    sum / image.len() as f64
 }
 
-/// Its gradient.
-pub fn edge_aware_bwd(picture: &[f64], channels: usize, photo: &[u32], size: [usize; 2]) -> Vec<f64> {
-    let mut gradient = vec![0.0; picture.len()];
+/// Returns the gradient of [`edge_aware`].
+pub fn edge_aware_bwd(image: &[f64], channels: usize, photo: &[u32], size: [usize; 2]) -> Vec<f64> {
+    let mut gradient = vec![0.0; image.len()];
     for p in 0..photo.len() {
         for vertical in [false, true] {
             let taps = SOBEL.taps(size, p, vertical);
             let edge = edge(photo, &taps, channels);
             for c in 0..channels {
-                let s = edge[c] * sign(filtered(&taps, picture, channels, c)) / picture.len() as f64;
+                let s = edge[c] * sign(filtered(&taps, image, channels, c)) / image.len() as f64;
                 taps.iter().for_each(|&(q, w)| gradient[q * channels + c] += s * w);
             }
         }
@@ -50,15 +51,15 @@ mod tests {
     use crate::reference::rng::Pcg;
 
     #[test]
-    fn gradient_is_the_finite_difference() {
+    fn gradient_matches_finite_differences() {
         let mut rng = Pcg::new(4);
         for (size, channels) in [([1, 1], 3), ([1, 5], 1), ([6, 4], 3), ([5, 3], 1)] {
             let pixels = size[0] * size[1];
             let photo: Vec<u32> = (0..pixels).map(|_| rng.next_u32()).collect();
-            let mut picture: Vec<f64> = (0..pixels * channels).map(|_| rng.uniform()).collect();
-            let gradient = edge_aware_bwd(&picture, channels, &photo, size);
+            let mut image: Vec<f64> = (0..pixels * channels).map(|_| rng.uniform()).collect();
+            let gradient = edge_aware_bwd(&image, channels, &photo, size);
             for (i, g) in gradient.iter().enumerate() {
-                let fd = difference(&mut picture, i, |x| edge_aware(x, channels, &photo, size));
+                let fd = difference(&mut image, i, |x| edge_aware(x, channels, &photo, size));
                 assert!((fd - g).abs() < 1e-8, "{i}: {fd} {g}");
             }
         }

@@ -1,8 +1,8 @@
-//! Twin of the environment's stages: cubes, mips, lobes, lookups, smoothness, each written out as defined.
+//! Reference of the environment map's stages, written out as defined. The stages are cubes, mips, lobes, lookups and
+//! smoothness.
 //!
-//! Sums go over everything, neighbors past an edge are found by their directions, and adjoints follow from the weights of
-//! the forward operators. What is a choice and not mathematics (levels, tables) it takes from
-//! [`crate::shade::environment`].
+//! Sums run over everything, neighbors past an edge are found by their directions, and adjoints follow from the weights
+//! of the forward operators. Design choices (levels, tables) come from [`crate::shade::environment`].
 
 use crate::shade::environment::latlong;
 use crate::shade::environment::levels::Level;
@@ -19,7 +19,7 @@ fn unit(a: V3) -> V3 {
     a.map(|x| x / length)
 }
 
-/// A cube of colors, `6 size^2` of them: faces +x -x +y -y +z -z, rows downwards.
+/// Cube of `6 size^2` colors: faces +x -x +y -y +z -z, rows downwards.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cube {
     /// Texels along a side.
@@ -29,24 +29,24 @@ pub struct Cube {
 }
 
 impl Cube {
-    /// From interleaved floats.
+    /// Converts interleaved floats to a cube.
     pub fn from_floats(size: usize, floats: &[f32]) -> Cube {
         let texels = floats.chunks(3).map(|c| [c[0], c[1], c[2]].map(f64::from)).collect();
         Cube { size, texels }
     }
 
-    /// Black.
+    /// Returns a black cube.
     pub fn black(size: usize) -> Cube {
         Cube { size, texels: vec![[0.0; 3]; 6 * size * size] }
     }
 
-    /// The numbers one after the other.
+    /// Returns the interleaved numbers.
     pub fn flat(&self) -> Vec<f64> {
         self.texels.as_flattened().to_vec()
     }
 }
 
-/// A direction on a face at u, v in [-1, 1].
+/// Returns a direction on a face at u, v in [-1, 1].
 fn on_face(face: usize, u: f64, v: f64) -> V3 {
     match face {
         0 => [1.0, -v, -u],
@@ -58,12 +58,12 @@ fn on_face(face: usize, u: f64, v: f64) -> V3 {
     }
 }
 
-/// The face that a direction goes through, with u and v: the one of which `on_face` gives it back.
+/// Returns the face that a direction intersects, with u and v. Inverse of `on_face`.
 fn face_of(d: V3) -> (usize, f64, f64) {
     let m = d.iter().fold(0.0_f64, |a, x| a.max(x.abs()));
     let e = d.map(|x| x / m);
     for face in 0..6 {
-        // u and v are what the direction has along the face's edges.
+        // u and v are the components of the direction along the face's edges.
         let center = on_face(face, 0.0, 0.0);
         let along = |p: V3| dot(e, std::array::from_fn(|k| p[k] - center[k]));
         if dot(e, center) > 1.0 - 1e-12 {
@@ -73,14 +73,14 @@ fn face_of(d: V3) -> (usize, f64, f64) {
     (0, 0.0, 0.0)
 }
 
-/// Unit direction of a texel's center.
+/// Returns the unit direction of a texel's center.
 pub fn direction(size: usize, texel: usize) -> V3 {
     let place = |i: usize| (2 * i + 1) as f64 / size as f64 - 1.0;
     let (x, y, face) = (texel % size, texel / size % size, texel / (size * size));
     unit(on_face(face, place(x), place(y)))
 }
 
-/// Solid angle of a texel, by subdividing it: an independent way to the closed form.
+/// Returns the solid angle of a texel by quadrature. An independent check of the closed form.
 fn solid_angle(size: usize, texel: usize) -> f64 {
     let (x, y) = (texel % size, texel / size % size);
     // Gauss-Legendre with four points along each side.
@@ -100,7 +100,7 @@ fn solid_angle(size: usize, texel: usize) -> f64 {
     sum
 }
 
-/// Texels and weights of a lookup.
+/// Returns the texels and weights of a lookup.
 pub fn footprint(d: V3, size: usize) -> Vec<(usize, f64)> {
     let (face, u, v) = face_of(d);
     let n = size as f64;
@@ -115,7 +115,7 @@ pub fn footprint(d: V3, size: usize) -> Vec<(usize, f64)> {
             lost = weight;
             continue;
         }
-        // Past an edge the direction says which face and texel.
+        // Past an edge, the direction determines the face and texel.
         let (f, u, v) = face_of(on_face(face, px, py));
         let index = |u: f64| (((0.5 * u + 0.5) * n).floor() as usize).min(size - 1);
         found.push(((f * size + index(v)) * size + index(u), weight));
@@ -125,7 +125,7 @@ pub fn footprint(d: V3, size: usize) -> Vec<(usize, f64)> {
     found
 }
 
-/// Bilinear lookup.
+/// Looks up a cube bilinearly.
 pub fn lookup(cube: &Cube, d: V3) -> V3 {
     let mut sum = [0.0; 3];
     for (texel, w) in footprint(d, cube.size) {
@@ -134,7 +134,7 @@ pub fn lookup(cube: &Cube, d: V3) -> V3 {
     sum
 }
 
-/// The mip of a size: means of square blocks.
+/// Returns the mip of a size: means of square blocks.
 pub fn mip(cube: &Cube, size: usize) -> Cube {
     let k = cube.size / size;
     let mut made = Cube::black(size);
@@ -146,7 +146,7 @@ pub fn mip(cube: &Cube, size: usize) -> Cube {
     made
 }
 
-/// Adjoint of [`mip`]: gradients of a cube of `size` from those of its mip.
+/// Computes the adjoint of [`mip`]. Returns the gradients of a cube of `size` from those of its mip.
 pub fn mip_bwd(gradient: &Cube, size: usize) -> Cube {
     let k = size / gradient.size;
     let mut made = Cube::black(size);
@@ -158,7 +158,7 @@ pub fn mip_bwd(gradient: &Cube, size: usize) -> Cube {
     made
 }
 
-/// The filter of a level, row by row.
+/// Filter of a level, evaluated row by row.
 pub struct Filter<'l> {
     level: &'l Level,
     directions: Vec<V3>,
@@ -166,14 +166,14 @@ pub struct Filter<'l> {
 }
 
 impl<'l> Filter<'l> {
-    /// Of a level.
+    /// Creates the filter of a level.
     pub fn new(level: &'l Level) -> Filter<'l> {
         let size = level.size as usize;
         let directions = (0..6 * size * size).map(|t| direction(size, t)).collect();
         Filter { level, directions, areas: (0..size * size).map(|t| solid_angle(size, t)).collect() }
     }
 
-    /// Givers and weights, adding up to one, of a texel of the level.
+    /// Returns the source texels and weights of a texel of the level. The weights add up to one.
     pub fn row(&self, texel: usize) -> Vec<(usize, f64)> {
         let to = self.directions[texel];
         let mut row = Vec::new();
@@ -189,7 +189,7 @@ impl<'l> Filter<'l> {
     }
 }
 
-/// One texel of a level, from the mip of its size.
+/// Returns one texel of a level, from the mip of its size.
 pub fn prefilter_texel(mip: &Cube, filter: &Filter<'_>, texel: usize) -> V3 {
     let mut sum = [0.0; 3];
     for (l, w) in filter.row(texel) {
@@ -198,7 +198,7 @@ pub fn prefilter_texel(mip: &Cube, filter: &Filter<'_>, texel: usize) -> V3 {
     sum
 }
 
-/// A level from the environment.
+/// Filters an environment map to a level.
 pub fn prefilter(environment: &Cube, level: &Level) -> Cube {
     let source = mip(environment, level.size as usize);
     let filter = Filter::new(level);
@@ -206,7 +206,7 @@ pub fn prefilter(environment: &Cube, level: &Level) -> Cube {
     Cube { size: source.size, texels }
 }
 
-/// Adjoint of [`prefilter`]: what a level's gradient is for the environment.
+/// Computes the adjoint of [`prefilter`]. Returns the gradient of the environment map from that of a level.
 pub fn prefilter_bwd(gradient: &Cube, level: &Level, size: usize) -> Cube {
     let filter = Filter::new(level);
     let mut made = Cube::black(gradient.size);
@@ -218,8 +218,8 @@ pub fn prefilter_bwd(gradient: &Cube, level: &Level, size: usize) -> Cube {
     mip_bwd(&made, size)
 }
 
-/// The integral that a level stands for, at one direction: the whole lobe over the texels of the environment itself, each
-/// texel cut into `cuts` by `cuts`.
+/// Returns the exact integral that a level approximates, at one direction. The integral covers the whole lobe over the
+/// texels of the environment map itself, each split into `cuts` by `cuts`.
 pub fn integral(environment: &Cube, roughness: f64, to: V3, cuts: usize) -> V3 {
     let square = roughness.powi(4);
     let size = environment.size * cuts;
@@ -242,30 +242,30 @@ pub fn integral(environment: &Cube, roughness: f64, to: V3, cuts: usize) -> V3 {
     sum.map(|s| s / weights)
 }
 
-/// A pixel's surface.
+/// Surface of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Pixel {
-    /// From the camera's place.
+    /// Point, in the coordinates of the camera's position.
     pub point: V3,
-    /// Unit or zero.
+    /// Unit normal or zero.
     pub normal: V3,
     /// Blended opacity.
     pub coverage: f64,
-    /// Linear.
+    /// Linear albedo.
     pub albedo: V3,
     /// Square root of GGX's alpha.
     pub roughness: f64,
-    /// 0 to 1.
+    /// Metallic, 0 to 1.
     pub metallic: f64,
 }
 
-/// Where a roughness lies among levels.
+/// Returns the fractional level of a roughness.
 pub fn level_of(roughness: f64, levels: usize) -> f64 {
     let last = levels as f64 - 2.0;
     if roughness < 0.5 { (roughness.max(0.08) - 0.08) / 0.42 * last } else { (roughness.min(1.0) - 0.5) / 0.5 + last }
 }
 
-/// Bilinear in the split-sum table, whose nodes lie at the ends.
+/// Looks up the split-sum table bilinearly; nodes include both ends of each axis.
 pub fn split_sum(table: &[[f32; 2]], roughness: f64, nv: f64) -> [f64; 2] {
     let nodes = (table.len() as f64).sqrt() as usize;
     let last = (nodes - 1) as f64;
@@ -278,7 +278,7 @@ pub fn split_sum(table: &[[f32; 2]], roughness: f64, nv: f64) -> [f64; 2] {
     sum
 }
 
-/// The filtered environment on a surface that a camera sees.
+/// Shades a surface by the filtered environment map.
 pub fn shade(levels: &[Cube], table: &[[f32; 2]], camera: V3, p: &Pixel) -> V3 {
     if p.coverage < 1e-3 || p.normal == [0.0; 3] {
         return [0.0; 3];
@@ -299,7 +299,7 @@ pub fn shade(levels: &[Cube], table: &[[f32; 2]], camera: V3, p: &Pixel) -> V3 {
     })
 }
 
-/// The part of [`shade`] that is diffuse.
+/// Returns the diffuse term of [`shade`].
 pub fn shade_diffuse(levels: &[Cube], p: &Pixel) -> V3 {
     if p.coverage < 1e-3 || p.normal == [0.0; 3] {
         return [0.0; 3];
@@ -308,9 +308,9 @@ pub fn shade_diffuse(levels: &[Cube], p: &Pixel) -> V3 {
     std::array::from_fn(|c| (1.0 - p.metallic) * p.albedo[c] * irradiance[c])
 }
 
-/// Adjoint of [`shade`] by the levels: adds what a pixel's gradient gives to each.
+/// Computes the adjoint of [`shade`] by the levels. Adds a pixel's gradient to each level.
 pub fn shade_bwd(levels: &mut [Cube], table: &[[f32; 2]], camera: V3, p: &Pixel, gradient: V3) {
-    // Shading is linear in the levels: its coefficients are what it makes of single colors.
+    // Shading is linear in the levels: its coefficients are the responses to single colors.
     if p.coverage < 1e-3 || p.normal == [0.0; 3] {
         return;
     }
@@ -334,7 +334,8 @@ pub fn shade_bwd(levels: &mut [Cube], table: &[[f32; 2]], camera: V3, p: &Pixel,
     give(last, p.normal, std::array::from_fn(|c| gradient[c] * (1.0 - p.metallic) * p.albedo[c]));
 }
 
-/// Mean squared difference of neighbors, down and to the right (which closes around), of the map of a cube.
+/// Returns the mean squared difference of neighbors in the map of a cube. Neighbors are those below and to the right.
+/// The map wraps around to the right.
 pub fn smoothness(cube: &Cube, size: [u32; 2]) -> f64 {
     let [w, h] = size;
     let at = |x: u32, y: u32| lookup(cube, latlong::direction(size, x % w, y));
@@ -353,7 +354,7 @@ pub fn smoothness(cube: &Cube, size: [u32; 2]) -> f64 {
     across / (3.0 * f64::from(w * h)) + down / (3.0 * f64::from(w * (h - 1)))
 }
 
-/// Direction that a pixel of a camera looks along. `pose`: rows of the world-to-camera matrix.
+/// Returns the direction of a camera's pixel. `pose` holds the rows of the world-to-camera matrix.
 pub fn ray(pose: &[[f32; 4]; 3], focal: [f32; 2], center: [f32; 2], pixel: [u32; 2]) -> V3 {
     let in_camera: V3 = [
         (f64::from(pixel[0]) + 0.5 - f64::from(center[0])) / f64::from(focal[0]),
@@ -371,12 +372,12 @@ mod tests {
     use crate::shade::environment::{cube, form};
 
     #[test]
-    fn lookups_of_both_kinds_are_the_same() {
+    fn lookups_match_the_tables() {
         let mut rng = Pcg::new(9);
         for size in [16, 64, 512] {
             for _ in 0..500 {
                 let mut d = [rng.normal(), rng.normal(), rng.normal()];
-                // Near corners and edges as well.
+                // Includes directions near corners and edges.
                 match rng.next_u32() % 3 {
                     0 => d = d.map(|x| x.signum() * (1.0 + 0.01 * rng.normal())),
                     1 => d[0] = d[1] * (1.0 + 0.005 * rng.normal()),
@@ -397,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn the_quadratic_form_is_the_mean_over_the_map() {
+    fn quadratic_form_matches_mean_over_map() {
         let mut rng = Pcg::new(4);
         for map in [[64, 32], [128, 64]] {
             let cube = Cube { size: 16, texels: (0..1536).map(|_| [rng.uniform(), rng.normal(), 7.0]).collect() };
@@ -416,13 +417,13 @@ mod tests {
     }
 
     #[test]
-    fn levels_are_near_the_integrals_that_they_stand_for() {
-        // An environment as rooms have it: a window, a lamp, a gradient.
+    fn levels_approximate_their_integrals() {
+        // An environment map like a room: a window, a light, a gradient.
         let size = 64;
         let color = |d: V3| {
             let window = if d[0] > 0.8 && d[1].abs() < 0.4 { 12.0 } else { 0.0 };
-            let lamp = 40.0 * (30.0 * (d[1] - 1.0)).exp();
-            [0.3 + 0.2 * d[1] + window, 0.3 + lamp, 0.4 + 0.1 * d[2] + window]
+            let light = 40.0 * (30.0 * (d[1] - 1.0)).exp();
+            [0.3 + 0.2 * d[1] + window, 0.3 + light, 0.4 + 0.1 * d[2] + window]
         };
         let cube = Cube { size, texels: (0..6 * size * size).map(|t| color(direction(size, t))).collect() };
         let mean = cube.texels.iter().map(|c| c[0]).sum::<f64>() / cube.texels.len() as f64;
@@ -432,7 +433,7 @@ mod tests {
             let mut rng = Pcg::new(5);
             let samples = 40;
             for _ in 0..samples {
-                // Anywhere, so that the resolution counts as well.
+                // Arbitrary directions, so that the resolution matters as well.
                 let d = unit([rng.normal(), rng.normal(), rng.normal()]);
                 let exact = integral(&cube, level.roughness, d, 1);
                 let error = (lookup(&made, d)[0] - exact[0]).abs() / (mean + exact[0]);

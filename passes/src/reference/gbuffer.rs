@@ -1,24 +1,25 @@
-//! `gbuffer`, `weights`, `materials`: the CPU twins in double precision.
+//! References of `gbuffer`, `weights` and `materials` in double precision.
 
 use super::blend::Blended;
 use super::project::{Camera, Projected};
 use glam::{DVec2, DVec3};
 
-/// Where less than this is covered there is no surface.
+/// Minimum coverage of a pixel with a surface.
 pub const LEAST_COVERAGE: f64 = 1e-3;
 
-/// The surfaces that a view sees, by pixel.
+/// Visible surfaces of a view, by pixel.
 #[derive(Clone, Debug, Default)]
 pub struct Surfaces {
-    /// World.
+    /// World-space points.
     pub points: Vec<DVec3>,
-    /// Unit, or zero.
+    /// Unit normals or zero.
     pub normals: Vec<DVec3>,
     /// Opacity.
     pub coverage: Vec<f64>,
 }
 
-/// From blended normals and depth, `channels` a pixel of which normal, z and z² are the last five.
+/// Computes surfaces from blended normals and depth. A pixel has `channels` channels; normal, z and z² are the last
+/// five.
 pub fn gbuffer(camera: &Camera, blended: &Blended, channels: usize) -> Surfaces {
     let mut s = Surfaces::default();
     for (p, transmittance) in blended.transmittance.iter().enumerate() {
@@ -40,7 +41,8 @@ pub fn gbuffer(camera: &Camera, blended: &Blended, channels: usize) -> Surfaces 
     s
 }
 
-/// For every pixel the Gaussians that show there, nearest first, with their weights over the pixel's opacity.
+/// Returns the visible Gaussians of every pixel, nearest first, with their weights. Weights are divided by the pixel's
+/// opacity.
 pub fn weights(splats: &[Projected], size: [u32; 2]) -> Vec<Vec<(usize, f64)>> {
     let [width, height] = size.map(|s| s as usize);
     let pixel = |p: usize| {
@@ -70,7 +72,7 @@ pub fn weights(splats: &[Projected], size: [u32; 2]) -> Vec<Vec<(usize, f64)>> {
     (0..width * height).map(pixel).collect()
 }
 
-/// Rows as they are kept in 16 bits: parts of 65535, what rounding leaves going on along the row.
+/// Rounds rows to 16 bits, in units of 1/65535. The rounding error is carried along the row.
 pub fn stored_rows(rows: &[Vec<(usize, f64)>]) -> Vec<Vec<(usize, f64)>> {
     let row = |row: &Vec<(usize, f64)>| {
         let mut carried = 0.0;
@@ -84,16 +86,16 @@ pub fn stored_rows(rows: &[Vec<(usize, f64)>]) -> Vec<Vec<(usize, f64)>> {
     rows.iter().map(row).collect()
 }
 
-/// Materials before activation: albedo (3), roughness and, where `metallic` is not empty, metallic of each Gaussian.
+/// Materials before activation. Each Gaussian has albedo (3), roughness and, where `metallic` is not empty, metallic.
 #[derive(Clone, Debug, Default)]
 pub struct Materials {
-    /// 3 a Gaussian.
+    /// Albedo, 3 per Gaussian.
     pub albedo: Vec<f64>,
-    /// 1 a Gaussian.
+    /// Roughness, 1 per Gaussian.
     pub roughness: Vec<f64>,
-    /// 1 a Gaussian, or empty.
+    /// Metallic, 1 per Gaussian, or empty.
     pub metallic: Vec<f64>,
-    /// The lowest albedo, and how far above it the highest lies.
+    /// Lowest albedo, and the range above it.
     pub albedo_range: [f64; 2],
 }
 
@@ -102,7 +104,7 @@ fn sigmoid(x: f64) -> f64 {
 }
 
 impl Materials {
-    /// Albedo, roughness, metallic of one Gaussian.
+    /// Returns albedo, roughness and metallic of one Gaussian.
     pub fn values(&self, i: usize) -> [f64; 5] {
         let metallic = self.metallic.get(i).map_or(0.0, |m| sigmoid(*m));
         let [low, range] = self.albedo_range;
@@ -110,7 +112,7 @@ impl Materials {
         [r, g, b, 0.09 + 0.9 * sigmoid(self.roughness[i]), metallic]
     }
 
-    /// At every pixel.
+    /// Returns the blended materials of every pixel.
     pub fn blend(&self, rows: &[Vec<(usize, f64)>]) -> Vec<[f64; 5]> {
         let sum = |row: &Vec<(usize, f64)>| {
             let mut sum = [0.0; 5];

@@ -1,54 +1,55 @@
-//! Twin of `geometry_loss`: prior normals, edge-aware smoothness, spread of depth; and their gradients.
+//! Reference of `geometry_loss` and its gradients. The terms are prior normals, edge-aware smoothness and the variance
+//! of depth.
 //!
 //! Filters are applied tap by tap, and transposed by scattering tap by tap, without the kernel's rearrangements.
 
 use crate::loss::octahedral::octahedral_decode;
 
-/// Divisors below it are replaced by it, as in the kernel.
+/// Minimum divisor, as in the kernel; smaller divisors are replaced by it.
 pub const FLOOR: f64 = 1e-3;
-/// Smallest variance under the root.
+/// Minimum variance under the root.
 pub const VARIANCE_MIN: f64 = 1e-6;
 
-/// What was blended, and what it is compared with.
+/// Blended values and the targets that they are compared with.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Columns.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Blended normals, if there are any.
+    /// Blended normals, if any.
     pub normals: Option<Vec<[f64; 3]>>,
-    /// Blended depth and squared depth, if there are.
+    /// Blended depth and squared depth, if any.
     pub depths: Option<Vec<[f64; 2]>>,
     /// Transmittance.
     pub transmittance: Vec<f64>,
-    /// Prior normals, packed, if there are any.
+    /// Packed prior normals, if any.
     pub priors: Option<Vec<u32>>,
-    /// The photograph, packed RGBA8.
+    /// Photograph, packed RGBA8.
     pub photo: Vec<u32>,
 }
 
-/// The four losses, as means over all pixels, before their weights; or the weights of the four.
+/// Four unweighted losses, as means over all pixels; or the weights of the four.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Terms {
     /// 1 - cos of the angle to the prior; pixels without a prior count as 0.
     pub normal: f64,
-    /// Edge-aware smoothness of the unit normals, also over the three coordinates.
+    /// Edge-aware smoothness of the unit normals, also averaged over coordinates.
     pub normal_smooth: f64,
-    /// Edge-aware smoothness of depth, also over the photograph's three channels.
+    /// Edge-aware smoothness of depth, also averaged over the photograph's channels.
     pub depth_smooth: f64,
     /// Standard deviation of depth along the ray.
     pub depth_variance: f64,
 }
 
-/// Gradients by what was blended.
+/// Gradients of the blended values.
 #[derive(Clone, Debug)]
 pub struct Gradient {
-    /// By normals.
+    /// Gradient of normals.
     pub normals: Vec<[f64; 3]>,
-    /// By depth and squared depth.
+    /// Gradient of depth and squared depth.
     pub depths: Vec<[f64; 2]>,
-    /// By transmittance.
+    /// Gradient of transmittance.
     pub transmittance: Vec<f64>,
 }
 
@@ -75,7 +76,8 @@ impl Scene {
         square - depth * depth
     }
 
-    /// The nine taps of the Sobel filter of a direction around a pixel: pixel and weight. Borders repeat.
+    /// Returns the nine taps, pixel and weight, of a direction's Sobel filter. The taps surround pixel `p`. Borders
+    /// repeat.
     fn taps(&self, p: usize, vertical: bool) -> Vec<(usize, f64)> {
         let (x, y) = ((p % self.width) as i64, (p / self.width) as i64);
         let mut taps = Vec::with_capacity(9);
@@ -90,7 +92,7 @@ impl Scene {
         taps
     }
 
-    /// `exp(-|gradient|)` of the photograph, by channel.
+    /// Returns `exp(-|gradient|)` of the photograph, by channel.
     fn edge(&self, taps: &[(usize, f64)]) -> [f64; 3] {
         [0, 1, 2].map(|c| {
             let g: f64 = taps.iter().map(|&(q, w)| w * super::photometric::unpack(self.photo[q], c)).sum();
@@ -107,8 +109,8 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// The losses (SGS-Intrinsic, stage I; smoothness: Sobel filters over 8, times exp of the photograph's, summed over the
-/// two directions).
+/// Returns the losses (SGS-Intrinsic, stage I). Smoothness is the Sobel filter over 8, times exp of the photograph's
+/// negative gradient magnitude, summed over the two directions.
 pub fn geometry_loss(s: &Scene) -> Terms {
     let (units, depth) = (s.unit_normals(), s.depth());
     let mut t = Terms { normal: 0.0, normal_smooth: 0.0, depth_smooth: 0.0, depth_variance: 0.0 };
@@ -148,16 +150,16 @@ fn sign(x: f64) -> f64 {
     if x == 0.0 { 0.0 } else { x.signum() }
 }
 
-/// Gradient of the losses with these weights.
+/// Returns the gradient of the losses with these weights.
 pub fn geometry_loss_bwd(s: &Scene, weights: &Terms) -> Gradient {
     geometry_loss_bwd_sized(s, weights).0
 }
 
-/// The same, and the sizes of what each of its numbers is the sum of.
+/// Returns the gradient and the magnitudes of the summands of each of its numbers.
 pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradient) {
     let (units, depth) = (s.unit_normals(), s.depth());
     let n = s.pixels() as f64;
-    // Sums, and the sums of sizes.
+    // Sums, and the sums of magnitudes.
     let mut by_unit = vec![[[0.0; 2]; 3]; units.len()];
     let mut by_depth = vec![[0.0; 2]; depth.len()];
     let add = |to: &mut [f64; 2], x: f64| *to = [to[0] + x, to[1] + x.abs()];
@@ -184,7 +186,7 @@ pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradien
             && let Some(prior) = octahedral_decode(priors[p])
         {
             for c in 0..3 {
-                // Coordinates of unit vectors are made of numbers near one.
+                // Coordinates of unit vectors have summands near one.
                 let [sum, all] = by_unit[p][c];
                 by_unit[p][c] = [sum - weights.normal / n * prior[c], all + weights.normal / n];
             }
@@ -241,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn gradient_is_the_finite_difference() {
+    fn gradient_matches_finite_differences() {
         let weights = Terms { normal: 0.3, normal_smooth: 0.7, depth_smooth: 0.5, depth_variance: 0.9 };
         for (width, height) in [(1, 1), (1, 5), (6, 4)] {
             let mut s = scene(width, height);
@@ -272,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_wall_seen_as_it_is_costs_nothing() {
+    fn flat_wall_with_exact_prior_has_minimal_loss() {
         let n = 30;
         let s = Scene {
             width: 6,

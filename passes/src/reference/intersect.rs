@@ -1,10 +1,11 @@
-//! `intersect`: the CPU twin. Which tiles hold a pixel where a splat's alpha reaches 1/255.
+//! Reference of `intersect`: tiles with a pixel where a splat's alpha reaches 1/255.
 
 use super::project::Projected;
 use glam::DVec2;
 use std::collections::BTreeSet;
 
-/// Tiles touched by a splat, as `y * tiles_x + x`, widening or narrowing the threshold by a factor (1 for exact).
+/// Returns the tiles that a splat touches, as `y * tiles_x + x`. `factor` scales alpha to widen or narrow the
+/// threshold; 1 is exact.
 pub fn tiles(s: &Projected, size: [u32; 2], tile: [u32; 2], factor: f64) -> BTreeSet<u32> {
     let reach = s.reach() + 1.0;
     let low = (s.mean - reach).floor().max(DVec2::ZERO);

@@ -1,43 +1,44 @@
-//! Twin of the kernels of `lights`: radiance under spherical-Gaussian lights, and its gradients as central differences.
+//! Reference of the kernels of `lights`. Radiance under spherical-Gaussian lights, and its gradients as central
+//! differences.
 //!
-//! Radiance is linear in the lights, so differences by a light's parameters are taken of that light alone: what the others
-//! send does not blur them.
+//! Radiance is linear in the lights. Differences by a light's parameters are therefore taken of that light alone, so
+//! that the radiance of the others does not add rounding errors.
 
 use super::brdf::{Material, V3, along, brdf, dot, unit};
 use super::rng::{random_bits, uniform_from};
 use crate::shade::lights::{Axes, LightModel, Perturbation};
 use std::f64::consts::PI;
 
-/// One lobe, ready.
+/// One activated lobe.
 #[derive(Clone, Copy, Debug)]
 pub struct Lobe {
-    /// Unit.
+    /// Unit axis.
     pub axis: V3,
-    /// lambda.
+    /// Sharpness lambda.
     pub sharpness: f64,
-    /// mu, with the light's gain.
+    /// Amplitude mu, including the light's gain.
     pub amplitude: V3,
 }
 
-/// One light, ready.
+/// One activated light.
 #[derive(Clone, Debug)]
 pub struct Light {
-    /// Place.
+    /// Position.
     pub place: V3,
     /// Lobes.
     pub lobes: Vec<Lobe>,
 }
 
-/// A pixel's surface.
+/// Surface of a pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Pixel {
-    /// Place.
+    /// Position.
     pub point: V3,
-    /// Unit or zero.
+    /// Unit normal or zero.
     pub normal: V3,
     /// Blended opacity.
     pub coverage: f64,
-    /// What it is made of.
+    /// Material of the surface.
     pub material: Material,
 }
 
@@ -46,15 +47,15 @@ pub struct Pixel {
 pub struct Raw {
     /// Sizes.
     pub model: LightModel,
-    /// `[lights * 3]`.
+    /// Positions, `[lights * 3]`.
     pub positions: Vec<f64>,
-    /// `[lights * lobes * row]`.
+    /// Lobes, `[lights * lobes * row]`.
     pub lobes: Vec<f64>,
-    /// `[lights]`.
+    /// Gains, `[lights]`.
     pub gains: Vec<f64>,
 }
 
-/// The axis of a lobe's row.
+/// Returns the axis of a lobe's row.
 pub fn axis(model: LightModel, lobe: u32, row: &[f64]) -> V3 {
     if model.axes == Axes::Free {
         let raw = [row[0], row[1], row[2]];
@@ -68,7 +69,7 @@ pub fn axis(model: LightModel, lobe: u32, row: &[f64]) -> V3 {
     [theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()]
 }
 
-/// A light from its raw parameters; none if it is off.
+/// Activates the raw parameters of a light; returns `None` if the light is off.
 pub fn prepare_one(raw: &Raw, light: usize) -> Option<Light> {
     if raw.gains[light] == 0.0 {
         return None;
@@ -88,12 +89,12 @@ pub fn prepare_one(raw: &Raw, light: usize) -> Option<Light> {
     Some(Light { place: [raw.positions[at], raw.positions[at + 1], raw.positions[at + 2]], lobes: lobes.collect() })
 }
 
-/// All lights.
+/// Activates the raw parameters of all lights.
 pub fn lights_prepare(raw: &Raw) -> Vec<Option<Light>> {
     (0..raw.model.lights as usize).map(|i| prepare_one(raw, i)).collect()
 }
 
-/// Parameters of a copy: places moved, gains changed; see [`Perturbation`].
+/// Returns the parameters of a copy with perturbed positions and gains. See [`Perturbation`].
 pub fn perturb(raw: &Raw, seed: u32, p: &Perturbation) -> Raw {
     let random = |light: usize, which: u32| {
         2.0 * uniform_from(random_bits(seed ^ 0x5a17, p.copy, 8 * light as u32 + which)) - 1.0
@@ -111,7 +112,7 @@ pub fn perturb(raw: &Raw, seed: u32, p: &Perturbation) -> Raw {
     copy
 }
 
-/// What a light sends through a pixel's surface to the camera: diffuse and specular part.
+/// Returns the light that a pixel's surface reflects to the camera. The two components are diffuse and specular.
 pub fn shine(pixel: &Pixel, light: &Light, camera: V3) -> [V3; 2] {
     let dark = [[0.0; 3]; 2];
     let to_light = along(light.place, -1.0, pixel.point);
@@ -131,7 +132,7 @@ pub fn shine(pixel: &Pixel, light: &Light, camera: V3) -> [V3; 2] {
     brdf(pixel.material, pixel.normal, l, v).map(|f| [0, 1, 2].map(|c| f[c] * emitted[c] * nl * falloff))
 }
 
-/// Diffuse and specular radiance of pixels, red, green, blue of each.
+/// Returns the diffuse and the specular radiance of pixels, as RGB of each pixel.
 pub fn lights(pixels: &[Pixel], lights: &[Option<Light>], camera: V3, normalizer: f64) -> [Vec<f64>; 2] {
     let mut parts = [Vec::new(), Vec::new()];
     for pixel in pixels {
@@ -145,20 +146,20 @@ pub fn lights(pixels: &[Pixel], lights: &[Option<Light>], camera: V3, normalizer
     parts
 }
 
-/// A pixel's radiance, dotted with its gradient.
+/// Returns a pixel's radiance dotted with its gradient.
 fn loss(pixel: &Pixel, light: &Light, camera: V3, gradient: &[f64]) -> f64 {
     let [d, s] = shine(pixel, light, camera);
     dot([gradient[0], gradient[1], gradient[2]], along(d, 1.0, s))
 }
 
-/// Derivative of `f` at `x`, by central differences.
+/// Returns the derivative of `f` at `x` by central differences.
 fn slope(x: f64, step: f64, mut f: impl FnMut(f64) -> f64) -> f64 {
-    // As they are rounded: of a large number a small step is another one.
+    // Uses the rounded arguments: for large x, a small step is rounded considerably.
     let (up, down) = (x + step, x - step);
     (f(up) - f(down)) / (up - down)
 }
 
-/// The `i`-th number of a material: albedo (3), roughness, metallic.
+/// Returns component `i` of a material: albedo (3), roughness, metallic.
 fn number(m: &mut Material, i: usize) -> &mut f64 {
     match i {
         3 => &mut m.roughness,
@@ -167,7 +168,7 @@ fn number(m: &mut Material, i: usize) -> &mut f64 {
     }
 }
 
-/// Gradients by albedo (3), roughness and metallic of each pixel.
+/// Returns the gradients of each pixel's albedo (3), roughness and metallic.
 pub fn lights_materials_bwd(
     pixels: &[Pixel],
     lights: &[Option<Light>],
@@ -192,7 +193,7 @@ pub fn lights_materials_bwd(
     pixels.iter().zip(gradient.chunks(3)).map(one).collect()
 }
 
-/// Gradients of each pixel's unit normal: the part across it.
+/// Returns the gradients of each pixel's unit normal, orthogonal to the normal.
 pub fn lights_normals_bwd(
     pixels: &[Pixel],
     lights: &[Option<Light>],
@@ -220,14 +221,14 @@ pub fn lights_normals_bwd(
 /// Gradients of raw parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RawGradients {
-    /// `[lights * 3]`.
+    /// Gradients of positions, `[lights * 3]`.
     pub positions: Vec<f64>,
-    /// `[lights * lobes * row]`.
+    /// Gradients of lobes, `[lights * lobes * row]`.
     pub lobes: Vec<f64>,
 }
 
-/// Gradients of the lights' raw parameters: zero for lights that are off, and for a light in a pixel's very point, where
-/// there is none.
+/// Returns the gradients of the lights' raw parameters. Zero for lights that are off. The position's gradient ignores
+/// pixels at exactly the light's position, where no gradient exists.
 pub fn lights_bwd(raw: &Raw, pixels: &[Pixel], camera: V3, normalizer: f64, gradient: &[f64]) -> RawGradients {
     let mut raw = raw.clone();
     let mut found = RawGradients { positions: vec![0.0; raw.positions.len()], lobes: vec![0.0; raw.lobes.len()] };
@@ -256,7 +257,7 @@ pub fn lights_bwd(raw: &Raw, pixels: &[Pixel], camera: V3, normalizer: f64, grad
         let row = (raw.model.lobes * raw.model.row()) as usize;
         for i in row * light..row * (light + 1) {
             let x = raw.lobes[i];
-            // A short axis turns far by little.
+            // A small step turns a short axis far.
             let (width, free) = (raw.model.row() as usize, raw.model.axes == Axes::Free);
             let axis = &raw.lobes[i / width * width..][..3];
             let length = dot([axis[0], axis[1], axis[2]], [axis[0], axis[1], axis[2]]).sqrt();
@@ -271,7 +272,8 @@ pub fn lights_bwd(raw: &Raw, pixels: &[Pixel], camera: V3, normalizer: f64, grad
     found
 }
 
-/// Of each light the distance squared to the nearest pixel with a surface, and which it is; none if there is none.
+/// Returns the nearest pixel with a surface for each light, if any. Each entry holds the squared distance and the
+/// pixel's index. Lights that are off have none.
 pub fn lights_near(raw: &Raw, pixels: &[Pixel]) -> Vec<Option<(f64, usize)>> {
     let place = |light: usize| [0, 1, 2].map(|i| raw.positions[3 * light + i]);
     let near = |light: usize| {
@@ -285,7 +287,7 @@ pub fn lights_near(raw: &Raw, pixels: &[Pixel]) -> Vec<Option<(f64, usize)>> {
     (0..raw.gains.len()).map(|light| near(light).filter(|_| raw.gains[light] != 0.0)).collect()
 }
 
-/// The regularizers: mean of `1 / max(d², 1e-3)`, three times the mean of the amplitudes.
+/// Returns the regularizers. They are the mean of `1 / max(d², 1e-3)`, and three times the mean of the amplitudes.
 pub fn lights_regularize(raw: &Raw, pixels: &[Pixel]) -> [f64; 2] {
     let near = lights_near(raw, pixels).iter().flatten().map(|(square, _)| 1.0 / square.max(1e-3)).sum::<f64>();
     let (width, lobes) = (raw.model.row() as usize, raw.model.lobes as usize);
@@ -294,7 +296,7 @@ pub fn lights_regularize(raw: &Raw, pixels: &[Pixel]) -> [f64; 2] {
     [near / f64::from(raw.model.lights), bright / f64::from(raw.model.lights * raw.model.lobes)]
 }
 
-/// Gains after lights that are too faint have been switched off.
+/// Returns the gains after lights that are too faint have been switched off.
 pub fn lights_prune(raw: &Raw, share: f64) -> Vec<f64> {
     let (width, lobes) = (raw.model.row() as usize, raw.model.lobes as usize);
     let most = |light: usize| {

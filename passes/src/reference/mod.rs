@@ -1,4 +1,4 @@
-//! A twin in double precision for every stage, on the CPU, with the same name. Written from the definitions.
+//! Reference of every stage: double precision on the CPU, under the same name. All are written from the definitions.
 
 pub mod adam;
 pub mod blend;
@@ -13,7 +13,7 @@ pub mod gbuffer;
 pub mod geometry_loss;
 pub mod intersect;
 pub mod lights;
-pub mod material_pictures;
+pub mod material_images;
 pub mod msg;
 pub mod photometric;
 pub mod present;
@@ -30,7 +30,7 @@ pub mod taps;
 pub mod traced;
 pub mod visibility;
 
-/// Central difference of `f` along coordinate `i` of `x`.
+/// Returns the central difference of `f` along coordinate `i` of `x`.
 #[cfg(test)]
 fn difference(x: &mut [f64], i: usize, f: impl Fn(&[f64]) -> f64) -> f64 {
     let old = x[i];

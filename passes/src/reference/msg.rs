@@ -1,29 +1,29 @@
-//! Twin of `msg` and `relight`: gradients of a difference at several scales, and the difference itself.
+//! Reference of `msg` and `relight`: multi-scale gradients of a difference. `relight` is the difference itself.
 //!
-//! Written from the definition: every level is made from the picture by two-dimensional weights, filters are applied tap by
-//! tap, and everything is scattered on the way back.
+//! Written from the definition: every level is computed from the full image by two-dimensional weights, filters are
+//! applied tap by tap, and the backward pass scatters.
 
 use super::taps::{FARID, filtered};
 
-/// Levels, each half as wide and high as the one before.
+/// Number of levels, each half as wide and high as the previous one.
 pub const LEVELS: u32 = 4;
-/// Under the root of the magnitude.
+/// Constant under the root of the magnitude.
 const FLOOR: f64 = 1e-8;
 
-/// Differences of so many channels a pixel, and where there are any.
+/// Differences per pixel, and the mask of valid pixels.
 #[derive(Clone, Debug)]
 pub struct Difference {
     /// Columns and rows.
     pub size: [usize; 2],
-    /// Numbers of a pixel.
+    /// Numbers per pixel.
     pub channels: usize,
-    /// `[P * channels]`, zero where nothing is present.
+    /// Differences, `[P * channels]`, zero where no value is present.
     pub values: Vec<f64>,
-    /// `[P]`.
+    /// Mask, `[P]`.
     pub present: Vec<bool>,
 }
 
-/// Pixels of the picture below one of a level, with weights that add up to one; a list for each pixel of the level.
+/// Returns the source pixels and weights of each pixel of a level. The weights of a pixel add up to one.
 fn tents(size: [usize; 2], small: [usize; 2]) -> Vec<Vec<(usize, f64)>> {
     let axis = |a: usize, at: usize| -> Vec<(usize, f64)> {
         let scale = size[a] as f64 / small[a] as f64;
@@ -41,7 +41,7 @@ fn tents(size: [usize; 2], small: [usize; 2]) -> Vec<Vec<(usize, f64)>> {
     rows.iter().flat_map(|row| columns.iter().map(move |column| pair(row, column))).collect()
 }
 
-/// A level, what each of its pixels is made of, and which of them count.
+/// Level, the source pixels of each of its pixels, and the pixels that count.
 struct Level {
     of: Difference,
     made_of: Vec<Vec<(usize, f64)>>,
@@ -64,7 +64,7 @@ fn level(d: &Difference, l: u32) -> Level {
     Level { of: Difference { size, channels: d.channels, values, present }, made_of, counts }
 }
 
-/// The loss, and its gradient by the differences. A level where nothing counts is 0.
+/// Returns the loss and its gradient by the differences. A level without pixels that count adds 0.
 pub fn msg(d: &Difference) -> (f64, Vec<f64>) {
     let (mut loss, mut gradient) = (0.0, vec![0.0; d.values.len()]);
     for l in 0..LEVELS {
@@ -99,7 +99,8 @@ pub fn msg(d: &Difference) -> (f64, Vec<f64>) {
     (loss, gradient)
 }
 
-/// The squared difference, summed over channels and averaged over what is present, and its gradient.
+/// Returns the squared difference and its gradient. The loss is summed over channels and averaged over the pixels that
+/// are present.
 pub fn square(d: &Difference) -> (f64, Vec<f64>) {
     let count = d.present.iter().filter(|p| **p).count().max(1) as f64;
     let loss = d.values.iter().map(|x| x * x).sum::<f64>() / count;
@@ -121,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn gradients_are_finite_differences() {
+    fn gradients_match_finite_differences() {
         for (size, channels, holes) in [([1, 1], 1, 0.0), ([9, 7], 3, 0.0), ([20, 17], 1, 0.02), ([3, 16], 3, 0.05)] {
             let d = random(size, channels, holes);
             for of in [msg, square] {
@@ -137,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn an_offset_costs_next_to_nothing_and_a_ramp_its_slope() {
+    fn offset_costs_almost_nothing_and_ramp_costs_its_slope() {
         let flat = Difference { size: [16, 16], channels: 1, values: vec![0.3; 256], present: vec![true; 256] };
         assert!((msg(&flat).0 - 1e-4).abs() < 1e-9);
         let ramp: Vec<f64> = (0..256).map(|p| 0.01 * (p % 16) as f64).collect();

@@ -1,7 +1,7 @@
-//! Twin of `photometric`: L1 and SSIM of an image against a photograph, with the gradient.
+//! Reference of `photometric`: L1 and SSIM of an image against a photograph. Includes the gradient.
 //!
-//! Written from the definition (11 x 11 windows evaluated directly, values as they are), not from the kernel's way of
-//! computing it (separable, shifted, tiled).
+//! Written from the definition: 11 x 11 windows evaluated directly on the plain values. The kernel works differently
+//! (separable, shifted, tiled).
 
 /// Radius of the window of SSIM.
 const RADIUS: i64 = 5;
@@ -12,25 +12,25 @@ const C1: f64 = 1e-4;
 /// Stabilizer of the variances: (0.03)^2.
 const C2: f64 = 9e-4;
 
-/// An image in memory: width, height, and floats of a pixel, of which the first three are compared.
+/// Layout of an image in memory, of which the first three channels are compared.
 #[derive(Clone, Copy, Debug)]
 pub struct Shape {
     /// Columns.
     pub width: usize,
     /// Rows.
     pub height: usize,
-    /// Floats of a pixel.
+    /// Floats per pixel.
     pub channels: usize,
 }
 
 impl Shape {
-    /// Number of pixels.
+    /// Returns the number of pixels.
     pub fn pixels(self) -> usize {
         self.width * self.height
     }
 }
 
-/// The two losses, as means over pixels and channels, before their weights.
+/// Unweighted losses, as means over pixels and channels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Photometric {
     /// Mean absolute difference.
@@ -39,32 +39,33 @@ pub struct Photometric {
     pub ssim: f64,
 }
 
-/// A channel of a packed RGBA8 pixel as a number between 0 and 1, rounded as the kernel's.
+/// Returns a channel of a packed RGBA8 pixel in 0 to 1, rounded as in the kernel.
 pub fn unpack(packed: u32, channel: usize) -> f64 {
     f64::from(((packed >> (8 * channel)) & 255) as f32 / 255.0)
 }
 
-/// SSIM's window at a distance from its center; the sum over all 121 is 1.
+/// Returns SSIM's window at an offset from its center. The sum over all 121 offsets is 1.
 fn window(dx: i64, dy: i64) -> f64 {
     let tap = |d: i64| (-((d * d) as f64) / (2.0 * SIGMA * SIGMA)).exp();
     let sum: f64 = (-RADIUS..=RADIUS).map(tap).sum();
     tap(dx) * tap(dy) / (sum * sum)
 }
 
-/// The window's 121 weights, rows of columns.
+/// Returns the window's 121 offsets and weights, row by row.
 fn windows() -> Vec<(i64, i64, f64)> {
     (-RADIUS..=RADIUS).flat_map(|dy| (-RADIUS..=RADIUS).map(move |dx| (dx, dy, window(dx, dy)))).collect()
 }
 
-/// SSIM at one pixel and its partial derivatives by the windowed means of x, x^2 and xy.
+/// Returns SSIM at one pixel and its partial derivatives. The derivatives are those by the windowed means of x, x^2 and
+/// xy.
 fn ssim(ex: f64, ey: f64, exx: f64, eyy: f64, exy: f64) -> (f64, [f64; 3]) {
     let (a1, b1) = (2.0 * ex * ey + C1, ex * ex + ey * ey + C1);
-    // Neither of the two bounds says anything, but where means are off.
+    // Both bounds hold exactly; they only take effect where means are inexact.
     let variances = (exx - ex * ex + eyy - ey * ey).max(0.0);
     let covariance = (exy - ex * ey).clamp(-0.5 * variances, 0.5 * variances);
     let (a2, b2) = (2.0 * covariance + C2, variances + C2);
     let s = a1 * a2 / (b1 * b2);
-    // b1 and b2 are positive; a1 and a2 need not be, so no logarithms.
+    // b1 and b2 are positive; a1 and a2 need not be, so logarithms are not possible.
     let by_a1 = a2 / (b1 * b2);
     let by_a2 = a1 / (b1 * b2);
     let (by_b1, by_b2) = (-s / b1, -s / b2);
@@ -72,8 +73,9 @@ fn ssim(ex: f64, ey: f64, exx: f64, eyy: f64, exy: f64) -> (f64, [f64; 3]) {
     (s, [by_ex, by_b2, 2.0 * by_a2])
 }
 
-/// For one channel: SSIM summed over pixels, the three derivative maps, and how large what the first of these is made of is.
-/// `off`: what is added to a windowed mean of values less one half, or of products of these, where what it is the sum of is so large.
+/// Returns SSIM of one channel summed over pixels, and the maps of derivatives. The fourth map holds the magnitude of
+/// the first derivative's summands. `off` returns the error to add to a windowed mean of values minus one half, or of
+/// their products, given the magnitude of its summands.
 fn ssim_maps(x: &[f64], y: &[f64], shape: Shape, off: &mut dyn FnMut(f64) -> f64) -> (f64, Vec<[f64; 4]>) {
     let taps = windows();
     let mut sum = 0.0;
@@ -109,18 +111,18 @@ fn ssim_maps(x: &[f64], y: &[f64], shape: Shape, off: &mut dyn FnMut(f64) -> f64
     (sum, maps)
 }
 
-/// Index of a pixel, if it exists.
+/// Returns the index of a pixel, if inside the image.
 fn inside(shape: Shape, x: i64, y: i64) -> Option<usize> {
     let ok = x >= 0 && y >= 0 && x < shape.width as i64 && y < shape.height as i64;
     ok.then(|| y as usize * shape.width + x as usize)
 }
 
-/// Whether a packed pixel is compared: one with alpha 0 is not.
+/// Returns whether a packed pixel is compared; pixels with alpha 0 are not.
 pub fn counts(packed: u32) -> bool {
     packed >> 24 != 0
 }
 
-/// One channel of the image and of the photograph. A pixel that does not count agrees with its photograph.
+/// Returns one channel of the image and of the photograph. A pixel that does not count equals the photograph.
 fn channel(image: &[f64], targets: &[u32], shape: Shape, c: usize) -> (Vec<f64>, Vec<f64>) {
     let pixel = |p: usize| {
         let y = unpack(targets[p], c);
@@ -129,7 +131,7 @@ fn channel(image: &[f64], targets: &[u32], shape: Shape, c: usize) -> (Vec<f64>,
     (0..shape.pixels()).map(pixel).unzip()
 }
 
-/// L1 and SSIM (Wang et al. 2004; window, padding and means as in 3D Gaussian splatting).
+/// Returns L1 and SSIM. Wang et al. 2004; window, padding and means as in 3D Gaussian splatting.
 pub fn photometric(image: &[f64], targets: &[u32], shape: Shape) -> Photometric {
     let (mut l1, mut sum) = (0.0, 0.0);
     for c in 0..3 {
@@ -141,13 +143,15 @@ pub fn photometric(image: &[f64], targets: &[u32], shape: Shape) -> Photometric 
     Photometric { l1: l1 / n, ssim: sum / n }
 }
 
-/// Gradient of `weight_l1 * L1 + weight_dssim * (1 - SSIM)` by the image; channels past the third are zero.
+/// Returns the gradient of the weighted loss by the image. The loss is `weight_l1 * L1 + weight_dssim * (1 - SSIM)`.
+/// Channels past the third are zero.
 pub fn photometric_bwd(image: &[f64], targets: &[u32], shape: Shape, weight_l1: f64, weight_dssim: f64) -> Vec<f64> {
     photometric_bwd_off(image, targets, shape, [weight_l1, weight_dssim], &mut |_| 0.0).0
 }
 
-/// The same where windowed means are off, and the sizes of what gradients are the sums of. `off`: what is added to a mean of what
-/// adds up to so much; values have one half less, as the kernel has them.
+/// Returns the gradient with inexact windowed means, and rounding bounds. A bound is the magnitude of a gradient's
+/// summands. `off` returns the error to add to a mean, given the magnitude of its summands. Values are reduced by one
+/// half, as in the kernel.
 pub fn photometric_bwd_off(
     image: &[f64],
     targets: &[u32],
@@ -194,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn the_window_sums_to_one() {
+    fn window_sums_to_one() {
         assert!((windows().iter().map(|t| t.2).sum::<f64>() - 1.0).abs() < 1e-14);
     }
 
@@ -209,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_count_has_no_loss_and_no_gradient() {
+    fn pixels_that_do_not_count_have_no_loss_and_no_gradient() {
         let shape = Shape { width: 14, height: 9, channels: 3 };
         let (mut image, mut targets) = case(shape, 3);
         for (p, t) in targets.iter_mut().enumerate() {
@@ -223,13 +227,13 @@ mod tests {
         }
         assert_eq!(photometric(&image, &targets, shape), loss);
         assert_eq!(photometric_bwd(&image, &targets, shape, 0.8, 0.2), gradient);
-        // With every pixel counting, the same picture has another loss.
+        // If every pixel counts, the same image has another loss.
         targets.iter_mut().for_each(|t| *t |= 0xff00_0000);
         assert!(photometric(&image, &targets, shape).l1.is_nan());
     }
 
     #[test]
-    fn gradient_is_the_finite_difference() {
+    fn gradient_matches_finite_differences() {
         for (width, height, channels) in [(1, 1, 3), (7, 13, 3), (17, 3, 5)] {
             let shape = Shape { width, height, channels };
             let (mut image, targets) = case(shape, 7);

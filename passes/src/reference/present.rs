@@ -1,13 +1,13 @@
-//! `present` in double precision: four components of a texel before they are rounded to the format.
+//! Reference of `present`: four components of a texel before rounding to the format.
 
 use crate::splat::{Channels, Encoding, Layer, Presented, TexelFormat};
 
-/// A channel of linear light from its sRGB encoding (IEC 61966-2-1), continued beyond 0 and 1.
+/// Decodes a channel from sRGB to linear light (IEC 61966-2-1). The curve continues beyond 0 and 1.
 pub fn linear(v: f64) -> f64 {
     if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
 }
 
-/// The components of every pixel, red first. `image`: `[pixels * channels]`, `transmittance`: `[pixels]`.
+/// Returns the components of every pixel, red first. `image` is `[pixels * channels]`, `transmittance` is `[pixels]`.
 pub fn present(image: &[f64], transmittance: &[f64], channels: Channels, as_: &Presented) -> Vec<[f64; 4]> {
     let c = channels.count() as usize;
     let eight = !matches!(as_.format, TexelFormat::Rgba16Float | TexelFormat::Rgba32Float);
@@ -27,7 +27,7 @@ pub fn present(image: &[f64], transmittance: &[f64], channels: Channels, as_: &P
     image.chunks_exact(c).zip(transmittance).map(texel).collect()
 }
 
-/// The bytes of an 8-bit texel in the order in which they lie in memory.
+/// Returns the bytes of an 8-bit texel in memory order.
 pub fn eight_bit(texel: [f64; 4], format: TexelFormat) -> [u8; 4] {
     let byte = |v: f64| if v > 0.0 { (v.min(1.0) * 255.0 + 0.5) as u8 } else { 0 };
     let [r, g, b, a] = texel.map(byte);

@@ -1,14 +1,14 @@
-//! `project`: the CPU twin in double precision.
+//! Reference of `project` in double precision on the CPU.
 //!
-//! Written from the textbook (EWA splatting, Zwicker et al. 2001, as 3DGS uses it) with the quadratic form, not from the kernel, so
-//! that an error in one is not repeated in the other.
+//! Written from the textbook (EWA splatting, Zwicker et al. 2001, as 3DGS uses it) with the quadratic form, not from
+//! the kernel. An error in one is therefore not repeated in the other.
 
 use super::stored::stored;
 use crate::Accuracy;
 use crate::scene::SEMANTIC_FEATURES;
 use glam::{DMat3, DVec2, DVec3};
 
-/// A pinhole camera in OpenCV axes.
+/// Pinhole camera in OpenCV axes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Rotation from world to camera.
@@ -21,14 +21,14 @@ pub struct Camera {
     pub center: DVec2,
     /// Columns and rows.
     pub size: [u32; 2],
-    /// Nothing nearer than this along z is seen.
+    /// Near plane: minimum visible depth along z.
     pub near: f64,
 }
 
 /// Parameters of some Gaussians, before activation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
-    /// Centers, 3 a Gaussian.
+    /// Centers, 3 per Gaussian.
     pub means: Vec<f64>,
     /// Logarithms of scales, 3.
     pub log_scales: Vec<f64>,
@@ -36,63 +36,65 @@ pub struct Gaussians {
     pub rotations: Vec<f64>,
     /// Opacities before the sigmoid, 1.
     pub opacity_logits: Vec<f64>,
-    /// Spherical harmonics by band: 3, 9, 15 and 21, coefficient-major; empty above the degree.
+    /// Spherical harmonics by band: 3, 9, 15 and 21, coefficient-major. Empty above the degree.
     pub sh: [Vec<f64>; 4],
-    /// Normals, 3; empty if there are none.
+    /// Normals, 3; empty if absent.
     pub normals: Vec<f64>,
-    /// Semantic features, [`SEMANTIC_FEATURES`]; empty if there are none.
+    /// Semantic features, [`SEMANTIC_FEATURES`]; empty if absent.
     pub semantics: Vec<f64>,
 }
 
 impl Gaussians {
-    /// How many.
+    /// Returns the number of Gaussians.
     pub fn len(&self) -> usize {
         self.opacity_logits.len()
     }
 
-    /// Whether there are none.
+    /// Returns whether the set is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 }
 
-/// A Gaussian as one camera sees it.
+/// Gaussian projected to one camera.
 #[derive(Clone, Debug)]
 pub struct Projected {
-    /// Which Gaussian.
+    /// Index of the Gaussian.
     pub id: usize,
     /// Depth along z.
     pub depth: f64,
     /// Center in pixels.
     pub mean: DVec2,
-    /// What its scaled axes come to in pixels, x and y of each; the covariance is their products', dilated.
+    /// Scaled axes in pixels: x of the three axes, then y. The covariance is the sums of their products, plus the
+    /// dilation of 0.3.
     pub axes: [DVec3; 2],
-    /// After the sigmoid.
+    /// Opacity after the sigmoid.
     pub opacity: f64,
-    /// rgb, then the normal if there is one, then z and z² if asked for, then semantic features.
+    /// RGB, normal if present, z and z² if requested, semantic features.
     pub features: Vec<f64>,
-    /// What it is sorted by.
+    /// Sort key.
     pub key: u32,
     /// Whether rounding in single precision may change the key.
     pub key_doubtful: bool,
-    /// By how much what is stored of its color may change by rounding in single precision.
+    /// Maximum change of the stored color by rounding in single precision.
     pub color_doubt: f64,
-    /// Smallest opacity at a pixel that counts.
+    /// Minimum alpha of a pixel that counts.
     pub alpha_min: f64,
 }
 
 impl Projected {
-    /// Opacity times the Gaussian at a pixel position, before it is cut off at 0.99.
+    /// Returns the opacity times the Gaussian at a pixel position. The value is not yet clamped at 0.99.
     pub fn alpha(&self, at: DVec2) -> f64 {
         let (d, [x, y]) = (at - self.mean, self.axes);
-        // What is inverted is 0.3 more than a sum of products. By the axes themselves (Lagrange's identity), since a determinant of
-        // products loses all its digits for needles of condition 1e16, in double precision, too.
+        // The covariance is 0.3 on the diagonal plus a sum of products. Its determinant is computed from the axes
+        // (Lagrange's identity). A determinant of products loses all digits for Gaussians of condition number 1e16,
+        // even in double precision.
         let determinant = x.cross(y).length_squared() + 0.3 * (x.length_squared() + y.length_squared()) + 0.09;
         let power = 0.5 * ((d.x * y - d.y * x).length_squared() + 0.3 * d.length_squared()) / determinant;
         self.opacity * (-power).exp()
     }
 
-    /// Half the width and height of the box around the region where alpha reaches `alpha_min`.
+    /// Returns the half width and height of the box where alpha reaches `alpha_min`.
     pub fn reach(&self) -> DVec2 {
         let k = 2.0 * (self.opacity / self.alpha_min).ln().max(0.0);
         let [x, y] = self.axes.map(|axis| axis.length_squared() + 0.3);
@@ -100,12 +102,12 @@ impl Projected {
     }
 }
 
-/// Projects every Gaussian that the camera can see, nearest first (ties in the order of the input).
+/// Projects every visible Gaussian, nearest first. Ties keep the order of the input.
 pub fn project(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool) -> Vec<Projected> {
     project_at(g, camera, sh_degree, depth, &Accuracy::EXACT)
 }
 
-/// The same with another accuracy.
+/// Projects like [`project`] at a given accuracy.
 pub fn project_at(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool, a: &Accuracy) -> Vec<Projected> {
     let one = |i| project_one(g, i, camera, sh_degree, depth, a);
     let mut seen: Vec<Projected> = (0..g.len()).filter_map(one).collect();
@@ -117,7 +119,8 @@ pub fn project_at(g: &Gaussians, camera: &Camera, sh_degree: usize, depth: bool,
     seen
 }
 
-/// Single-precision bits above those of the near plane, without the lowest ones.
+/// Returns the sort key of a depth. The key is the depth's single-precision bits above those of the near plane. The
+/// lowest bits are dropped to fit `bits`.
 fn depth_key(z: f64, near: f64, bits: u32) -> u32 {
     let z = (z as f32).to_bits();
     if bits >= 31 {
@@ -165,13 +168,13 @@ fn project_one(
         features.extend((n / n.length().max(1e-3)).to_array());
     }
     if with_depth {
-        // Squares that single precision can hold.
+        // Depth is limited so that single precision can hold the square.
         let z = p.z.min(1e18);
         features.extend([z, z * z]);
     }
     if !g.semantics.is_empty() {
         let width = SEMANTIC_FEATURES as usize;
-        features.extend(g.semantics[width * i..width * (i + 1)].iter().map(|x| stored(*x, a.feature_bits)));
+        features.extend(&g.semantics[width * i..width * (i + 1)]);
     }
     let key = |scale: f64| depth_key(p.z * scale, camera.near, a.depth_bits);
     let projected = Projected {
@@ -186,7 +189,7 @@ fn project_one(
         color_doubt,
         alpha_min,
     };
-    // A box without a pixel center is not seen.
+    // A box without a pixel center is invisible.
     let reach = projected.reach();
     let low = (center - reach - 0.5).ceil().max(DVec2::ZERO);
     let size = DVec2::new(f64::from(camera.size[0]), f64::from(camera.size[1]));
@@ -194,7 +197,7 @@ fn project_one(
     (low.x <= high.x && low.y <= high.y).then_some(projected)
 }
 
-/// Rotation matrix of a quaternion of any length; the identity for zero or one that is not finite.
+/// Returns the rotation matrix of a quaternion of any length. The identity if the quaternion is zero or not finite.
 pub fn rotation(q: &[f64]) -> DMat3 {
     let largest = q.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
     if !(largest > 0.0 && largest.is_finite() && q.iter().all(|v| v.is_finite())) {
@@ -204,7 +207,7 @@ pub fn rotation(q: &[f64]) -> DMat3 {
     DMat3::from_quat(glam::DQuat::from_xyzw(scaled[1], scaled[2], scaled[3], scaled[0]).normalize())
 }
 
-/// Color of a Gaussian seen from the camera: harmonics plus one half, cut off at black.
+/// Returns the color of a Gaussian seen from the camera. The color is the harmonics plus one half, clamped at black.
 fn color(g: &Gaussians, i: usize, camera: &Camera, mean: DVec3, degree: usize) -> DVec3 {
     let position = -(camera.rotation.transpose() * camera.translation);
     let away = mean - position;
@@ -221,8 +224,8 @@ fn color(g: &Gaussians, i: usize, camera: &Camera, mean: DVec3, degree: usize) -
     sum.map(|v| if v > 0.0 { v.min(1e6) } else { 0.0 })
 }
 
-/// The real harmonics of one band from associated Legendre functions, with the signs of 3DGS (those of the
-/// Condon–Shortley phase, axes x, y, z).
+/// Returns the real harmonics of one band, with the signs of 3DGS. Built from associated Legendre functions; the signs
+/// are those of the Condon–Shortley phase with axes x, y, z.
 fn harmonics(band: usize, d: DVec3) -> Vec<f64> {
     let l = band as i32;
     let radius = d.x.hypot(d.y);
@@ -249,7 +252,7 @@ fn harmonics(band: usize, d: DVec3) -> Vec<f64> {
         .collect()
 }
 
-/// Associated Legendre function with the Condon–Shortley phase; `s` is the sine of the polar angle.
+/// Returns the associated Legendre function with the Condon–Shortley phase. `s` is the sine of the polar angle.
 fn legendre(l: u32, m: u32, x: f64, s: f64) -> f64 {
     let mut pmm = 1.0;
     for k in 1..=m {

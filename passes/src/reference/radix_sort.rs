@@ -1,15 +1,14 @@
-//! Twin of the radix sort, and of the arithmetic that ranks elements inside a block.
+//! Reference of the radix sort, and of the ranking of elements within a block.
 
 use std::ops::Range;
 
-/// Bits of a key that count.
+/// Masks a key to the given bits.
 fn masked(key: u32, bits: &Range<u32>) -> u32 {
     let below = |bit: u32| ((1_u64 << bit.min(32)) - 1) as u32;
     key & below(bits.end) & !below(bits.start)
 }
 
-/// The pairs in the order of the bits `bits` of their keys; equal ones keep theirs. Without values these are the
-/// positions.
+/// Sorts pairs stably by the bits `bits` of their keys. Without values, the values are the positions.
 pub fn radix_sort(keys: &[u32], values: Option<&[u32]>, bits: Range<u32>) -> (Vec<u32>, Vec<u32>) {
     let mut order: Vec<u32> = (0..keys.len() as u32).collect();
     order.sort_by_key(|&i| masked(keys[i as usize], &bits));
@@ -17,8 +16,8 @@ pub fn radix_sort(keys: &[u32], values: Option<&[u32]>, bits: Range<u32>) -> (Ve
     (sorted, values.map_or(order.clone(), |v| order.iter().map(|&i| v[i as usize]).collect()))
 }
 
-/// One block of `radix_scatter`, step by step with the kernel's index arithmetic, at any subgroup size: the devices at
-/// hand have few of them.
+/// Block of `radix_scatter`, emulated with the kernel's index arithmetic. Supports any subgroup size, since the
+/// available devices have few of them.
 #[derive(Clone, Copy, Debug)]
 pub struct BlockRanking {
     /// Lanes of a subgroup, at most 128.
@@ -29,11 +28,11 @@ pub struct BlockRanking {
     pub items: usize,
     /// Bits of the digit.
     pub bits: u32,
-    /// Lowest of them in the key.
+    /// Lowest bit of the digit in the key.
     pub shift: u32,
 }
 
-/// Peers of each lane: how many lanes with its digit come before it, and which is the last.
+/// Peers of each lane: number of earlier lanes with its digit, and the last one.
 type Peers = Vec<(u32, usize)>;
 
 impl BlockRanking {
@@ -41,7 +40,7 @@ impl BlockRanking {
         ((key >> self.shift) & ((1 << self.bits) - 1)) as usize
     }
 
-    /// By votes on each bit, 32 lanes a word.
+    /// Finds peers by votes on each bit, 32 lanes a word.
     fn peers_by_votes(&self, digits: &[usize], valid: &[bool]) -> Peers {
         let ballot = |vote: &dyn Fn(usize) -> bool| {
             let mut words = [0_u32; 4];
@@ -75,7 +74,7 @@ impl BlockRanking {
         (0..self.subgroup).map(peers).collect()
     }
 
-    /// By comparing with each lane.
+    /// Finds peers by comparison with each lane.
     fn peers_by_lanes(&self, digits: &[usize], valid: &[bool]) -> Peers {
         let shown: Vec<u32> =
             (0..self.subgroup).map(|lane| if valid[lane] { digits[lane] as u32 } else { !(lane as u32) }).collect();
@@ -87,15 +86,15 @@ impl BlockRanking {
         (0..self.subgroup).map(peers).collect()
     }
 
-    /// Position of each element in the block's order by digit. Panics where counters of 16 bits would run over, or where
-    /// the two ways to find peers disagree.
+    /// Returns the position of each element in the block's order by digit. Panics if a 16-bit counter overflows, or if
+    /// the two methods find different peers.
     pub fn positions(&self, keys: &[u32]) -> Vec<usize> {
         let bins = 1 << self.bits;
         let pairs = usize::div_ceil(bins, 2);
         let half_of = |word: u32, digit: usize| word >> (digit % 2 * 16) & 0xFFFF;
         let mut pool = vec![0_u32; self.subgroups * pairs];
         let mut places = vec![0_u32; keys.len()];
-        // Subgroups do not meet in this phase, so one after the other is as good as any order.
+        // Subgroups are independent in this phase, so they may run in any order.
         for subgroup in 0..self.subgroups {
             for k in 0..self.items {
                 let first = (subgroup * self.items + k) * self.subgroup;
@@ -145,7 +144,7 @@ mod tests {
     use crate::reference::rng::Pcg;
 
     #[test]
-    fn bits_outside_the_range_do_not_count() {
+    fn bits_outside_the_range_are_ignored() {
         let keys = [0x8000_0013, 0x0000_0102, 0x0000_0013];
         assert_eq!(radix_sort(&keys, None, 0..32).1, [2, 1, 0]);
         assert_eq!(radix_sort(&keys, None, 0..31).1, [0, 2, 1]);
@@ -155,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_is_ranked_stably_at_every_subgroup_size() {
+    fn blocks_are_ranked_stably_at_every_subgroup_size() {
         let mut rng = Pcg::new(5);
         for (subgroup, subgroups, items) in [(8, 32, 4), (8, 1, 16), (32, 8, 16), (32, 1, 3), (64, 4, 16), (128, 2, 5)]
         {

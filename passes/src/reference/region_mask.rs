@@ -1,34 +1,35 @@
-//! `region_mask` and `carry_mask`: the twins.
+//! References of `region_mask` and `carry_mask`.
 
 use super::project::Camera;
 use glam::DVec3;
 
-/// What counts as a depth, so that single precision neither overflows nor vanishes.
+/// Valid range of depths. Within this range, single precision neither overflows nor underflows.
 pub const DEPTHS: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
 
-/// A view with what was blended of its depths, before division by opacity.
+/// View with blended depths, before division by opacity.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// From where.
+    /// Camera of the view.
     pub camera: Camera,
-    /// Sum of weights times z, a pixel.
+    /// Sum of weights times z, per pixel.
     pub depth: Vec<f64>,
-    /// What is left of the light, a pixel.
+    /// Transmittance, per pixel.
     pub transmittance: Vec<f64>,
 }
 
-/// Whether a pixel of the pseudo-view is in the region, and how far it is from the next place where that changes: in
-/// pixels of the training view for borders of pixels, as a share of itself for depth and opacity.
+/// Membership of a pseudo-view's pixel in the region, and its margin. The margin is the distance to the next value at
+/// which the membership changes. Borders of pixels count in pixels of the training view, depth and opacity as a
+/// relative or absolute difference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Carried {
-    /// Whether it is.
+    /// Whether the pixel is in the region.
     pub inside: bool,
-    /// How surely.
+    /// Distance to the nearest decision threshold.
     pub margin: f64,
 }
 
 impl View {
-    /// Depth of a pixel, if it has one, and how far its opacity is from what decides that.
+    /// Returns a pixel's depth, if any, and its opacity's distance from the threshold.
     fn depth_of(&self, pixel: usize, least_opacity: f64) -> (Option<f64>, f64) {
         let (blended, left) = (self.depth[pixel], self.transmittance[pixel]);
         if !blended.is_finite() || !left.is_finite() {
@@ -41,12 +42,12 @@ impl View {
     }
 }
 
-/// Which pixels have the region's id.
+/// Returns the pixels that have the region's id.
 pub fn region_mask(ids: &[u16], region: u32) -> Vec<bool> {
     ids.iter().map(|&id| id != 0 && u32::from(id) == region).collect()
 }
 
-/// Which pixels of the pseudo-view show the surface that `mask` marks in the training view.
+/// Returns the pseudo-view's pixels that show the surface marked by `mask`. `mask` belongs to the training view.
 pub fn carry_mask(trained: &View, mask: &[bool], pseudo: &View, least_opacity: f64, tolerance: f64) -> Vec<Carried> {
     let (from, to) = (&pseudo.camera, &trained.camera);
     let size = to.size.map(f64::from);
@@ -68,7 +69,7 @@ pub fn carry_mask(trained: &View, mask: &[bool], pseudo: &View, least_opacity: f
         }
         margin = margin.min(p.z - to.near);
         let at = [to.focal.x * p.x / p.z + to.center.x, to.focal.y * p.y / p.z + to.center.y];
-        // Every border between pixels decides, those of the image too.
+        // Every border between pixels is a threshold, including those of the image.
         margin = at.iter().fold(margin, |m, a| m.min((a - a.round()).abs()));
         if !(0..2).all(|k| at[k] >= 0.0 && at[k] < size[k]) {
             one(false, margin);
@@ -96,7 +97,7 @@ mod tests {
     use super::*;
     use glam::{DMat3, DVec2};
 
-    /// A camera at (x, 0, 0) that looks along z at a wall at depth 2.
+    /// Returns a camera at (x, 0, 0) that looks along z at a wall at depth 2.
     fn before_a_wall(x: f64) -> View {
         let camera = Camera {
             rotation: DMat3::IDENTITY,
@@ -110,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_aside_moves_the_region_by_the_disparity() {
+    fn sideways_camera_motion_moves_the_region_by_the_disparity() {
         let mut mask = vec![false; 16];
         mask[3] = true;
         mask[4] = true;
@@ -122,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_hidden_or_has_no_depth_is_outside() {
+    fn hidden_pixels_and_pixels_without_depth_are_outside() {
         let (mut trained, mut pseudo) = (before_a_wall(0.0), before_a_wall(0.0));
         trained.depth[1] = 1.9;
         trained.depth[2] = 2.05;
@@ -136,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn ids_of_zero_are_no_region() {
+    fn id_zero_is_no_region() {
         assert_eq!(region_mask(&[0, 1, 2, 1], 1), [false, true, false, true]);
         assert_eq!(region_mask(&[0, 1], 0), [false; 2]);
     }

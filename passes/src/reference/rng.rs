@@ -1,30 +1,31 @@
-//! Twin of `random.glsl`: counter-based random numbers, bit for bit where they are integers. Tests draw from it too.
+//! Reference of `random.glsl`: counter-based random numbers. Integers match bit for bit. Tests use the generator, too.
 
-/// One round of PCG's 32-bit generator with its output permutation (O'Neill 2014; as a hash, Jarzynski and Olano 2020).
+/// Applies one round of PCG's 32-bit generator with its output permutation. O'Neill 2014; as a hash, Jarzynski and
+/// Olano 2020.
 pub fn pcg(x: u32) -> u32 {
     let state = x.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
     let word = ((state >> ((state >> 28) + 4)) ^ state).wrapping_mul(277_803_737);
     (word >> 22) ^ word
 }
 
-/// 32 random bits for a seed and two counters.
+/// Returns 32 random bits for a seed and two counters.
 pub fn random_bits(seed: u32, a: u32, b: u32) -> u32 {
     pcg(pcg(pcg(seed).wrapping_add(a)).wrapping_add(b))
 }
 
-/// In (0, 1), never 0 or 1.
+/// Returns a uniform number in (0, 1), never 0 or 1.
 pub fn uniform_from(bits: u32) -> f64 {
     (f64::from(bits >> 9) + 0.5) / 8_388_608.0
 }
 
-/// Two independent standard normal numbers (Box and Muller 1958).
+/// Returns two independent standard normal numbers (Box and Muller 1958).
 pub fn normal_from(bits_a: u32, bits_b: u32) -> [f64; 2] {
     let radius = (-2.0 * uniform_from(bits_a).ln()).sqrt();
     let (sin, cos) = (std::f64::consts::TAU * uniform_from(bits_b)).sin_cos();
     [radius * cos, radius * sin]
 }
 
-/// A stream of the numbers above.
+/// Stream of random numbers.
 #[derive(Clone, Debug)]
 pub struct Pcg {
     seed: u32,
@@ -32,28 +33,28 @@ pub struct Pcg {
 }
 
 impl Pcg {
-    /// The stream of a seed.
+    /// Creates the stream of a seed.
     pub fn new(seed: u32) -> Self {
         Pcg { seed, count: 0 }
     }
 
-    /// The next 32 bits.
+    /// Returns the next 32 bits.
     pub fn next_u32(&mut self) -> u32 {
         self.count = self.count.wrapping_add(1);
         random_bits(self.seed, self.count, 0)
     }
 
-    /// The next number in (0, 1).
+    /// Returns the next number in (0, 1).
     pub fn uniform(&mut self) -> f64 {
         uniform_from(self.next_u32())
     }
 
-    /// The next number between two others.
+    /// Returns the next number between `low` and `high`.
     pub fn range(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// The next standard normal number.
+    /// Returns the next standard normal number.
     pub fn normal(&mut self) -> f64 {
         normal_from(self.next_u32(), self.next_u32())[0]
     }
@@ -64,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn moments_are_those_of_the_distributions() {
+    fn moments_match_the_distributions() {
         let mut rng = Pcg::new(3);
         let n = 20_000;
         let uniform: Vec<f64> = (0..n).map(|_| rng.uniform()).collect();

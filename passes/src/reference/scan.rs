@@ -1,7 +1,7 @@
-//! Twin of the exclusive scan.
+//! Reference of the exclusive scan.
 
-/// Prefix sums of `values` (of `values[index[i]]` with an index) and the sum of all. What would pass 0xFFFFFFFF stays
-/// there.
+/// Returns the prefix sums of `values` and the total. With an index, the values are `values[index[i]]`. Sums saturate
+/// at 0xFFFFFFFF.
 pub fn exclusive_scan(values: &[u32], index: Option<&[u32]>) -> (Vec<u32>, u32) {
     let mut sum = 0_u64;
     let mut next = |value: u32| {
@@ -21,7 +21,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn small_cases() {
+    fn small_cases_match_expected_sums() {
         assert_eq!(exclusive_scan(&[], None), (vec![], 0));
         assert_eq!(exclusive_scan(&[3, 1, 4], None), (vec![0, 3, 4], 8));
         assert_eq!(exclusive_scan(&[3, 1, 4], Some(&[2, 0])), (vec![0, 4], 7));

@@ -1,87 +1,88 @@
-//! Twin of the semantic loss: everything is decoded to its full width, sample by sample, as the definitions say.
+//! Reference of the semantic loss. Everything is decoded to its full width, sample by sample, as defined.
 
-/// The decoder and the classes, of any width.
+/// Decoder and classes, of any width.
 #[derive(Clone, Debug)]
 pub struct Head {
-    /// Features.
+    /// Number of features.
     pub features: usize,
-    /// Width of what is decoded.
+    /// Width of the decoded embedding.
     pub embedding: usize,
-    /// `[embedding * (features + 1)]`: rows of weights and a bias.
+    /// Rows of weights and a bias, `[embedding * (features + 1)]`.
     pub decoder: Vec<f64>,
-    /// `[classes * embedding]`, rows of length one.
+    /// Unit rows of the classes, `[classes * embedding]`.
     pub text: Vec<f64>,
 }
 
-/// A view: its features, and its target map.
+/// Features of a view and its target map.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// Columns and rows of the picture.
+    /// Columns and rows of the image.
     pub size: [usize; 2],
-    /// `[P * features]`.
+    /// Features, `[P * features]`.
     pub image: Vec<f64>,
     /// Columns and rows of the map.
     pub map: [usize; 2],
-    /// `[samples * embedding]`.
+    /// Target embeddings, `[samples * embedding]`.
     pub targets: Vec<f64>,
-    /// Class of each sample, if it has one.
+    /// Class of each sample, if any.
     pub labels: Vec<Option<usize>>,
 }
 
 /// Weights and temperature.
 #[derive(Clone, Copy, Debug)]
 pub struct Weights {
-    /// Of 1 - cos.
+    /// Weight of 1 - cos.
     pub cosine: f64,
-    /// Of the cross-entropy.
+    /// Weight of the cross-entropy.
     pub class: f64,
-    /// Logits are divided by it.
+    /// Divisor of the logits.
     pub temperature: f64,
 }
 
-/// The two means.
+/// Means of the two terms.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Terms {
-    /// 1 - cos.
+    /// Mean of 1 - cos.
     pub cosine: f64,
-    /// Cross-entropy.
+    /// Mean cross-entropy.
     pub class: f64,
 }
 
-/// Gradients by features and decoder.
+/// Gradients of features and decoder.
 #[derive(Clone, Debug)]
 pub struct Gradient {
-    /// As [`View::image`].
+    /// Gradient of [`View::image`].
     pub image: Vec<f64>,
-    /// As [`Head::decoder`].
+    /// Gradient of [`Head::decoder`].
     pub decoder: Vec<f64>,
 }
 
-/// What was decoded at one place.
+/// Decoded embedding at one sample.
 pub(super) struct Decoded {
-    /// W f + b.
+    /// Embedding W f + b.
     pub vector: Vec<f64>,
-    /// One over its length; 0 where it is nothing.
+    /// Inverse length of the embedding; 0 if it counts as zero.
     pub inverse: f64,
-    /// Whether single precision says the same of it being nothing.
+    /// Whether single precision is certain to agree on `inverse` being 0.
     pub sure: bool,
-    /// Products of all its parts: what single precision rounds the square of its length by, in units of the last place.
+    /// Squared sum of the lengths of all contributions. Bounds the rounding error of the squared length in single
+    /// precision, in units of the last place.
     pub products: f64,
 }
 
-/// What single precision rounds numbers by, in units of the last place: the size of what they are sums of, as the kernels do
-/// them, which work with inner products of the decoder's columns.
+/// Bounds of single-precision rounding errors, in units of the last place. A bound is the magnitude of the summands in
+/// the kernels, which use inner products of the decoder's columns.
 #[derive(Clone, Debug)]
 pub struct Rounding {
-    /// Of the means.
+    /// Bounds of the means.
     pub terms: Terms,
-    /// Of gradients.
+    /// Bounds of the gradients.
     pub gradient: Gradient,
-    /// Whether no decoded vector's length is so near to nothing that rounding decides.
+    /// Whether rounding cannot decide that a decoded embedding counts as zero.
     pub sure: bool,
     /// Lengths of the decoder's columns, the bias last.
     columns: Vec<f64>,
-    /// Largest of every column of the texts.
+    /// Largest magnitude of every column of the class embeddings.
     widest: Vec<f64>,
 }
 
@@ -104,8 +105,9 @@ impl Rounding {
         }
     }
 
-    /// Adds what one decoded place comes to. `target` and its pull are those of the cosine, `class` and the temperature of the
-    /// cross-entropy; both may be zero. Returns what the gradient by its features is made of.
+    /// Adds the bounds of one decoded sample. `target` and its weight are those of the cosine, `class` and the
+    /// temperature those of the cross-entropy; both weights may be zero. Returns the bounds of the gradient of the
+    /// sample's features.
     pub(super) fn add(
         &mut self,
         head: &Head,
@@ -117,7 +119,7 @@ impl Rounding {
         self.sure &= d.sure;
         let all = || f.iter().copied().chain([1.0]);
         let condition = (d.products * d.inverse * d.inverse).max(1.0);
-        // A logit is off by its size in units of the last place, and a probability by as much of itself.
+        // A logit's error is its magnitude in units of the last place; a probability has the same relative error.
         let class = 2.0 * class / temperature * (1.0 + 1.0 / temperature);
         let length = dot(target, target).sqrt().max(f64::MIN_POSITIVE);
         self.terms.cosine += if cosine > 0.0 { condition } else { 0.0 };
@@ -140,7 +142,7 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
 }
 
 impl Head {
-    /// How many classes.
+    /// Returns the number of classes.
     pub fn classes(&self) -> usize {
         self.text.len() / self.embedding
     }
@@ -151,7 +153,7 @@ impl Head {
     }
 
     pub(super) fn decode(&self, f: &[f64]) -> Decoded {
-        // Squares of what every feature and the bias come to.
+        // Squared contributions of every feature and of the bias.
         let mut parts = vec![0.0; self.features + 1];
         let decoded = |j: usize| {
             let (row, bias) = self.row(j);
@@ -163,21 +165,22 @@ impl Head {
         };
         let vector: Vec<f64> = (0..self.embedding).map(decoded).collect();
         let square = dot(&vector, &vector);
-        // As in the kernel: shorter than 1e-3 of its parts, or than 1e-8, is nothing.
+        // As in the kernel, an embedding shorter than 1e-3 of its contributions, or than 1e-8, counts as zero.
         let least = (1e-6 * parts.iter().sum::<f64>()).max(1e-16);
         let inverse = if square > least { 1.0 / square.sqrt() } else { 0.0 };
-        // The kernel's square is a sum of products of the parts, and off by some units of their last place.
+        // The kernel's square is a sum of products of the contributions, with an error of some units of their last
+        // place.
         let products = parts.iter().map(|p| p.sqrt()).sum::<f64>().powi(2);
         let sure = (square - least).abs() > 3e-7 * products;
         Decoded { vector, inverse, sure, products }
     }
 
-    /// Logits of all classes.
+    /// Returns the logits of all classes.
     pub(super) fn logits(&self, d: &Decoded, temperature: f64) -> Vec<f64> {
         self.text.chunks(self.embedding).map(|t| dot(t, &d.vector) * d.inverse / temperature).collect()
     }
 
-    /// Cross-entropy to a class, and the derivative by the decoded vector.
+    /// Returns the cross-entropy to a class, and its gradient by the unit embedding.
     pub(super) fn cross_entropy(&self, d: &Decoded, label: usize, temperature: f64) -> (f64, Vec<f64>) {
         let logits = self.logits(d, temperature);
         let top = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -191,7 +194,8 @@ impl Head {
         (total.ln() + top - logits[label], by_unit)
     }
 
-    /// From the derivative by the unit vector to that by the features, and into that by the decoder.
+    /// Propagates the gradient of the unit embedding to the features and the decoder. Returns the gradient of the
+    /// features, and adds to that of the decoder.
     pub(super) fn back(&self, d: &Decoded, f: &[f64], by_unit: &[f64], by_decoder: &mut [f64]) -> Vec<f64> {
         let along = dot(by_unit, &d.vector) * d.inverse * d.inverse;
         let mut by_features = vec![0.0; self.features];
@@ -208,10 +212,11 @@ impl Head {
     }
 }
 
-/// Pixels and weights that sample `i` of `samples` is made of, first and last on the first and last of `pixels`.
+/// Returns the two pixels and weights of sample `i` of `samples`. The first and last samples lie on the first and last
+/// of `pixels`.
 fn taps(i: usize, samples: usize, pixels: usize) -> [(usize, f64); 2] {
     let at = if samples > 1 { i as f64 * (pixels - 1) as f64 / (samples - 1) as f64 } else { 0.0 };
-    // A place on a pixel must not be rounded to just before it.
+    // A position on a pixel must not be rounded to just before the pixel.
     let first = (at + 1e-9).floor();
     let rest = (at - first).max(0.0);
     [(first as usize, 1.0 - rest), ((first as usize + 1).min(pixels - 1), rest)]
@@ -235,14 +240,14 @@ impl View {
         (t.iter().all(|x| x.is_finite()) && t.iter().any(|&x| x != 0.0)).then_some(t)
     }
 
-    /// Samples that say something, and those that have a class too.
+    /// Returns the number of valid samples, and of those that have a class.
     pub fn counts(&self, head: &Head) -> [usize; 2] {
         let valid = (0..self.labels.len()).filter(|&i| self.target(head.embedding, i).is_some());
         let valid: Vec<usize> = valid.collect();
         [valid.len(), valid.iter().filter(|&&i| self.labels[i].is_some_and(|l| l < head.classes())).count()]
     }
 
-    /// The class of every target: that of the largest cosine.
+    /// Returns the class of every target: the one with the largest cosine.
     pub fn own_labels(&self, head: &Head) -> Vec<Option<usize>> {
         let label = |i: usize| {
             let t = self.target(head.embedding, i)?;
@@ -253,12 +258,12 @@ impl View {
     }
 }
 
-/// The loss and its gradient. Samples whose features are not finite add nothing.
+/// Returns the loss and its gradient; samples with non-finite features add nothing.
 pub fn semantic_loss(head: &Head, view: &View, weights: &Weights) -> (Terms, Gradient) {
     semantic_loss_into(head, view, weights, None)
 }
 
-/// The same, and what single precision rounds it by.
+/// Returns the loss, its gradient, and bounds of single-precision rounding errors.
 pub fn semantic_loss_rounding(head: &Head, view: &View, weights: &Weights) -> (Terms, Gradient, Rounding) {
     let mut rounding = Rounding::new(head, view.image.len());
     let (terms, gradient) = semantic_loss_into(head, view, weights, Some(&mut rounding));
@@ -312,7 +317,7 @@ fn semantic_loss_into(
     (terms, gradient)
 }
 
-/// The class of the largest cosine at a place, and logits at a temperature.
+/// Returns the class of the largest cosine, and the logits at a temperature.
 pub fn classify(head: &Head, f: &[f64], temperature: f64) -> (usize, Vec<f64>) {
     let logits = head.logits(&head.decode(f), temperature);
     let products: Vec<f64> = head.text.chunks(head.embedding).map(|t| dot(t, &head.decode(f).vector)).collect();
@@ -352,7 +357,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn gradient_is_the_finite_difference() {
+    fn gradient_matches_finite_differences() {
         let weights = Weights { cosine: 0.7, class: 1.3, temperature: 0.4 };
         let sizes = [([1, 1], [1, 1]), ([4, 3], [1, 1]), ([3, 4], [5, 2]), ([1, 3], [2, 7]), ([5, 4], [5, 4])];
         for (i, (size, map)) in sizes.into_iter().enumerate() {
@@ -376,7 +381,7 @@ pub(super) mod tests {
                     crate::reference::difference(&mut x, k, |x| total(&Head { decoder: x.to_vec(), ..h.clone() }, &v));
                 assert!((fd - gradient.decoder[k]).abs() < 1e-7, "{size:?} {map:?} {k}: {fd}");
             }
-            // Features that are no number take their samples with them, and nothing else.
+            // Features that are NaN invalidate only their own samples.
             v.image[0] = f64::NAN;
             let (terms, gradient) = semantic_loss(&h, &v, &weights);
             let all = gradient.image.iter().chain(&gradient.decoder);
@@ -387,7 +392,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn what_is_decoded_right_costs_nothing_by_cosine() {
+    fn correctly_decoded_targets_have_no_cosine_loss() {
         let mut rng = Pcg::new(4);
         let h = head(3, 6, 4, &mut rng);
         let mut v = view([2, 2], [2, 2], &h, &mut rng);

@@ -1,20 +1,21 @@
-//! `show` in double precision: a picture with its gain, encoding, marks and letters, before it is rounded to bytes.
+//! Reference of `show`: an image with gain, encoding, marks and text. Values are in double precision, before rounding
+//! to bytes.
 
 use super::srgb::{decode, encode};
 use crate::splat::{Letters, MARK_HOLLOW, MARK_RINGED, Mark, ShownKind};
 
-/// Letters over a picture.
+/// Text over an image.
 #[derive(Clone, Copy, Debug)]
 pub struct Text<'a> {
-    /// A byte a cell, line by line.
+    /// Character codes, a byte per cell, line by line.
     pub cells: &'a [u8],
     /// Cells of a line.
     pub columns: usize,
-    /// Pixels of the screen along a pixel of a letter.
+    /// Screen pixels along a pixel of a glyph.
     pub size: usize,
-    /// What letters there are.
+    /// Available glyphs.
     pub letters: Letters,
-    /// Their pixels.
+    /// Pixels of the glyphs.
     pub font: &'a [u8],
 }
 
@@ -40,7 +41,7 @@ fn marked(v: [f64; 3], mark: &Mark, [x, y]: [f64; 2]) -> [f64; 3] {
 }
 
 impl Text<'_> {
-    /// How much ink there is at a pixel, if a letter's cell lies there.
+    /// Returns the ink at a pixel, or `None` outside the glyphs' cells.
     fn ink(&self, [x, y]: [usize; 2]) -> Option<f64> {
         let [width, height] = self.letters.cell.map(|c| c as usize);
         let place = [x / (width * self.size), y / (height * self.size)];
@@ -54,9 +55,9 @@ impl Text<'_> {
     }
 }
 
-/// The color of every pixel of a picture `width` pixels wide, from 0 to 1.
+/// Returns the color of every pixel, from 0 to 1, of an image `width` pixels wide.
 pub fn show(
-    picture: &[[f64; 3]],
+    image: &[[f64; 3]],
     width: usize,
     kind: ShownKind,
     gain: f64,
@@ -79,5 +80,5 @@ pub fn show(
             None => v,
         }
     };
-    picture.iter().enumerate().map(pixel).collect()
+    image.iter().enumerate().map(pixel).collect()
 }

@@ -1,22 +1,23 @@
-//! The encoding of sRGB (IEC 61966-2-1), cut off at black and white, its slope, and its inverse.
+//! sRGB encoding (IEC 61966-2-1), its derivative and its inverse. The encoding is clamped at black and white.
 
-/// The encoding of linear light; what is no finite number is black.
+/// Encodes linear light; a value that is not finite is black.
 pub fn encode(linear: f64) -> f64 {
     let v = if linear.is_finite() { linear.clamp(0.0, 1.0) } else { 0.0 };
     if v > 0.003_130_8 { 1.055 * v.powf(1.0 / 2.4) - 0.055 } else { 12.92 * v }
 }
 
-/// Derivative of the encoding before it is cut off; beyond black and white, theirs.
+/// Returns the derivative of the encoding before clamping. Beyond black and white, the derivative is that at black or
+/// white.
 pub fn slope(linear: f64) -> f64 {
     if linear > 0.003_130_8 { 1.055 / 2.4 * linear.min(1.0).powf(1.0 / 2.4 - 1.0) } else { 12.92 }
 }
 
-/// Derivative of [`encode`]: zero where something was cut off.
+/// Returns the derivative of [`encode`], zero where the value was clamped.
 pub fn derivative(linear: f64) -> f64 {
     if (0.0..=1.0).contains(&linear) { slope(linear) } else { 0.0 }
 }
 
-/// Linear light from its encoding.
+/// Decodes to linear light.
 pub fn decode(encoded: f64) -> f64 {
     super::present::linear(encoded.clamp(0.0, 1.0))
 }
@@ -27,7 +28,7 @@ mod tests {
     use crate::reference::difference;
 
     #[test]
-    fn encoding_is_inverted_and_differentiated() {
+    fn decode_inverts_encode_and_derivative_matches_differences() {
         for i in 0..=1000 {
             let v = f64::from(i) / 1000.0;
             assert!((encode(decode(v)) - v).abs() < 1e-6, "{v}");

@@ -1,15 +1,15 @@
-//! What becomes of numbers that are stored in fewer bits ([`crate::Accuracy`]), in double precision.
+//! Numbers stored in fewer bits ([`crate::Accuracy`]), in double precision.
 
 use half::f16;
 
-/// A number as half precision holds it: to nearest, ties to even; what is larger than the largest half becomes that, and what
-/// is no number stays none.
+/// Rounds a number to half precision, to nearest, ties to even. A number larger than the largest half becomes the
+/// largest half. NaN stays NaN.
 pub fn half(x: f64) -> f64 {
     let most = f16::MAX.to_f64();
     f16::from_f64(x.clamp(-most, most)).to_f64()
 }
 
-/// The same, where there are 16 bits for it.
+/// Rounds a number to half precision if `bits` is 16.
 pub fn stored(x: f64, bits: u32) -> f64 {
     if bits == 16 { half(x) } else { x }
 }
@@ -19,7 +19,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn halves_have_eleven_digits() {
+    fn halves_have_eleven_significant_bits() {
         for x in [1.0, -0.75, 65504.0, 2.0_f64.powi(-24), 0.0] {
             assert_eq!(half(x), x);
         }

@@ -1,29 +1,29 @@
-//! Derivative filters of 3 x 3 taps, tap by tap.
+//! Derivative filters of 3 x 3 taps, applied tap by tap.
 
-/// What stands beyond the border.
+/// Values beyond the border.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Border {
-    /// The last pixel.
+    /// Repeats the last pixel.
     Repeat,
-    /// What stands inside, mirrored at the last pixel's center.
+    /// Mirrors the image at the last pixel's center.
     Reflect,
 }
 
-/// A difference of neighbors across a weighted sum of three.
+/// Derivative filter: a difference of neighbors times a weighted sum of three across.
 #[derive(Clone, Copy, Debug)]
 pub struct Derivative {
-    /// Half of the difference's taps: that of the next pixel; of the one before it is the opposite.
+    /// Weight of the next pixel in the difference; the previous pixel has its negative.
     pub difference: f64,
-    /// Taps of the sum: at the side, in the middle.
+    /// Weights of the sum: at the side, in the middle.
     pub smooth: [f64; 2],
-    /// What stands beyond the border.
+    /// Values beyond the border.
     pub border: Border,
 }
 
-/// Sobel's filter, over 8.
+/// Sobel filter, over 8.
 pub const SOBEL: Derivative = Derivative { difference: 0.125, smooth: [1.0, 2.0], border: Border::Repeat };
 
-/// Three taps of Farid and Simoncelli (2004).
+/// Three-tap filter of Farid and Simoncelli (2004).
 pub const FARID: Derivative =
     Derivative { difference: 0.425287, smooth: [0.229879, 0.540242], border: Border::Reflect };
 
@@ -37,7 +37,7 @@ impl Derivative {
         at.clamp(0, last)
     }
 
-    /// The nine taps of a direction around a pixel: pixel and weight.
+    /// Returns the nine taps, pixel and weight, of a direction around a pixel.
     pub fn taps(&self, size: [usize; 2], p: usize, vertical: bool) -> Vec<(usize, f64)> {
         let [width, height] = size.map(|s| s as i64);
         let (x, y) = (p as i64 % width, p as i64 / width);
@@ -54,7 +54,7 @@ impl Derivative {
     }
 }
 
-/// What taps make of values that lie `channels` apart.
+/// Applies taps to a channel of interleaved values.
 pub fn filtered(taps: &[(usize, f64)], values: &[f64], channels: usize, channel: usize) -> f64 {
     taps.iter().map(|&(q, w)| w * values[q * channels + channel]).sum()
 }
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ramp_has_its_slope_inside_and_none_across() {
+    fn ramp_has_its_slope_inside_and_none_across() {
         let size = [7, 5];
         let ramp: Vec<f64> = (0..35).map(|p| (p % 7) as f64).collect();
         for (filter, slope) in [(SOBEL, 1.0), (FARID, 2.0 * 0.425287)] {
@@ -72,7 +72,7 @@ mod tests {
             assert!((inner - slope).abs() < 1e-6, "{inner}");
             assert!(filtered(&filter.taps(size, 17, true), &ramp, 1, 0).abs() < 1e-12);
         }
-        // At the border one half is left, or nothing.
+        // At the border, repetition halves the slope, and reflection cancels the slope.
         assert!((filtered(&SOBEL.taps(size, 14, false), &ramp, 1, 0) - 0.5).abs() < 1e-12);
         assert_eq!(filtered(&FARID.taps(size, 14, false), &ramp, 1, 0), 0.0);
     }

@@ -1,4 +1,4 @@
-//! Twin of the visibility field: value and gradients at one pair of point and light, and the loss that is sent through it.
+//! Reference of the visibility field: value and gradients of one pair. A pair is a point and a light.
 
 use crate::reference::rng::{normal_from, random_bits};
 use crate::reference::stored::stored;
@@ -8,37 +8,38 @@ use sgs_shaders::structs::FieldLevel;
 const POINTS: u32 = 0x51a7;
 const LIGHTS: u32 = 0xb0c3;
 
-/// A field with its parameters.
+/// Field with its parameters.
 #[derive(Clone, Debug)]
 pub struct Field {
     /// Levels of the grid.
     pub levels: Vec<FieldLevel>,
-    /// Two features an entry.
+    /// Tables, two features per entry.
     pub tables: Vec<f64>,
-    /// Rows of the first layer (features, direction, distance), of the second, and the last.
+    /// Weights of the layers. Rows of the first layer (features, direction, distance), rows of the second layer, and
+    /// the last layer.
     pub mlp: Vec<f64>,
-    /// The box: lower corner.
+    /// Lower corner of the box.
     pub low: [f32; 3],
-    /// The box: upper corner.
+    /// Upper corner of the box.
     pub high: [f32; 3],
-    /// The box: 1 / size.
+    /// Inverse size of the box.
     pub inverse: [f32; 3],
-    /// By how much points lie elsewhere in the grids, of the box: 0, but where it is asked what rounding comes to.
+    /// Displacement of points in the grids, as a fraction of the box. Nonzero only to measure the effect of rounding.
     pub slip: [f32; 3],
 }
 
-/// Gradients of a field and of what it was asked about.
+/// Gradients of a field and of the lights.
 #[derive(Clone, Debug)]
 pub struct Gradients {
-    /// By [`Field::tables`].
+    /// Gradient of [`Field::tables`].
     pub tables: Vec<f64>,
-    /// By [`Field::mlp`].
+    /// Gradient of [`Field::mlp`].
     pub mlp: Vec<f64>,
-    /// By position of the lights.
+    /// Gradient of the lights' positions.
     pub lights: Vec<[f64; 3]>,
 }
 
-/// What a pair's evaluation leaves for the way back.
+/// Intermediate values of a pair's evaluation, for the backward pass.
 struct Trace {
     /// Entry and weight by level and corner.
     corners: Vec<(usize, f64)>,
@@ -56,7 +57,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 impl Field {
-    /// From single precision, as the device has it.
+    /// Converts from the device's single-precision parameters.
     pub fn new(config: &FieldConfig, tables: &[f32], mlp: &[f32], low: [f32; 3], high: [f32; 3]) -> Field {
         let wide = |v: &[f32]| v.iter().map(|&x| f64::from(x)).collect();
         let inverse = [0, 1, 2].map(|k| 1.0 / (high[k] - low[k]));
@@ -64,7 +65,7 @@ impl Field {
         Field { levels, tables: wide(tables), mlp: wide(mlp), low, high, inverse, slip: [0.0; 3] }
     }
 
-    /// The same with tables as they are looked up in so many bits.
+    /// Returns the field with tables as looked up in `table_bits` bits.
     pub fn stored(mut self, table_bits: u32) -> Field {
         self.tables.iter_mut().for_each(|t| *t = stored(*t, table_bits));
         self
@@ -74,14 +75,14 @@ impl Field {
         FIELD_FEATURES * self.levels.len() + 4
     }
 
-    /// In boxes, clamped to the box.
+    /// Returns a position in units of the box, clamped to the box.
     fn position(&self, world: [f64; 3]) -> [f64; 3] {
         let inside = |k: usize| world[k].clamp(f64::from(self.low[k]), f64::from(self.high[k]));
         [0, 1, 2].map(|k| inside(k) * f64::from(self.inverse[k]))
     }
 
-    /// Entries and weights of a point. Where the point lies in a cell is worked out in single precision, as in the
-    /// kernel: at 4096 steps an axis that is what a coordinate has digits for.
+    /// Returns the entries and weights of a point. The position within a cell is computed in single precision, as in
+    /// the kernel. At 4096 steps per axis, this uses up a coordinate's digits.
     fn corners(&self, world: [f64; 3]) -> Vec<(usize, f64)> {
         let inside = |k: usize| (world[k] as f32).clamp(self.low[k], self.high[k]);
         let x = [0, 1, 2].map(|k| ((inside(k) - self.low[k]) * self.inverse[k]).clamp(0.0, 1.0));
@@ -105,7 +106,7 @@ impl Field {
         corners
     }
 
-    /// What the first layer makes of a point alone.
+    /// Returns the first layer's product with the features of a point.
     pub fn point_share(&self, world: [f64; 3]) -> Vec<f64> {
         let inputs = self.inputs();
         let mut features = vec![0.0; inputs - 4];
@@ -122,7 +123,7 @@ impl Field {
         self.trace_with(point, light, |x| x)
     }
 
-    /// `operand`: what becomes of the numbers that the second layer multiplies.
+    /// Evaluates a pair, with `operand` applied to the operands of the second layer.
     fn trace_with(&self, point: [f64; 3], light: [f64; 3], operand: impl Fn(f64) -> f64) -> Trace {
         let corners = self.corners(point);
         let mut inputs = vec![0.0; self.inputs()];
@@ -154,17 +155,18 @@ impl Field {
         Trace { corners, inputs, first, second, reach, value: 1.0 / (1.0 + (-logit).exp()), slope }
     }
 
-    /// How much of a light a point sees; both in the world.
+    /// Returns how visible a light is from a point; both are in world space.
     pub fn visibility(&self, point: [f64; 3], light: [f64; 3]) -> f64 {
         self.trace(point, light).value
     }
 
-    /// How near a pair's rectified sums come to zero, of the sizes of what they add up; and the logit.
+    /// Returns the margin of a pair's ReLU inputs from zero, and the logit. The margin is relative to the magnitudes of
+    /// the summands.
     pub fn margin(&self, point: [f64; 3], light: [f64; 3]) -> (f64, f64) {
         let t = self.trace(point, light);
         let (one, rest) = self.mlp.split_at(FIELD_WIDTH * t.inputs.len());
         let (two, three) = rest.split_at(FIELD_WIDTH * FIELD_WIDTH);
-        // Sums of rows, and of the sizes that rounding has been a share of by then.
+        // Sums of rows, and the magnitudes that bound the rounding error by then.
         let rows = |weights: &[f64], x: &[f64], sizes: &[f64]| -> Vec<(f64, f64)> {
             let of = |row: &[f64]| {
                 let sum = row.iter().zip(x).map(|(w, x)| w * x).sum();
@@ -181,13 +183,14 @@ impl Field {
         (nearest, logit)
     }
 
-    /// The same if the second layer's operands have 16 bits, as on cooperative matrices; sums are exact.
+    /// Returns [`Field::visibility`] with 16-bit operands of the second layer. This matches cooperative matrices; sums
+    /// are exact.
     pub fn visibility_half(&self, point: [f64; 3], light: [f64; 3]) -> f64 {
         let most = half::f16::MAX.to_f64();
         self.trace_with(point, light, |x| half::f16::from_f64(x.clamp(-most, most)).to_f64()).value
     }
 
-    /// Gradients of nothing yet.
+    /// Returns zero gradients.
     pub fn zeros(&self, lights: usize) -> Gradients {
         Gradients {
             tables: vec![0.0; self.tables.len()],
@@ -196,7 +199,7 @@ impl Field {
         }
     }
 
-    /// Adds what `gradient` by the value of a pair makes of everything behind it.
+    /// Adds the gradients that follow from `gradient`, that of a pair's value.
     pub fn visibility_bwd(
         &self,
         point: [f64; 3],
@@ -231,7 +234,7 @@ impl Field {
                 into.tables[entry * FIELD_FEATURES + f] += weight * by_input[c / 8 * FIELD_FEATURES + f];
             }
         }
-        // A light that is held at the box's faces, or lies on the point, does not move.
+        // A light that is clamped to the box, or coincides with the point, has no gradient.
         let axis = |v: &[f64]| [v[inputs - 4], v[inputs - 3], v[inputs - 2]];
         let (way, across) = (axis(&t.inputs), axis(&by_input));
         for k in 0..3 {
@@ -244,7 +247,7 @@ impl Field {
     }
 }
 
-/// What moves a point (`kind` 0) or a light (1) for the smoothness term.
+/// Returns the displacement for the smoothness term of a point or a light. `kind` is 0 for a point and 1 for a light.
 pub fn jitter(seed: u32, kind: usize, index: u32, deviation: f64) -> [f64; 3] {
     let seed = seed ^ [POINTS, LIGHTS][kind];
     let bits = |i: u32| random_bits(seed, index, i);
@@ -259,7 +262,7 @@ mod tests {
     use crate::reference::rng::Pcg;
 
     #[test]
-    fn gradients_are_differences() {
+    fn gradients_match_finite_differences() {
         let config = FieldConfig::new(3, 8, 4, 40);
         let mut rng = Pcg::new(1);
         let tables: Vec<f32> = (0..2 * config.entries()).map(|_| rng.normal() as f32).collect();

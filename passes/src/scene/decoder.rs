@@ -1,10 +1,11 @@
-//! The semantic decoder: a linear map with bias from 32 blended features to the 512-wide vectors of a pretrained network.
+//! Semantic decoder: a linear map with bias from 32 blended features to 512-wide embeddings.
 //!
-//! A 1 x 1 convolution (SGS-Intrinsic, stage I), learned beside the Gaussians. Kept as one matrix A = [W b] of 512 rows of
-//! 32 weights and a bias, so that one row is one output and one Adam pass drives it all.
+//! It is a 1 x 1 convolution (SGS-Intrinsic, stage I), trained with the Gaussians; the embeddings are those of a
+//! pretrained network. It is stored as one matrix A = [W b] of 512 rows, each of 32 weights and a bias. One row is one
+//! output, and one Adam pass updates all.
 //!
-//! Promises: the start depends on nothing but its seed; a raised flag stops its steps as it does the Gaussians'. Leaves
-//! files to the tools.
+//! Guarantees: initial parameters depend only on the seed. A raised flag stops its steps as it does those of the
+//! Gaussians. The tools read and write files.
 
 use crate::Tuning;
 use crate::optim::{Adam, Rate, adam};
@@ -14,42 +15,42 @@ use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Work;
 
-/// Blended features of a pixel.
+/// Number of blended features per pixel.
 pub const FEATURES: usize = 32;
 
-/// The same and the one that the bias is multiplied by.
+/// Number of features plus the constant 1 that multiplies the bias.
 pub const AUGMENTED: usize = FEATURES + 1;
 
-/// Width of targets, of text, and of what is decoded.
+/// Width of targets, text embeddings and decoded vectors.
 pub const EMBEDDING: usize = 512;
 
 const PARAMETER_BYTES: u64 = 4 * (EMBEDDING * AUGMENTED) as u64;
 
-/// Epsilon of its Adam.
+/// Epsilon of the decoder's Adam.
 const EPSILON: f32 = 1e-8;
 
-/// The decoder in device memory.
+/// Decoder in device memory.
 #[derive(Debug)]
 pub struct Decoder {
     parameters: DeviceBuffer,
-    /// First and second moments, pairs; only when training.
+    /// Pairs of first and second moments; only for training.
     moments: Option<DeviceBuffer>,
     work: DeviceBuffer,
 }
 
-/// Its buffers in one graph.
+/// Buffers of a decoder in one graph.
 #[derive(Clone, Copy, Debug)]
 pub struct DecoderHandles {
     /// `[512 * 33]` floats.
     pub parameters: Buffer,
-    /// Pairs, likewise.
+    /// `[512 * 33]` pairs of moments.
     pub moments: Option<Buffer>,
     /// A `Work` of 512 rows.
     pub work: Buffer,
 }
 
 impl Decoder {
-    /// Makes it with a random start ([`Decoder::initial`]); `training` adds moments.
+    /// Creates a decoder with random parameters ([`Decoder::initial`]). `training` adds moments.
     ///
     /// # Errors
     /// If memory runs out.
@@ -66,18 +67,18 @@ impl Decoder {
         Ok(decoder)
     }
 
-    /// The start: every weight and bias uniform within 1/sqrt(32) of zero, as a 1 x 1 convolution with 32 inputs starts
-    /// in PyTorch. Each number is a function of the seed and its place.
+    /// Returns the initial parameters. Every weight and bias is uniform within 1/sqrt(32) of zero, as in PyTorch for a
+    /// 1 x 1 convolution with 32 inputs. Each value is a function of the seed and its index.
     pub fn initial(seed: u32) -> Vec<f32> {
         let bound = 1.0 / (FEATURES as f64).sqrt();
         let number = |i: usize| bound * (2.0 * uniform_from(random_bits(seed, i as u32, 0x6465_636f)) - 1.0);
         (0..EMBEDDING * AUGMENTED).map(|i| number(i) as f32).collect()
     }
 
-    /// Replaces the parameters, 512 rows of 33, and starts the optimizer afresh.
+    /// Replaces the parameters, 512 rows of 33, and resets the optimizer.
     ///
     /// # Errors
-    /// If the device fails, or there are more than fit.
+    /// If the device fails, or there are more parameters than fit.
     pub fn upload(&self, device: &Device, parameters: &[f32]) -> Result<()> {
         device.upload(&self.parameters, 0, bytemuck::cast_slice(parameters))?;
         match &self.moments {
@@ -86,7 +87,7 @@ impl Decoder {
         }
     }
 
-    /// The parameters as they are.
+    /// Returns the current parameters.
     ///
     /// # Errors
     /// If the device fails.
@@ -94,7 +95,7 @@ impl Decoder {
         device.download_as(&self.parameters, EMBEDDING * AUGMENTED)
     }
 
-    /// Adam's moments, pairs, for checkpoints; empty without training.
+    /// Returns Adam's moments as pairs, for checkpoints. Empty without training.
     ///
     /// # Errors
     /// If the device fails.
@@ -105,10 +106,10 @@ impl Decoder {
         }
     }
 
-    /// Puts back what [`Decoder::download_moments`] gave.
+    /// Restores moments from [`Decoder::download_moments`].
     ///
     /// # Errors
-    /// If the device fails, or there are more than fit.
+    /// If the device fails, or there are more moments than fit.
     pub fn upload_moments(&self, device: &Device, moments: &[f32]) -> Result<()> {
         match &self.moments {
             Some(buffer) => device.upload(buffer, 0, bytemuck::cast_slice(moments)),
@@ -116,17 +117,17 @@ impl Decoder {
         }
     }
 
-    /// Bytes of device memory.
+    /// Returns the bytes of device memory for parameters and moments.
     pub fn bytes(&self) -> u64 {
         self.parameters.bytes() + self.moments.as_ref().map_or(0, DeviceBuffer::bytes)
     }
 
-    /// Declares the buffers in a graph; kernels may write them if `training`.
+    /// Declares the buffers in a graph. Kernels may write them if `training`.
     pub fn declare(&self, g: &mut Graph, training: bool) -> DecoderHandles {
         Decoder::handles(g, training && self.moments.is_some())
     }
 
-    /// Declares the buffers of a decoder that need not exist yet. With `training` it must have moments.
+    /// Declares the buffers of a decoder that need not exist yet. With `training` the decoder must have moments.
     pub fn handles(g: &mut Graph, training: bool) -> DecoderHandles {
         let bytes = PARAMETER_BYTES;
         DecoderHandles {
@@ -136,13 +137,13 @@ impl Decoder {
         }
     }
 
-    /// Bytes that a decoder in training takes.
+    /// Bytes of device memory of a decoder in training.
     pub const TRAINING_BYTES: u64 = 3 * PARAMETER_BYTES + size_of::<Work>() as u64;
 
-    /// Puts the buffers behind their handles.
+    /// Binds the buffers to their handles.
     ///
     /// # Errors
-    /// If the plan was made for larger ones.
+    /// If the plan was compiled for larger buffers.
     pub fn bind(&self, exec: &mut Executor, handles: &DecoderHandles) -> Result<()> {
         exec.bind(handles.parameters, &self.parameters)?;
         if let (Some(handle), Some(moments)) = (handles.moments, &self.moments) {
@@ -152,8 +153,8 @@ impl Decoder {
     }
 }
 
-/// Adds the pass that moves a decoder by its gradient ([`crate::loss::decoder_gradient`]): Adam with `lr_decoder` of the
-/// step and epsilon 1e-8. A decoder without moments is left alone. `flags`, `skipped`: as in [`Adam`].
+/// Adds the Adam pass of a decoder. The gradient is that of [`crate::loss::decoder_gradient`], the rate is `lr_decoder`
+/// of the step, epsilon is 1e-8. A decoder without moments is not changed. `flags`, `skipped`: as in [`Adam`].
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -190,7 +191,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_start_is_uniform_and_a_function_of_its_seed() {
+    fn initial_parameters_are_uniform_and_depend_on_seed() {
         let a = Decoder::initial(1);
         assert_eq!(a, Decoder::initial(1));
         assert_ne!(a, Decoder::initial(2));
@@ -199,7 +200,7 @@ mod tests {
         let n = a.len() as f64;
         let mean = a.iter().map(|&x| f64::from(x)).sum::<f64>() / n;
         let square = a.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() / n;
-        // Of a uniform distribution: 0, and a third of the bound's square.
+        // Uniform distribution: mean 0, mean square a third of the squared bound.
         assert!(mean.abs() < 3.0 * (1.0 / 96.0 / n).sqrt(), "{mean}");
         assert!((square * 96.0 - 1.0).abs() < 0.03, "{square}");
     }

@@ -1,4 +1,4 @@
-//! The Gaussians' buffers, and their handles in a graph.
+//! Buffers of Gaussians, and their handles in a graph.
 
 use super::{Group, Model};
 use sgs_engine::graph::exec::Executor;
@@ -6,11 +6,11 @@ use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Work;
 
-/// Scalars of the densification statistics: sum of screen gradients, count, sum of blending weights, sum of gradients by the
-/// raw normal.
+/// Scalars per Gaussian of the densification statistics. They are the sum of screen gradients, count, sum of blending
+/// weights, and sum of gradients by the raw normal.
 pub const STATISTICS: u32 = 4;
 
-/// Parameters of some Gaussians on the host, one flat array a group (empty for groups that the model lacks).
+/// Parameters of Gaussians on the host. Each group is one flat array, empty for groups that the model lacks.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GaussianData {
     /// By position in [`Group::ALL`].
@@ -18,52 +18,53 @@ pub struct GaussianData {
 }
 
 impl GaussianData {
-    /// How many Gaussians.
+    /// Returns the number of Gaussians.
     pub fn len(&self) -> usize {
         self.groups[Group::OpacityLogits as usize].len()
     }
 
-    /// Whether there are none.
+    /// Returns whether the data contains no Gaussians.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// One group.
+    /// Returns the parameters of one group.
     pub fn group(&self, group: Group) -> &[f32] {
         &self.groups[group as usize]
     }
 }
 
-/// What buffers Gaussians take, whether they exist or not.
+/// Sizes of the buffers of Gaussians, which need not exist.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
-    /// What they carry.
+    /// Parameter groups.
     pub model: Model,
-    /// Most there can be.
+    /// Largest number of Gaussians.
     pub capacity: u32,
-    /// Whether there are moments.
+    /// Whether moments exist.
     pub training: bool,
-    /// Whether densification statistics are kept; without training there are none.
+    /// Whether densification statistics exist; never without training.
     pub statistics: bool,
 }
 
 impl Layout {
-    /// A group that is absent is bound to a word that specialized kernels never touch.
+    /// Returns the number of scalars of a group. An absent group takes a placeholder of four scalars, which specialized
+    /// kernels never access.
     fn scalars(&self, group: Group) -> u64 {
         if self.model.has(group) { u64::from(self.capacity) * u64::from(group.width()) } else { 4 }
     }
 
-    /// Bytes of the parameters.
+    /// Returns the bytes of the parameters.
     pub fn parameter_bytes(&self) -> u64 {
         Group::ALL.into_iter().map(|g| 4 * self.scalars(g)).sum()
     }
 
-    /// Bytes of Adam's moments.
+    /// Returns the bytes of Adam's moments.
     pub fn moment_bytes(&self) -> u64 {
         if self.training { 2 * self.parameter_bytes() } else { 0 }
     }
 
-    /// Bytes of the densification statistics.
+    /// Returns the bytes of the densification statistics.
     pub fn statistics_bytes(&self) -> u64 {
         match (self.training, self.statistics) {
             (true, true) => u64::from(self.capacity) * u64::from(STATISTICS) * 4,
@@ -72,7 +73,7 @@ impl Layout {
         }
     }
 
-    /// Declares the buffers in a graph; kernels may write them if `training`.
+    /// Declares the buffers in a graph. Kernels may write them if `training`.
     pub fn declare(&self, g: &mut Graph, training: bool) -> Handles {
         let mut add = |name: &str, bytes: u64| if training { g.external(name, bytes) } else { g.input(name, bytes) };
         let parameters = Group::ALL.map(|group| add(group.name(), 4 * self.scalars(group)));
@@ -81,34 +82,26 @@ impl Layout {
             .then(|| Group::ALL.map(|group| add(&format!("{}_moments", group.name()), 8 * self.scalars(group))));
         let statistics = optimizer.then(|| add("statistics", self.statistics_bytes()));
         let work = add("gaussians", size_of::<Work>() as u64);
-        Handles {
-            model: self.model,
-            capacity: self.capacity,
-            parameters,
-            moments,
-            statistics,
-            work,
-            packed_features: None,
-        }
+        Handles { model: self.model, capacity: self.capacity, parameters, moments, statistics, work }
     }
 }
 
-/// Gaussians in device memory, with room to grow.
+/// Gaussians in device memory, with capacity for more.
 #[derive(Debug)]
 pub struct Gaussians {
-    /// What they carry.
+    /// Parameter groups.
     pub model: Model,
-    /// Most there can be.
+    /// Largest number of Gaussians.
     pub capacity: u32,
     parameters: [DeviceBuffer; Group::COUNT],
-    /// First and second moments, pairs; only when training.
+    /// Pairs of first and second moments; only for training.
     moments: Option<[DeviceBuffer; Group::COUNT]>,
     statistics: Option<DeviceBuffer>,
     work: DeviceBuffer,
 }
 
 impl Gaussians {
-    /// Makes the buffers; `training` adds moments and statistics.
+    /// Creates the buffers. `training` adds moments and statistics.
     ///
     /// # Errors
     /// If memory runs out.
@@ -116,7 +109,7 @@ impl Gaussians {
         Gaussians::with(device, model, capacity, training, training)
     }
 
-    /// As [`Gaussians::new`]; without `statistics` there is no densification and nothing is kept for it.
+    /// Creates the buffers like [`Gaussians::new`], with or without statistics. Densification requires `statistics`.
     ///
     /// # Errors
     /// If memory runs out.
@@ -147,10 +140,10 @@ impl Gaussians {
         Ok(gaussians)
     }
 
-    /// Replaces the parameters, and starts the optimizer afresh.
+    /// Replaces the parameters and resets the optimizer.
     ///
     /// # Errors
-    /// If the device fails or there are more than the capacity.
+    /// If the device fails or the data exceeds the capacity.
     pub fn upload(&self, device: &Device, data: &GaussianData) -> Result<()> {
         for g in self.model.groups() {
             device.upload(&self.parameters[g as usize], 0, bytemuck::cast_slice(data.group(g)))?;
@@ -159,7 +152,7 @@ impl Gaussians {
         device.upload(&self.work, 0, bytemuck::bytes_of(&work_of(data.len() as u32)))
     }
 
-    /// The parameters as they are.
+    /// Returns the current parameters.
     ///
     /// # Errors
     /// If the device fails.
@@ -172,7 +165,7 @@ impl Gaussians {
         Ok(data)
     }
 
-    /// Adam's moments (pairs, by group) and the densification statistics, for checkpoints.
+    /// Returns Adam's moments and the densification statistics, for checkpoints. Moments are pairs, by group.
     ///
     /// # Errors
     /// If the device fails.
@@ -191,7 +184,7 @@ impl Gaussians {
         Ok((data, statistics))
     }
 
-    /// Puts back what [`Gaussians::download_optimizer`] gave.
+    /// Restores the state from [`Gaussians::download_optimizer`].
     ///
     /// # Errors
     /// If the device fails.
@@ -205,10 +198,10 @@ impl Gaussians {
         Ok(())
     }
 
-    /// Makes room for `capacity`, group by group: for a moment one of them is there twice, and no more.
+    /// Grows the buffers to `capacity`, group by group. At any time only one buffer exists twice.
     ///
     /// # Errors
-    /// If memory runs out; then they are what they were, though some groups take more memory.
+    /// If memory runs out. The Gaussians are unchanged then, though some groups take more memory.
     pub fn grow(&mut self, device: &Device, capacity: u32) -> Result<()> {
         let old = self.layout();
         let layout = Layout { capacity: capacity.max(self.capacity), ..old };
@@ -233,8 +226,8 @@ impl Gaussians {
         Ok(())
     }
 
-    /// The same Gaussians with another highest band: bands that come are zero, as their moments are, and bands that go are
-    /// lost. What stays is not copied, so that both share it.
+    /// Returns the same Gaussians with another highest band of spherical harmonics. Added bands and their moments are
+    /// zero; removed bands are lost. Both objects share the other buffers.
     ///
     /// # Errors
     /// If memory runs out.
@@ -261,7 +254,7 @@ impl Gaussians {
         })
     }
 
-    /// How many there are now (waits for the device).
+    /// Returns the current number of Gaussians. Waits for the device.
     ///
     /// # Errors
     /// If the device fails.
@@ -274,7 +267,7 @@ impl Gaussians {
         self.statistics.as_ref().is_some_and(|s| s.bytes() >= bytes)
     }
 
-    /// Bytes of device memory.
+    /// Returns the bytes of device memory for parameters, moments and statistics.
     pub fn bytes(&self) -> u64 {
         let sum = |b: &[DeviceBuffer; Group::COUNT]| b.iter().map(DeviceBuffer::bytes).sum::<u64>();
         sum(&self.parameters)
@@ -289,21 +282,21 @@ impl Gaussians {
         Ok(())
     }
 
-    /// What they take.
+    /// Returns the sizes of the buffers.
     pub fn layout(&self) -> Layout {
         let (training, statistics) = (self.moments.is_some(), self.has_statistics());
         Layout { model: self.model, capacity: self.capacity, training, statistics }
     }
 
-    /// Declares the buffers in a graph; kernels may write them if `training`.
+    /// Declares the buffers in a graph. Kernels may write them if `training`.
     pub fn declare(&self, g: &mut Graph, training: bool) -> Handles {
         self.layout().declare(g, training)
     }
 
-    /// Puts the buffers behind their handles.
+    /// Binds the buffers to their handles.
     ///
     /// # Errors
-    /// If the plan was made for larger ones.
+    /// If the plan was compiled for larger buffers.
     pub fn bind(&self, exec: &mut Executor, handles: &Handles) -> Result<()> {
         for (handle, buffer) in handles.parameters.iter().zip(&self.parameters) {
             exec.bind(*handle, buffer)?;
@@ -326,37 +319,25 @@ fn work_of(count: u32) -> Work {
     Work { x, y: groups.div_ceil(x), z: 1, count }
 }
 
-/// The Gaussians' buffers in one graph.
+/// Buffers of Gaussians in one graph.
 #[derive(Clone, Copy, Debug)]
 pub struct Handles {
-    /// What they carry.
+    /// Parameter groups.
     pub model: Model,
-    /// Most there can be.
+    /// Largest number of Gaussians.
     pub capacity: u32,
     /// By position in [`Group::ALL`].
     pub parameters: [Buffer; Group::COUNT],
-    /// Likewise, pairs.
+    /// Pairs of moments, by position in [`Group::ALL`].
     pub moments: Option<[Buffer; Group::COUNT]>,
     /// Densification statistics.
     pub statistics: Option<Buffer>,
     /// Count and dispatch size.
     pub work: Buffer,
-    /// Semantic features in 16 bits, two a word, where there are such in the graph ([`crate::splat::features_pack`]).
-    pub packed_features: Option<Buffer>,
 }
 
 impl Handles {
-    /// What blending reads of the semantic features.
-    pub(crate) fn looked_up_features(&self) -> Buffer {
-        self.packed_features.unwrap_or(self.group(Group::Semantics))
-    }
-
-    /// Bits of a number there.
-    pub(crate) fn feature_bits(&self) -> u32 {
-        if self.packed_features.is_some() { 16 } else { 32 }
-    }
-
-    /// One group's parameters.
+    /// Returns the parameters of one group.
     pub fn group(&self, group: Group) -> Buffer {
         self.parameters[group as usize]
     }

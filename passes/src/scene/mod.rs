@@ -1,6 +1,6 @@
-//! What is learned, as buffers on the GPU: one for each parameter group, with Adam's moments beside it.
+//! Trained parameters as GPU buffers: one per parameter group, with Adam's moments.
 //!
-//! Promises: groups that the model lacks cost nothing. Leaves files to the tools.
+//! Guarantees: groups that the model lacks take placeholders of four scalars. The tools read and write files.
 
 mod decoder;
 mod gaussians;
@@ -10,4 +10,4 @@ mod trainable;
 pub use decoder::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
 pub use gaussians::{GaussianData, Gaussians, Handles, Layout, STATISTICS};
 pub use model::{Group, Model, SEMANTIC_FEATURES};
-pub use trainable::{StepWords, Trainable, TrainableHandles};
+pub use trainable::{AdamRule, StepWords, Trainable, TrainableHandles};

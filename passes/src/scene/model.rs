@@ -1,12 +1,12 @@
-//! Which parameter groups a scene has.
+//! Parameter groups of a scene.
 
-/// Semantic features of a Gaussian (method: 32, decoded to 512).
+/// Number of semantic features per Gaussian (method: 32, decoded to 512).
 pub const SEMANTIC_FEATURES: u32 = 32;
 
-/// A parameter group of the Gaussians.
+/// Parameter group of the Gaussians.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Group {
-    /// Centers, world.
+    /// Centers in world space.
     Means,
     /// Logarithms of scales.
     LogScales,
@@ -22,17 +22,17 @@ pub enum Group {
     Sh2,
     /// Band 3.
     Sh3,
-    /// Normals, world, any length.
+    /// Normals in world space, of any length.
     Normals,
-    /// Semantic features, blended as they are; a decoder gives them a meaning.
+    /// Semantic features, blended without projection. The decoder maps them to embeddings.
     Semantics,
 }
 
 impl Group {
-    /// How many groups there can be.
+    /// Number of groups.
     pub const COUNT: usize = 10;
 
-    /// Every group there can be.
+    /// All groups.
     pub const ALL: [Group; Group::COUNT] = [
         Group::Means,
         Group::LogScales,
@@ -46,7 +46,7 @@ impl Group {
         Group::Semantics,
     ];
 
-    /// Scalars of one Gaussian.
+    /// Returns the scalars per Gaussian.
     pub fn width(self) -> u32 {
         match self {
             Group::Means | Group::LogScales | Group::Sh0 | Group::Normals => 3,
@@ -59,7 +59,7 @@ impl Group {
         }
     }
 
-    /// The field's name for it.
+    /// Returns the name of the group, as in names of buffers and passes.
     pub fn name(self) -> &'static str {
         match self {
             Group::Means => "means",
@@ -76,19 +76,19 @@ impl Group {
     }
 }
 
-/// What a scene's Gaussians carry. Worked out once; it chooses kernels, and never becomes a branch inside one.
+/// Parameter groups of a scene's Gaussians. Determined once; it selects kernels and is never a branch within one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Model {
     /// Highest band of spherical harmonics, 0 to 3.
     pub sh_degree: u32,
-    /// Whether there are normals.
+    /// Whether Gaussians have normals.
     pub normals: bool,
-    /// Whether there are semantic features.
+    /// Whether Gaussians have semantic features.
     pub semantics: bool,
 }
 
 impl Model {
-    /// Whether the model has a group.
+    /// Returns whether the model has a group.
     pub fn has(&self, group: Group) -> bool {
         match group {
             Group::Sh1 => self.sh_degree >= 1,
@@ -100,12 +100,12 @@ impl Model {
         }
     }
 
-    /// The groups it has.
+    /// Returns the groups of the model.
     pub fn groups(&self) -> impl Iterator<Item = Group> + '_ {
         Group::ALL.into_iter().filter(|g| self.has(*g))
     }
 
-    /// Scalars of one Gaussian over all groups.
+    /// Returns the scalars per Gaussian over all groups.
     pub fn width(&self) -> u32 {
         self.groups().map(Group::width).sum()
     }

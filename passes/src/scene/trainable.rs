@@ -1,6 +1,6 @@
-//! A flat array of parameters that Adam moves: materials, lights, texels, weights of a network.
+//! Flat array of parameters that Adam updates: materials, lights, texels, network weights.
 //!
-//! Promises: a raised flag stops its steps as it does the Gaussians'. Leaves gradients to others.
+//! Guarantees: a raised flag stops its steps as it does those of the Gaussians. The caller computes gradients.
 
 use crate::Tuning;
 use crate::optim::{Adam, Rate, adam};
@@ -15,35 +15,36 @@ pub struct Trainable {
     name: &'static str,
     floats: u32,
     parameters: DeviceBuffer,
-    /// First and second moments, pairs; only when training.
+    /// Pairs of first and second moments; only for training.
     moments: Option<DeviceBuffer>,
     work: DeviceBuffer,
 }
 
-/// Its buffers in one graph.
+/// Buffers of a parameter array in one graph.
 #[derive(Clone, Copy, Debug)]
 pub struct TrainableHandles {
     name: &'static str,
     floats: u32,
-    /// The parameters.
+    /// Parameters.
     pub parameters: Buffer,
     moments: Option<Buffer>,
     work: Option<Buffer>,
 }
 
-/// What stops a step, and what counts gradients that are not finite.
+/// Control words of a step: flag, and counter of non-finite gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct StepWords {
     /// Uniform `Step`: bias corrections.
     pub step: Buffer,
-    /// A word that is not zero when the step must change nothing.
+    /// Flag word. If it is not zero, the step changes nothing.
     pub flags: Buffer,
-    /// A counter.
+    /// Counter of skipped gradients.
     pub skipped: Buffer,
 }
 
 impl Trainable {
-    /// Makes it with a start; `training` adds moments. Nothing takes a word, as kernels cannot be bound to less.
+    /// Creates an array with initial values; `training` adds moments. An empty array takes one word, the smallest
+    /// binding.
     ///
     /// # Errors
     /// If memory runs out.
@@ -63,25 +64,25 @@ impl Trainable {
         Ok(made)
     }
 
-    /// Bytes that so many floats take.
+    /// Returns the bytes of an array of `floats` values.
     pub fn bytes(floats: u64, training: bool) -> u64 {
         4 * floats.max(1) * if training { 3 } else { 1 } + size_of::<Work>() as u64
     }
 
-    /// Its name.
+    /// Returns the name of the array.
     pub fn name(&self) -> &'static str {
         self.name
     }
 
-    /// How many numbers.
+    /// Returns the number of values.
     pub fn floats(&self) -> u32 {
         self.floats
     }
 
-    /// Replaces the parameters and starts the optimizer afresh.
+    /// Replaces the parameters and resets the optimizer.
     ///
     /// # Errors
-    /// If the device fails, or there are more than fit.
+    /// If the device fails, or there are more parameters than fit.
     pub fn upload(&self, device: &Device, parameters: &[f32]) -> Result<()> {
         device.upload(&self.parameters, 0, bytemuck::cast_slice(parameters))?;
         match &self.moments {
@@ -90,7 +91,7 @@ impl Trainable {
         }
     }
 
-    /// The parameters as they are (waits for the device).
+    /// Returns the current parameters. Waits for the device.
     ///
     /// # Errors
     /// If the device fails.
@@ -98,7 +99,7 @@ impl Trainable {
         device.download_as(&self.parameters, self.floats as usize)
     }
 
-    /// Adam's moments, pairs; empty without training.
+    /// Returns Adam's moments as pairs. Empty without training.
     ///
     /// # Errors
     /// If the device fails.
@@ -109,7 +110,7 @@ impl Trainable {
         }
     }
 
-    /// Puts back what [`Trainable::download_moments`] gave.
+    /// Restores moments from [`Trainable::download_moments`].
     ///
     /// # Errors
     /// If the device fails.
@@ -120,7 +121,7 @@ impl Trainable {
         }
     }
 
-    /// Declares the buffers of so many floats in a graph; kernels may write them if `training`.
+    /// Declares the buffers of `floats` values in a graph. Kernels may write them if `training`.
     pub fn handles(g: &mut Graph, name: &'static str, floats: u32, training: bool) -> TrainableHandles {
         let bytes = 4 * u64::from(floats.max(1));
         if !training {
@@ -135,15 +136,15 @@ impl Trainable {
         }
     }
 
-    /// As [`Trainable::handles`], of this one.
+    /// Declares the buffers of this array, like [`Trainable::handles`].
     pub fn declare(&self, g: &mut Graph, training: bool) -> TrainableHandles {
         Trainable::handles(g, self.name, self.floats, training)
     }
 
-    /// Puts the buffers behind their handles.
+    /// Binds the buffers to their handles.
     ///
     /// # Errors
-    /// If the plan was made for larger ones.
+    /// If the plan was compiled for larger buffers.
     pub fn bind(&self, exec: &mut Executor, handles: &TrainableHandles) -> Result<()> {
         exec.bind(handles.parameters, &self.parameters)?;
         if let (Some(handle), Some(buffer)) = (handles.moments, &self.moments) {
@@ -156,25 +157,34 @@ impl Trainable {
     }
 }
 
+/// How Adam updates a parameter.
+#[derive(Clone, Copy, Debug)]
+pub struct AdamRule {
+    /// Learning rate.
+    pub rate: Rate,
+    /// Term that keeps the division finite.
+    pub epsilon: f32,
+    /// Whether numbers without a gradient stay, with their moments.
+    pub skip_zero: bool,
+}
+
 impl TrainableHandles {
-    /// Room for its gradient in the arena.
+    /// Declares a transient buffer for the gradient.
     pub fn gradient(&self, g: &mut Graph) -> Buffer {
         g.transient(format!("grad_{}", self.name), 4 * u64::from(self.floats.max(1)))
     }
 
-    /// Adds the pass of Adam that follows `gradient`. Does nothing where the graph was declared without training.
+    /// Adds the Adam pass that applies `gradient`. Does nothing if the graph was declared without training.
     ///
     /// # Errors
-    /// If the graph refuses the pass.
+    /// If the graph rejects the pass.
     pub fn follow(
         &self,
         g: &mut Graph,
         t: &Tuning,
         words: &StepWords,
         gradient: Buffer,
-        rate: Rate,
-        epsilon: f32,
-        skip_zero: bool,
+        rule: AdamRule,
     ) -> std::result::Result<(), GraphError> {
         let (Some(moments), Some(live)) = (self.moments, self.work) else { return Ok(()) };
         let all = Adam {
@@ -184,9 +194,9 @@ impl TrainableHandles {
             flag_words: 1,
             width: 1,
             capacity: u64::from(self.floats),
-            rate,
-            skip_zero,
-            epsilon,
+            rate: rule.rate,
+            skip_zero: rule.skip_zero,
+            epsilon: rule.epsilon,
             gradients: gradient,
             parameters: self.parameters,
             moments,

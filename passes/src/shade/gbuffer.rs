@@ -1,17 +1,22 @@
-//! `gbuffer` and the sparse matrix of a view's blending weights: `weights_count`, `weights`, `weights_transpose`,
-//! `column_starts`.
+//! `gbuffer` and the sparse matrix of a view's blending weights. Kernels: `weights_count`, `weights`,
+//! `weights_transpose`, `column_starts`.
 //!
-//! Geometry is fixed while materials and lights are learned, so what a pixel sees is constant: its point, its normal, and
-//! the weights with which Gaussians show there. A picture of materials is then a sparse matrix times their values, and the
-//! gradients its transpose times the pixels' ([`super::materials`]); both are kept (compressed rows and compressed columns),
-//! so that neither direction needs atomics. Weights are over the pixel's opacity: rows of covered pixels add up to one.
+//! Geometry is fixed while materials and lights are trained, so the surface of a pixel is constant: its point, its
+//! normal and the weights of its Gaussians. An image of materials is therefore a sparse matrix times the Gaussians'
+//! values. The gradients are the transposed matrix times the pixels' gradients ([`super::materials`]). Both are stored,
+//! as compressed rows and compressed columns, so that neither direction needs atomics. Weights are divided by the
+//! pixel's opacity: rows of covered pixels add up to one.
 //!
-//! Weights may be kept in 16 bits ([`crate::Accuracy::weight_bits`]): in parts of 65535, which suits numbers between zero and one better
-//! than half precision. Rounding goes along a row and hands on what it leaves, so that rows add up to one still, to half a part.
+//! Weights may be stored in 16 bits ([`crate::Accuracy::weight_bits`]), in units of 1/65535. This suits numbers between
+//! zero and one better than half precision. The rounding error is carried along a row, so that rows still add up to one
+//! within half a unit.
 //!
-//! Promises: the weights are those of [`crate::splat::blend`] bit for bit, or within a part of them; both directions hold the same; rows are in the order of depth, columns in the
-//! order of pixels. Cost: the loop of `blend` twice without its channels, 12 bytes written an entry, a sort of as many pairs
-//! as there are entries, 16 bytes of memory an entry afterwards (12 with weights of 16 bits). Leaves room for the entries to the caller.
+//! Guarantees: the weights equal those of [`crate::splat::blend`] bit for bit, or within one unit. Both directions hold
+//! the same weights. Rows are in depth order, columns in pixel order.
+//!
+//! Cost: the loop of `blend` twice without its channels, 12 bytes written per entry, and a sort of as many pairs as
+//! entries. The matrix takes 16 bytes per entry (12 with 16-bit weights). The caller provides the capacity for the
+//! entries.
 
 use crate::Tuning;
 use crate::kernel::{groups, splat_specs, stage};
@@ -23,63 +28,63 @@ use sgs_shaders::{
     weights_transpose_packed as packed,
 };
 
-/// What has to be blended for [`gbuffer`].
+/// Channels that [`gbuffer`] requires to be blended.
 pub const GBUFFER_CHANNELS: Channels = Channels { colors: false, normals: true, depth: true };
 
-/// Pixels that are less opaque have no surface.
+/// Minimum opacity of a pixel with a surface.
 pub const LEAST_COVERAGE: f32 = 1e-3;
 
-/// The surfaces that a view sees, by pixel.
+/// Visible surfaces of a view, by pixel.
 #[derive(Clone, Copy, Debug)]
 pub struct Surfaces {
-    /// `[pixels * 3]` floats, world; zero where nothing is.
+    /// World-space points, zero without a surface, `[pixels * 3]` floats.
     pub points: Buffer,
-    /// `[pixels * 3]` floats, world, unit, or zero.
+    /// Unit world-space normals or zero, `[pixels * 3]` floats.
     pub normals: Buffer,
-    /// `[pixels]` floats: opacity.
+    /// Opacity, `[pixels]` floats.
     pub coverage: Buffer,
 }
 
-/// A view's weights, in both directions. Words each.
+/// Blending weights of a view, in both directions, as 32-bit words.
 #[derive(Clone, Copy, Debug)]
 pub struct Weights {
-    /// `[pixels + 1]`: where each pixel's row begins.
+    /// Start of each pixel's row, `[pixels + 1]`.
     pub row_starts: Buffer,
-    /// `[capacity]`: the Gaussian of each entry, by rows.
+    /// Gaussian of each entry, by rows, `[capacity]`.
     pub columns: Buffer,
-    /// `[capacity]`: its weight; see `bits`.
+    /// Weight of each entry, by rows, `[capacity]`; see `bits`.
     pub weights: Buffer,
-    /// `[Gaussians + 1]`: where each Gaussian's column begins.
+    /// Start of each Gaussian's column, `[Gaussians + 1]`.
     pub column_starts: Buffer,
-    /// `[capacity]`: the pixel of each entry, by columns.
+    /// Pixel of each entry, by columns, `[capacity]`.
     pub rows: Buffer,
-    /// `[capacity]`: its weight.
+    /// Weight of each entry, by columns, `[capacity]`.
     pub row_weights: Buffer,
-    /// Bits of a weight: 32, a float; or 16, parts of 65535, two a word ([`weight_words`]).
+    /// Bits of a weight: 32 or 16. 32 is a float; 16 is in units of 1/65535, two weights a word ([`weight_words`]).
     pub bits: u32,
 }
 
-/// Words of so many weights.
+/// Returns the number of words that store `weights` weights.
 pub fn weight_words(weights: u32, bits: u32) -> u64 {
     if bits == 16 { u64::from(weights).div_ceil(2) } else { weights.into() }
 }
 
-/// Weights of a matrix with `bits` of 16 as floats.
+/// Converts the 16-bit weights of a matrix to floats.
 pub fn unpacked_weights(words: &[u32], count: usize) -> Vec<f32> {
     let parts = words.iter().flat_map(|w| [w & 0xffff, w >> 16]);
     parts.take(count).map(|p| p as f32 * (1.0 / 65535.0)).collect()
 }
 
-/// The rows alone, which is what blending takes.
+/// Rows of the matrix alone, which blending requires.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows {
-    /// `[pixels + 1]`: where each pixel's row begins.
+    /// Start of each pixel's row, `[pixels + 1]`.
     pub row_starts: Buffer,
-    /// `[capacity]`: the Gaussian of each entry, by rows.
+    /// Gaussian of each entry, by rows, `[capacity]`.
     pub columns: Buffer,
-    /// `[capacity]`: its weight.
+    /// Weight of each entry, `[capacity]`.
     pub weights: Buffer,
-    /// As [`Weights::bits`].
+    /// Bits of a weight, as [`Weights::bits`].
     pub bits: u32,
 }
 
@@ -89,10 +94,10 @@ impl From<&Weights> for Rows {
     }
 }
 
-/// Turns what was blended of [`GBUFFER_CHANNELS`] into surfaces.
+/// Converts the blended [`GBUFFER_CHANNELS`] to surfaces.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn gbuffer(
     g: &mut Graph,
     t: &Tuning,
@@ -113,14 +118,14 @@ pub fn gbuffer(
         .dispatch(groups(screen.pixels(), t.workgroup))
 }
 
-/// What [`surface_depth`] leaves in a picture of two channels.
+/// Channels that [`surface_depth`] writes, in an image of two channels.
 pub const SURFACE_DEPTH: Channels = Channels { colors: false, normals: false, depth: true };
 
-/// Depth of surfaces as blending leaves it, for what works on blended views: [`SURFACE_DEPTH`] (without the squares) and
-/// transmittance.
+/// Writes the depth of surfaces in the format of blended views. The result has [`SURFACE_DEPTH`] (without the squares)
+/// and transmittance.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn surface_depth(g: &mut Graph, t: &Tuning, screen: &Screen, seen: &Surfaces) -> Result<Blended, GraphError> {
     let into = Blended {
         image: g.transient("surface_depth", 8 * screen.pixels()),
@@ -139,23 +144,24 @@ pub fn surface_depth(g: &mut Graph, t: &Tuning, screen: &Screen, seen: &Surfaces
     Ok(into)
 }
 
-/// How many entries there are and what is done if they do not fit.
+/// Capacity of the matrix, and the reports of overflow.
 #[derive(Clone, Copy, Debug)]
 pub struct Room {
-    /// Entries that fit.
+    /// Maximum number of entries.
     pub capacity: u32,
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: u32,
-    /// A word in which bit 0 is set where they do not fit; then there are none.
+    /// Word in which bit 0 is set on overflow; the matrix is then empty.
     pub flags: Buffer,
-    /// A word that receives how many are wanted.
+    /// Word that receives the required number of entries.
     pub wanted: Buffer,
 }
 
-/// Fills the matrix of a view. Rows past its last pixel are empty.
+/// Fills the matrix of a view; rows past its last pixel are empty.
 ///
 /// # Errors
-/// If the graph refuses a pass.
+/// If the graph rejects a pass.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn weights(
     g: &mut Graph,
     t: &Tuning,
@@ -168,7 +174,7 @@ pub fn weights(
 ) -> Result<(), GraphError> {
     let mut by_rows = Rows::from(into);
     if into.bits == 16 {
-        // A word each as long as rows end where they like.
+        // One word per weight while rows may end anywhere.
         by_rows.weights = g.transient("weight_parts", 4 * u64::from(room.capacity));
     }
     let (found, entry_pixels) = rows(g, t, screen, visible, entries, coverage, room, &by_rows)?;
@@ -210,10 +216,11 @@ pub fn weights(
         .dispatch(groups(u64::from(room.gaussians) + 1, t.workgroup))
 }
 
-/// As [`weights`] without the columns, for views that only go forward, in 32 bits. Where there is no room the last rows are cut off.
+/// Fills only the rows, in 32 bits, for forward-only views. On overflow the last rows are truncated.
 ///
 /// # Errors
-/// If the graph refuses a pass.
+/// If the graph rejects a pass.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn weight_rows(
     g: &mut Graph,
     t: &Tuning,
@@ -228,7 +235,8 @@ pub fn weight_rows(
     rows(g, t, screen, visible, entries, coverage, room, into).map(|_| ())
 }
 
-/// The rows; how many entries there are, and the pixel of each.
+/// Fills the rows; returns the number of entries and the pixel of each.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 fn rows(
     g: &mut Graph,
     t: &Tuning,

@@ -1,12 +1,12 @@
-//! `material_values`, `materials`, `materials_bwd`: materials of Gaussians at the pixels of a view, and the way back.
+//! `material_values`, `materials`, `materials_bwd`: Gaussians' materials at pixels.
 //!
-//! Roughness is 0.09 + 0.9 sigmoid(raw) as in SGS-Intrinsic, albedo 0.01 + 0.98 sigmoid(raw) ([`ALBEDO_RANGE`]; there 0.09 + 0.9,
-//! which cannot be darker than a third of white on a screen), metallic, where it is asked for, sigmoid(raw). The
-//! weights of the view are constants ([`super::weights`]), so that the picture is linear in the values and exact gradients
-//! are sums over the columns of the matrix, in the order of pixels.
+//! Roughness is 0.09 + 0.9 sigmoid(raw) as in SGS-Intrinsic. Albedo is 0.01 + 0.98 sigmoid(raw) ([`ALBEDO_RANGE`]).
+//! SGS-Intrinsic uses 0.09 + 0.9, which cannot get darker than a third of white on a screen. Metallic, if enabled, is
+//! sigmoid(raw). The weights of the view are constants ([`super::weights`]), so that the image is linear in the values.
+//! Exact gradients are sums over the columns of the matrix, in pixel order.
 //!
-//! Cost: 16 bytes read and written a Gaussian and about 60 operations (four exponentials); an entry of the matrix 24 bytes
-//! (22 with weights of 16 bits) and 8 operations forward, as much backward. Metallic adds a quarter.
+//! Cost: 16 bytes read and written per Gaussian and about 60 operations (four exponentials). A matrix entry costs 24
+//! bytes (22 with 16-bit weights) and 8 operations forward, and the same backward. Metallic adds a quarter.
 
 use super::{Rows, Weights};
 use crate::Tuning;
@@ -15,35 +15,35 @@ use crate::splat::Screen;
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::{material_values, materials as kernel, materials_bwd as backward};
 
-/// The lowest albedo, and how far above it the highest lies: the range that files have.
+/// Lowest albedo, and the range above it, as in files.
 pub const ALBEDO_RANGE: [f32; 2] = [0.01, 0.98];
 
 /// Raw materials of the Gaussians, or their gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct RawMaterials {
-    /// The lowest albedo, and how far above it the highest lies.
+    /// Lowest albedo, and the range above it.
     pub albedo_range: [f32; 2],
-    /// `[Gaussians * 3]` floats.
+    /// Raw albedo, `[Gaussians * 3]` floats.
     pub albedo: Buffer,
-    /// `[Gaussians]` floats.
+    /// Raw roughness, `[Gaussians]` floats.
     pub roughness: Buffer,
-    /// `[Gaussians]` floats, where metals are told from others.
+    /// Raw metallic, `[Gaussians]` floats, if enabled.
     pub metallic: Option<Buffer>,
 }
 
 /// Materials of the pixels of a view, or their gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelMaterials {
-    /// `[pixels * 4]` floats: linear albedo, roughness.
+    /// Linear albedo and roughness, `[pixels * 4]` floats.
     pub materials: Buffer,
-    /// `[pixels]` floats.
+    /// Metallic, `[pixels]` floats.
     pub metallic: Option<Buffer>,
 }
 
 /// Blends the materials of a view. `values` ([`values`]) serve all views of a step.
 ///
 /// # Errors
-/// If the graph refuses a pass.
+/// If the graph rejects a pass.
 pub fn materials(
     g: &mut Graph,
     t: &Tuning,
@@ -69,10 +69,11 @@ pub fn materials(
         .dispatch(groups(screen.pixels(), t.workgroup))
 }
 
-/// Activates the materials of all `gaussians`: what [`materials`] blends, by Gaussian instead of by pixel.
+/// Activates the materials of all `gaussians`. [`materials`] blends the result, which has one entry per Gaussian
+/// instead of per pixel.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn values(g: &mut Graph, t: &Tuning, raw: &RawMaterials, gaussians: u32) -> Result<PixelMaterials, GraphError> {
     let n = u64::from(gaussians);
     let into = PixelMaterials {
@@ -94,11 +95,12 @@ pub fn values(g: &mut Graph, t: &Tuning, raw: &RawMaterials, gaussians: u32) -> 
     Ok(into)
 }
 
-/// Backward of [`materials`] and [`values`]: gradients of the raw materials of all `gaussians`, overwritten, or added to those
-/// of other views of a step.
+/// Backward pass of [`materials`] and [`values`]. Computes the gradients of the raw materials of all `gaussians`. The
+/// gradients are overwritten, or added to those of other views of the step if `add`.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn materials_bwd(
     g: &mut Graph,
     t: &Tuning,
@@ -135,7 +137,8 @@ pub fn materials_bwd(
     pass.subgroup_size(Some(t.subgroup_size)).dispatch(groups(8 * u64::from(gaussians), t.workgroup))
 }
 
-/// What is not there has a word behind it that specialized kernels never touch: they may not write another one's memory.
+/// Returns the buffer, or a placeholder word that specialized kernels never touch. Kernels may not write the memory of
+/// another binding.
 fn or_nothing(g: &mut Graph, buffer: Option<Buffer>) -> Buffer {
     buffer.unwrap_or_else(|| g.transient("no_metallic", 4))
 }

@@ -1,8 +1,8 @@
-//! Shading: what pixels with points, normals and materials send to the camera under lights.
+//! Shading: radiance that pixels with points, normals and materials emit to the camera.
 //!
-//! Promises: linear radiance by pixel; nothing of the size of pixels times lights is ever stored; no float atomics, so that
-//! results are bit-identical from run to run; pixels without a surface are zero, and so are their gradients. Leaves how
-//! radiance becomes a picture to the losses.
+//! Guarantees: radiance is linear, per pixel. No buffer has the size of pixels times lights. Kernels use no float
+//! atomics, so that results are bit-identical from run to run. Pixels without a surface are zero, and so are their
+//! gradients. Losses convert radiance to images.
 
 pub mod environment;
 mod gbuffer;

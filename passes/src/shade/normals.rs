@@ -1,11 +1,13 @@
-//! `normals` and `normals_bwd`: normals of pixels from those of Gaussians, where these are learned, and the way back.
+//! `normals` and `normals_bwd`: pixel normals from trainable Gaussian normals.
 //!
-//! The weights of a view are constants ([`super::weights`]): the normal of a pixel is their sum over the Gaussians' normals,
-//! made unit, as [`super::gbuffer`] has it but for rounding. With s = Σ w n and N = s/|s| what is asked of N, which is across it,
-//! is asked of s divided by |s|, and of each n times its w. Where |s| is below a thousandth, so that normals cancel, nothing is.
+//! The weights of a view are constants ([`super::weights`]). The normal of a pixel is the normalized weighted sum of
+//! the Gaussians' normals, equal to that of [`super::gbuffer`] except for rounding. With s = Σ w n and N = s/|s|, the
+//! gradient of N is orthogonal to N. The gradient of s is that gradient divided by |s|, and the gradient of each n is w
+//! times that of s. Where |s| is below 0.001, so that normals cancel, the gradient is zero.
 //!
-//! Promises: both are gathers in a fixed order, the same bits from run to run; every Gaussian's gradient is written. Cost: 20
-//! bytes and 6 operations an entry of the matrix forward, 24 and 8 back; 2 bytes fewer with weights of 16 bits.
+//! Guarantees: both passes are gathers in a fixed order, bit-identical from run to run. Every Gaussian's gradient is
+//! written. Cost per matrix entry: 20 bytes and 6 operations forward, 24 bytes and 8 operations backward. 16-bit
+//! weights save 2 bytes.
 
 use super::{Rows, Surfaces, Weights};
 use crate::Tuning;
@@ -14,17 +16,17 @@ use crate::splat::Screen;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{normals as kernel, normals_bwd as backward};
 
-/// Normals of pixels that can be gone back through.
+/// Normals of pixels, with the data that the backward pass needs.
 #[derive(Clone, Copy, Debug)]
 pub struct LearnedNormals {
-    /// `[pixels * 3]` floats, world, unit, or zero.
+    /// Unit world-space normals or zero, `[pixels * 3]` floats.
     pub normals: Buffer,
-    /// `[pixels]` floats: one over the length before, zero where nothing is to be learned.
+    /// Inverse length before normalization, `[pixels]` floats. Zero where the pixel has no gradient.
     pub inverse_lengths: Buffer,
 }
 
 impl LearnedNormals {
-    /// The surfaces with these normals in place of theirs.
+    /// Returns the surfaces with their normals replaced by these.
     pub fn of(&self, seen: &Surfaces) -> Surfaces {
         Surfaces { normals: self.normals, ..*seen }
     }
@@ -33,7 +35,7 @@ impl LearnedNormals {
 /// Blends `gaussian_normals` (`[Gaussians * 3]` floats of any length).
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn normals(
     g: &mut Graph,
     t: &Tuning,
@@ -61,11 +63,11 @@ pub fn normals(
     Ok(into)
 }
 
-/// Backward of [`normals`]: writes `grad_normals` of all `gaussians` from the gradient of unit normals, of which the part along
-/// them must be zero already.
+/// Backward pass of [`normals`]: writes `grad_normals` of all `gaussians`. The input is the gradient of unit normals.
+/// Its component along the normals must be zero already.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn normals_bwd(
     g: &mut Graph,
     t: &Tuning,

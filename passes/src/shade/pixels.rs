@@ -1,16 +1,16 @@
-//! The pixels that are shaded: places, normals, materials.
+//! Pixels to be shaded: points, normals and materials.
 
 use super::{PixelMaterials, Surfaces};
 use crate::splat::Screen;
 
-/// What a view's pixels are shaded with. Where coverage is below [`super::LEAST_COVERAGE`], and only there, nothing is:
-/// whatever the other numbers are, radiance and gradients are zero.
+/// Shading inputs of a view's pixels. Only pixels with coverage below [`super::LEAST_COVERAGE`] are skipped. Their
+/// radiance and gradients are zero, whatever the other values are.
 #[derive(Clone, Copy, Debug)]
 pub struct Pixels {
-    /// The view's size and the camera's place; tiles are of no importance.
+    /// Size of the view and position of the camera; tiles are ignored.
     pub screen: Screen,
-    /// Points, normals, coverage.
+    /// Points, normals and coverage.
     pub surfaces: Surfaces,
-    /// Albedo, roughness; metallic is 0 everywhere unless it is given.
+    /// Albedo and roughness; metallic is 0 everywhere unless present.
     pub materials: PixelMaterials,
 }

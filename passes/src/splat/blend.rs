@@ -1,9 +1,9 @@
-//! `blend`, `blend_debt` and `blend_bwd`: any number of channels in one go, one subgroup a tile.
+//! `blend`, `blend_debt` and `blend_bwd`: blending of any number of channels, one subgroup per tile.
 //!
-//! Cost: every entry's record is fetched once a tile (28 + 4 C bytes, 4 fewer with colors in 16 bits); a pixel evaluates
-//! about 12 + C multiply-adds and one exponential for each entry of its tile until it is opaque, backward about 30 + 2 C.
-//! Pixels write 4 (C + 1) bytes; the debt reads twice that and writes 4; backward reads 4 (C + 1), and writes 4 (6 + C)
-//! bytes an entry.
+//! Cost: each entry's record is fetched once per tile (28 + 4 C bytes, 4 fewer with 16-bit colors). A pixel takes about
+//! 12 + C multiply-adds and one exponential per entry of its tile until it is opaque, backward about 30 + 2 C. Pixels
+//! write 4 (C + 1) bytes. The debt reads twice that and writes 4. Backward reads 4 (C + 1) bytes per pixel and writes 4
+//! (6 + C) bytes per entry.
 
 use super::project::EntryGradients;
 use super::{Entries, Screen, Visible};
@@ -13,38 +13,39 @@ use sgs_engine::DeviceInfo;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{blend as kernel, blend_debt as blend_debt_kernel};
 
-/// A blended view.
+/// Blended view.
 #[derive(Clone, Copy, Debug)]
 pub struct Blended {
     /// `[pixels * channels]`, over the background.
     pub image: Buffer,
-    /// `[pixels]`
+    /// `[pixels]` of transmittance.
     pub transmittance: Buffer,
 }
 
-/// Which of the backward kernels runs; they agree up to rounding.
+/// Selection of the backward kernel. The kernels agree up to rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BackwardKernel {
-    /// Lanes are pixels; sums are reduced across lanes once a splat and tile.
+    /// Lanes are pixels; sums are reduced across lanes once per splat and tile.
     Pixel,
-    /// Lanes are splats; transmittance runs across lanes by prefix operations.
+    /// Lanes are splats; prefix operations propagate transmittance across lanes.
     Splat,
-    /// Lanes are pixels; sums of tiles are added to splats by atomics of 32-bit floats, which takes less memory and no second sum, but does not
-    /// leave the same bits each time. Not every device has them ([`BackwardKernel::runs_on`]).
+    /// Lanes are pixels; float atomics add sums of tiles to splats. This takes less memory and no second sum, but
+    /// results are not bit-identical between runs. Not every device supports float atomics
+    /// ([`BackwardKernel::runs_on`]).
     Atomic,
 }
 
 impl BackwardKernel {
-    /// Whether a device has what it takes.
+    /// Returns whether a device supports the kernel.
     pub fn runs_on(self, info: &DeviceInfo) -> bool {
         self != BackwardKernel::Atomic || info.optional.float_atomics
     }
 }
 
-/// Blends into `into`, which the caller declares (transient, or external where the picture is wanted).
+/// Blends a view into `into`. The caller declares these buffers, as transient or external ones.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn blend(
     g: &mut Graph,
     t: &Tuning,
@@ -75,19 +76,19 @@ pub fn blend(
         .dispatch(groups(u64::from(screen.tiles()), 1))
 }
 
-/// Which losses' gradients enter the statistic of densification.
+/// Losses whose gradients enter the densification statistic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Statistic {
-    /// Those of color.
+    /// Losses of color.
     Photometric,
-    /// Those of normals and depth; gradients by raw normals are a second criterion.
+    /// Losses of normals and depth. Gradients by raw normals are a second criterion.
     Geometric,
-    /// All that reach the footprint, those of features included if features move geometry.
+    /// All losses that reach the footprint. These include losses of features if features move geometry.
     Total,
 }
 
 impl Statistic {
-    /// Its number in the kernels.
+    /// Returns the number of the statistic in the kernels.
     pub(crate) fn spec(self) -> u32 {
         match self {
             Statistic::Total => 0,
@@ -97,22 +98,22 @@ impl Statistic {
     }
 }
 
-/// What backward starts from.
+/// Inputs of blending's backward pass.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelGradients {
-    /// `[pixels * channels]`: of the loss by the picture.
+    /// `[pixels * channels]`: gradient of the loss with respect to the image.
     pub image: Buffer,
-    /// `[pixels]`: picture times gradient, summed over channels and transmittance.
+    /// `[pixels]`: image times gradient, summed over channels and transmittance.
     pub debt: Buffer,
-    /// A statistic of densification that needs moments of its own, and its debt ([`statistic_debt`]).
+    /// Densification statistic with its own moments, and its debt ([`statistic_debt`]).
     pub statistic: Option<(Statistic, Buffer)>,
 }
 
-/// Works out the debt of every pixel from the picture and its gradients. A loss of color alone does that by itself
-/// ([`crate::loss::photometric_bwd_in_place`]).
+/// Computes the debt of every pixel from the image and its gradients. A loss of color only computes the debt in its own
+/// pass ([`crate::loss::photometric_bwd_in_place`]).
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn blend_debt(
     g: &mut Graph,
     t: &Tuning,
@@ -125,10 +126,10 @@ pub fn blend_debt(
     Ok(PixelGradients { image: gradient.image, debt, statistic: None })
 }
 
-/// The debt of the losses that enter a statistic of densification, from the gradients of all losses.
+/// Computes the debt of the losses in a densification statistic. The gradients are those of all losses.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn statistic_debt(
     g: &mut Graph,
     t: &Tuning,
@@ -154,10 +155,11 @@ pub fn statistic_debt(
     Ok(debt)
 }
 
-/// Backward of [`blend`]: gradients of every entry from those of the picture.
+/// Runs the backward pass of [`blend`]. Computes the gradients of every entry from those of the image.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn blend_bwd(
     g: &mut Graph,
     t: &Tuning,
@@ -206,7 +208,7 @@ pub fn blend_bwd(
                 .dispatch(groups(u64::from(screen.tiles()), 1))?
         }};
     }
-    // The names of pass and kernel are one.
+    // Passes have the names of their kernels.
     use sgs_shaders::{blend_bwd, blend_bwd_atomic, blend_bwd_splat};
     match which {
         BackwardKernel::Pixel => add!(blend_bwd, entry_gradients),

@@ -1,13 +1,14 @@
-//! `project_bwd_features`: what a view whose features alone are compared leaves for the Gaussians' places, shapes and
-//! opacities.
+//! `project_bwd_features`: projection backward pass for views whose losses read only features.
 //!
-//! Such views add up, one pass after the other, in rows by Gaussian that begin as zeros, and the fused update of the
-//! training view ([`super::project_bwd_adam`]) takes them into account; Gaussians that it does not move are left to
-//! [`crate::optim::adam_unseen()`]. One buffer for all groups, since the fused update binds nearly as many as every device
-//! allows. Where one gradient of a Gaussian is not finite none is, so that all its groups are skipped alike.
+//! Propagates gradients from features to the Gaussians' positions, shapes and opacities. The passes of such views add,
+//! one after the other, to rows by Gaussian that begin as zeros. The fused update of the training view
+//! ([`super::project_bwd_adam`]) reads the rows; [`crate::optim::adam_unseen()`] processes the Gaussians that it does
+//! not move. All groups share one buffer, since the fused update binds nearly as many buffers as every device allows.
+//! If one gradient of a Gaussian is not finite, all of them become non-finite, so that all its groups are skipped
+//! alike.
 //!
-//! Cost a visible splat: a flag an entry, 24 bytes more where it is up; where any is, 44 bytes of parameters and 44 of
-//! gradients read, 44 written, about 300 operations.
+//! Cost per visible splat: one flag per entry, and 24 bytes more per entry whose flag is set. If any is set, 44 bytes
+//! of parameters and 44 of gradients read, 44 written, about 300 operations.
 
 use super::{EntryFeatures, Screen, Visible};
 use crate::Tuning;
@@ -17,7 +18,7 @@ use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::project_bwd_features as kernel;
 
-/// Gradients that other views of a step left.
+/// Gradients from other views of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct ExtraGradients {
     /// `[Gaussians * 11]`: mean (3), log scale (3), rotation (4), opacity logit.
@@ -25,20 +26,20 @@ pub struct ExtraGradients {
 }
 
 impl ExtraGradients {
-    /// Scalars of a Gaussian.
+    /// Scalars per Gaussian.
     pub const WIDTH: u32 = 11;
 
-    /// Room for `capacity` Gaussians, cleared.
+    /// Declares the buffer for `capacity` Gaussians and clears it.
     ///
     /// # Errors
-    /// If the graph refuses the pass.
+    /// If the graph rejects the pass.
     pub fn cleared(g: &mut Graph, capacity: u32) -> Result<ExtraGradients, GraphError> {
         let buffer = g.transient("extra_gradients", 4 * u64::from(Self::WIDTH) * u64::from(capacity));
         g.fill("clear_extra_gradients", buffer, 0)?;
         Ok(ExtraGradients { buffer })
     }
 
-    /// Those of one group; features alone move no others than means, log scales, rotations and opacity logits.
+    /// Returns the rows of one group. Features only move means, log scales, rotations and opacity logits.
     pub fn of(&self, group: Group) -> Option<Rows> {
         let first = match group {
             Group::Means => 0,
@@ -51,11 +52,11 @@ impl ExtraGradients {
     }
 }
 
-/// Sums what came through features over the entries of each visible splat, takes it back through projection, and adds it
-/// to `into`. The features' own gradients are [`super::features_bwd`]'s.
+/// Adds the gradients that came through features to `into`. Sums them over the entries of each visible splat and
+/// propagates them through projection. [`super::features_bwd`] computes the gradients of the features themselves.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn project_bwd_features(
     g: &mut Graph,
     t: &Tuning,

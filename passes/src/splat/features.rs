@@ -1,16 +1,16 @@
-//! `blend_features`, `blend_features_bwd`, `features_bwd` and its form fused with Adam: wide features that are blended as
-//! they are (semantics), at the pixels where somebody wants them.
+//! `blend_features`, `blend_features_bwd`, `features_bwd`: blending of wide features at selected pixels.
 //!
-//! Feature maps are coarse and region masks are small, so a bit a pixel says where features are wanted, and kernels go
-//! through the list of a tile's wanted pixels, lanes side by side: the cost follows their number. The weights are worked out
-//! again, which is less than features cost themselves (20 operations a pair against 2 F). Features need no projection:
-//! kernels read them from the Gaussians. Gradients of opacity and footprint are linear in those of the channels, so what
-//! comes through features is left at the entries as moments of its own, and added where a splat's entries are summed.
+//! Features (semantics) are blended without projection. `features_bwd_adam` fuses `features_bwd` with Adam. Feature
+//! maps are coarse and region masks are small, so a bit per pixel selects the pixels. Kernels process the list of a
+//! tile's selected pixels, lanes side by side: the cost follows their number. Weights are recomputed, which costs less
+//! than the features (20 operations per pair against 2 F). Kernels read the features from the Gaussians. Gradients of
+//! opacity and footprint are linear in those of the channels. Gradients through features are therefore stored at the
+//! entries as separate moments, and added where a splat's entries are summed.
 //!
-//! Cost, F features: an entry of a tile with wanted pixels is fetched once for every `2 x subgroup` of them (28 + 4 F
-//! bytes, 2 F fewer with features in 16 bits); a pair takes 20 + 2 F operations, backward 45 + 4 F. Pixels write 4 F bytes;
-//! backward reads twice that, and writes 4 (6 + F) bytes at entries that show. `features_bwd_adam` reads these, and 12 F
-//! bytes a visible Gaussian, and writes 12 F. `features_pack` reads 4 F bytes a Gaussian and writes 2 F, once a step.
+//! Cost for F features: an entry of a tile with selected pixels is fetched once per `2 x subgroup` of them (28 + 4 F
+//! bytes). A pair takes 20 + 2 F operations, backward 45 + 4 F. Pixels write 4 F bytes;
+//! backward reads twice that, and writes 4 (6 + F) bytes at contributing entries. `features_bwd_adam` reads these, and
+//! 12 F bytes per visible Gaussian, and writes 12 F.
 
 use super::{Entries, Screen, Visible};
 use crate::Tuning;
@@ -18,28 +18,28 @@ use crate::kernel::{groups, splat_specs, stage};
 use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::features_bwd_adam as fused;
-use sgs_shaders::features_pack as pack;
 use sgs_shaders::long_tiles as long;
 use sgs_shaders::{blend_features as forward, blend_features_bwd as backward, features_bwd as kernel};
 
-/// Where features are wanted.
+/// Selection of pixels at which features are blended.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
-    /// A bit a pixel, row by row ([`wanted_words`]).
+    /// One bit per pixel, row by row ([`wanted_words`]).
     pub pixels: Buffer,
-    /// Whether they lie close together, as in a region, or are few in each tile, as the samples of a coarse map.
+    /// Whether selected pixels lie close together, as in a region. Otherwise each tile has few, as with samples of a
+    /// coarse map.
     pub dense: bool,
 }
 
 impl Wanted {
-    /// Wanted pixels that a lane has at a time, of which each takes 32 sums in registers. Narrow subgroups take more where
-    /// there are more, since what is fetched and left for an entry is that for all of them.
+    /// Returns the selected pixels that a lane processes at a time. Each takes 32 sums in registers. Narrow subgroups
+    /// take more pixels in dense selections, since one fetch and one write of an entry serve all of them.
     fn per_lane(&self, t: &Tuning) -> u32 {
         if self.dense { (32 / t.subgroup_size).max(2) } else { 2 }
     }
 }
 
-/// What the kernels that go through tiles bind alike.
+/// Builds the bindings shared by kernels that process tiles.
 macro_rules! of_tiles {
     ($kernel:ident, ($screen:ident, $gaussians:ident, $visible:ident, $entries:ident, $wanted:ident), $($more:tt)*) => {
         $kernel::Bindings {
@@ -49,15 +49,14 @@ macro_rules! of_tiles {
             entry_splats: $entries.splats.into(),
             splats: $visible.splats.into(),
             splat_ids: $visible.ids.into(),
-            raw_features: $gaussians.looked_up_features().into(),
-            packed_features: $gaussians.looked_up_features().into(),
+            raw_features: $gaussians.group(Group::Semantics).into(),
             pixel_mask: $wanted.pixels.into(),
             $($more)*
         }
     };
 }
 
-/// And those that sum over the entries of a splat.
+/// Builds the bindings shared by kernels that sum over the entries of a splat.
 macro_rules! of_splats {
     ($kernel:ident, ($visible:ident, $entries:ident), $($more:tt)*) => {
         $kernel::Bindings {
@@ -72,53 +71,32 @@ macro_rules! of_splats {
     };
 }
 
-/// What the features' gradients leave at the entries.
+/// Gradients that came through features, by entry.
 #[derive(Clone, Copy, Debug)]
 pub struct EntryFeatures {
     /// First entry of each visible splat.
     pub starts: Buffer,
-    /// `[entries * (6 + features)]`: moments, then features; only where the flag is up.
+    /// `[entries * (6 + features)]`: moments, then features; valid only where the flag is set.
     pub values: Buffer,
-    /// `[entries]`
+    /// `[entries]` flags.
     pub flags: Buffer,
 }
 
-/// Pixels of a tile.
+/// Returns the number of pixels of a tile.
 fn pixels(screen: &Screen) -> u32 {
     screen.tile[0] * screen.tile[1]
 }
 
-/// Words of a map of wanted pixels, a bit each, row by row.
+/// Returns the number of words in a selection of pixels, one bit each, row by row.
 pub fn wanted_words(pixels: u64) -> u64 {
     pixels.div_ceil(32)
 }
 
-/// The Gaussians with a copy of their features in 16 bits beside them, if the accuracy asks for it: what blending reads of them in
-/// this graph from now on, in every view. The features themselves keep 32 bits, and gradients are those at the rounded ones.
+/// Blends features into `into` (`[pixels * features]`) at the selected pixels. Other pixels are not written.
 ///
 /// # Errors
-/// If the graph refuses the pass.
-pub fn features_pack(g: &mut Graph, t: &Tuning, gaussians: &Handles) -> Result<Handles, GraphError> {
-    if t.accuracy.feature_bits != 16 || !gaussians.model.has(Group::Semantics) {
-        return Ok(*gaussians);
-    }
-    let words = u64::from(gaussians.capacity) * u64::from(Group::Semantics.width() / 2);
-    let packed_features = g.transient("packed_features", 4 * words);
-    let bindings = pack::Bindings {
-        gaussians: gaussians.work.into(),
-        raw_features: gaussians.group(Group::Semantics).into(),
-        packed_features: packed_features.into(),
-    };
-    let specs = pack::Specs { workgroup: t.workgroup, features: Group::Semantics.width() };
-    stage(g, "features_pack", &pack::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch(groups(words, t.workgroup))?;
-    Ok(Handles { packed_features: Some(packed_features), ..*gaussians })
-}
-
-/// Blends features into `into` (`[pixels * features]`) at the wanted pixels of the view; elsewhere nothing is written.
-///
-/// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn blend_features(
     g: &mut Graph,
     t: &Tuning,
@@ -137,17 +115,17 @@ pub fn blend_features(
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features: Group::Semantics.width(),
-        feature_bits: gaussians.feature_bits(),
         span, });
     stage(g, "blend_features", &forward::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(u64::from(screen.tiles()) * u64::from(pixels(screen).div_ceil(span)), 1))
 }
 
-/// Backward of [`blend_features`].
+/// Runs the backward pass of [`blend_features`].
 ///
 /// # Errors
-/// If the graph refuses a pass.
+/// If the graph rejects a pass.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn blend_features_bwd(
     g: &mut Graph,
     t: &Tuning,
@@ -169,8 +147,9 @@ pub fn blend_features_bwd(
         entry_features: values.into(),
         entry_flags: flags.into(),
     );
-    // Whole tiles. But where the rounds of an invocation are bounded, tiles of more entries than these allow are done part by
-    // part. (An entry is fetched by one of the lanes, and then it may be tried: 9/8 rounds on eight lanes.)
+    // Tiles are processed whole. If the rounds of an invocation are bounded, tiles with more entries than the bound
+    // allows are split over several passes. (A lane fetches an entry and may then test it: 9/8 rounds with eight
+    // lanes.)
     let per_lane = wanted.per_lane(t);
     let at_once = per_lane * t.subgroup_size;
     let parts = pixels(screen).div_ceil(at_once);
@@ -182,7 +161,6 @@ pub fn blend_features_bwd(
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features,
-        feature_bits: gaussians.feature_bits(),
         span,
         short, });
     let tiles = groups(u64::from(screen.tiles()), 1);
@@ -192,7 +170,7 @@ pub fn blend_features_bwd(
         let mut pass =
             stage(g, "blend_features_bwd", &backward::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push));
         for (name, slice) in bindings.entries() {
-            // What the kernel adds to, it has written before: the flags say so.
+            // The kernel adds only to values that it has written before, as the flags record.
             let discard = first == 0 && name == "entry_features";
             pass = if discard { pass.bind_discard(name, slice) } else { pass.bind(name, slice) };
         }
@@ -208,7 +186,8 @@ pub fn blend_features_bwd(
     Ok(EntryFeatures { starts: entries.starts, values, flags })
 }
 
-/// Group counts of dispatches that only tiles of more than `short` entries need.
+/// Adds the pass that computes group counts of the additional dispatches. Only tiles of more than `short` entries need
+/// these.
 fn long_tiles(
     g: &mut Graph,
     t: &Tuning,
@@ -226,11 +205,11 @@ fn long_tiles(
     Ok(arguments)
 }
 
-/// Gradients of the features, by Gaussian, added to what is there: the caller clears it, then the views of a step add up,
-/// one pass after the other. [`crate::optim::adam()`] takes them, with [`crate::optim::Rate::Semantics`].
+/// Adds the gradients of the features, by Gaussian, to `into`. The caller clears it first; then the views of a step add
+/// to it, one pass after the other. [`crate::optim::adam()`] uses them with [`crate::optim::Rate::Semantics`].
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn features_bwd(
     g: &mut Graph,
     t: &Tuning,
@@ -245,25 +224,25 @@ pub fn features_bwd(
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }
 
-/// What the fused form works on.
+/// Inputs of the pass that is fused with Adam.
 #[derive(Clone, Copy, Debug)]
 pub struct FeatureAdam {
     /// Uniform `Step`.
     pub step: Buffer,
-    /// A word that is not zero when the step must change nothing.
+    /// Flag word. If it is not zero, the step changes nothing.
     pub flags: Buffer,
-    /// The features' moments, pairs.
+    /// Pairs of first and second moments of the features.
     pub moments: Buffer,
-    /// A counter, increased by the number of gradients that were skipped because they are not finite.
+    /// Counter of gradients skipped because they are not finite.
     pub skipped: Buffer,
-    /// For dense Adam: what the fused update of the other groups has marked; the rest is left to another pass.
+    /// For dense Adam: the marks of the other groups' fused update. Another pass processes the unmarked Gaussians.
     pub seen: Option<Buffer>,
 }
 
-/// Sums the gradients and moves the features.
+/// Sums the gradients and updates the features.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn features_bwd_adam(
     g: &mut Graph,
     t: &Tuning,

@@ -1,8 +1,8 @@
-//! `intersect`, `tile_ranges`: from visible splats to the sorted entries of every tile.
+//! `intersect`, `tile_ranges`: sorted entries of every tile, from visible splats.
 //!
-//! Splats are sorted by depth once (V pairs), then one entry a touched tile is written in that order and sorted stably
-//! by tile id alone: E pairs of as few bits as there are tiles. Cost an entry: 8 bytes written, and 24 for each pass of
-//! the sort.
+//! Splats are sorted by depth once (V pairs). Then one entry per touched tile is written in that order and sorted
+//! stably by tile id alone. That is E pairs of as few bits as the number of tiles needs. Cost per entry: 8 bytes
+//! written, and 24 for each pass of the sort.
 
 use super::project::group_sizes;
 use super::{Screen, Visible};
@@ -12,29 +12,29 @@ use crate::prim::{Count, Overflow, Records, exclusive_scan, radix_sort, work};
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::{intersect as kernel, tile_ranges};
 
-/// The entries (one a splat and tile), sorted by tile and depth.
+/// Entries (one per splat and tile), sorted by tile and depth.
 #[derive(Clone, Copy, Debug)]
 pub struct Entries {
     /// Count and dispatch size; zero after an overflow.
     pub work: Records,
-    /// How many were wanted, even if there was no room.
+    /// Number of required entries, even if they exceed the capacity.
     pub wanted: Buffer,
-    /// Entry numbers, sorted.
+    /// Entry indices, sorted.
     pub sorted: Slice,
     /// Splat of each entry.
     pub splats: Buffer,
     /// First entry of each splat.
     pub starts: Buffer,
-    /// First and one past last of `sorted`, for each tile.
+    /// First index into `sorted` and one past the last, for each tile.
     pub tile_ranges: Buffer,
-    /// Most there can be.
+    /// Largest number of entries.
     pub capacity: u32,
 }
 
-/// Makes the entries; raises bit 0 of `flags` if there is no room for them.
+/// Creates the entries. Sets bit 0 of `flags` if they exceed the capacity.
 ///
 /// # Errors
-/// If the graph refuses a pass.
+/// If the graph rejects a pass.
 pub fn intersect(
     g: &mut Graph,
     t: &Tuning,
@@ -46,7 +46,7 @@ pub fn intersect(
     let v = u64::from(visible.capacity);
     let e = u64::from(capacity);
     let count = Count::Gpu(visible.work);
-    // Depths are positive, so their bits sort as they are and the sign is no digit; shorter keys have fewer.
+    // Depths are positive: their bits sort as integers, without the sign bit. Shorter keys have fewer digits.
     let bits = 0..t.accuracy.depth_bits.clamp(8, 31);
     let order = radix_sort(g, *t, "depth_sort", visible.depth_keys, None, bits, false, count)?.values;
     let offsets = g.transient("entry_offsets", 4 * v);
@@ -76,7 +76,7 @@ pub fn intersect(
     stage(g, "intersect", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
     let tiles = screen.tiles();
-    // One more than the tiles, for entries that a driver's rounding may leave over.
+    // One value more than the tiles, for entries that a driver's rounding may leave over.
     let bits = 32 - tiles.leading_zeros();
     let sorted = radix_sort(g, *t, "tile_sort", keys, None, 0..bits, true, Count::Gpu(entry_work))?;
     let sorted_keys = sorted.keys.unwrap_or_else(|| keys.into());

@@ -1,8 +1,8 @@
-//! Splatting: project, sort into tiles, blend, and the way back.
+//! Splatting: projection, tile sort, blending, and their backward passes.
 //!
-//! Promises: nothing is read back; whatever depends on the scene's content is counted on the GPU and drives indirect
-//! dispatches; an overflow of the tile entries raises a flag and empties the rest of the step. Results are
-//! bit-identical from run to run, but for those of [`BackwardKernel::Atomic`], the only kernel that adds floats atomically.
+//! Guarantees: nothing is read back. Quantities that depend on the scene's content are counted on the GPU and drive
+//! indirect dispatches. An overflow of the tile entries sets a flag and empties the rest of the step. Results are
+//! bit-identical between runs, except those of [`BackwardKernel::Atomic`], the only kernel that adds floats atomically.
 
 mod blend;
 mod extra;
@@ -17,7 +17,7 @@ pub use blend::{BackwardKernel, Blended, PixelGradients, Statistic, blend, blend
 pub use extra::{ExtraGradients, project_bwd_features};
 pub use features::{
     EntryFeatures, FeatureAdam, Wanted, blend_features, blend_features_bwd, features_bwd, features_bwd_adam,
-    features_pack, wanted_words,
+    wanted_words,
 };
 pub use intersect::{Entries, intersect};
 pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present, present_light};
@@ -27,41 +27,41 @@ pub use show::{Letters, MARK_HOLLOW, MARK_RINGED, Mark, Show, ShowStep, ShownKin
 
 use sgs_engine::graph::Buffer;
 
-/// The image side of a view: where its `Step` uniform is, how large it can be, how it is cut into tiles.
+/// Image side of a view: its `Step` uniform, largest size and tile size.
 #[derive(Clone, Copy, Debug)]
 pub struct Screen {
     /// Uniform `Step`.
     pub step: Buffer,
-    /// Columns and rows that no view exceeds.
+    /// Largest width and height of a view.
     pub largest: [u32; 2],
-    /// Pixels of a tile.
+    /// Columns and rows of a tile, in pixels.
     pub tile: [u32; 2],
 }
 
 impl Screen {
-    /// Tiles that no view exceeds.
+    /// Returns the number of tiles of the largest view.
     pub fn tiles(&self) -> u32 {
         self.largest[0].div_ceil(self.tile[0]) * self.largest[1].div_ceil(self.tile[1])
     }
 
-    /// Pixels that no view exceeds.
+    /// Returns the number of pixels of the largest view.
     pub fn pixels(&self) -> u64 {
         u64::from(self.largest[0]) * u64::from(self.largest[1])
     }
 }
 
-/// What is blended at every pixel: rgb, then the normal (3) and depth (z, z²), each if wanted. Backward passes need rgb.
+/// Blended channels, in order: rgb, normal (3), depth (z, z²). Each is optional. Backward passes need rgb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Channels {
-    /// Display-referred rgb over the background: spherical harmonics are evaluated.
+    /// Display-referred rgb over the background, from spherical harmonics.
     pub colors: bool,
-    /// World-space unit normals.
+    /// Unit normals in world space.
     pub normals: bool,
-    /// z and z².
+    /// z and z² in camera space.
     pub depth: bool,
 }
 
-/// Colors alone.
+/// Selects colors only.
 impl Default for Channels {
     fn default() -> Channels {
         Channels { colors: true, normals: false, depth: false }
@@ -69,7 +69,7 @@ impl Default for Channels {
 }
 
 impl Channels {
-    /// Floats of a pixel.
+    /// Returns the number of floats per pixel.
     pub fn count(&self) -> u32 {
         3 * u32::from(self.colors) + 3 * u32::from(self.normals) + 2 * u32::from(self.depth)
     }

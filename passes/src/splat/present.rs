@@ -1,6 +1,6 @@
-//! `present`: one layer of a blended view as texels of an image format.
+//! `present`: conversion of one layer of a blended view to texels.
 //!
-//! Cost: a pixel reads 4 (C' + 1) bytes, where C' is 3 for colors and normals and 1 for depth, and writes a texel.
+//! Cost: a pixel reads 4 (C' + 1) bytes and writes a texel. C' is 3 for colors and normals and 1 for depth.
 
 use super::{Blended, Channels, Screen};
 use crate::Tuning;
@@ -8,47 +8,47 @@ use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::present as kernel;
 
-/// What is shown. The fourth component of a texel is always alpha, one minus the transmittance.
+/// Layer of a view. The fourth component of a texel is always alpha, one minus the transmittance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Layer {
-    /// Red, green and blue over the background. Over black that is color premultiplied by alpha.
+    /// Red, green and blue over the background. Over black this is color premultiplied by alpha.
     Color,
     /// Blended z times a scale, in all three components; not divided by alpha.
     Depth,
-    /// The blended normal, world space; in 8-bit formats n/2 + 1/2.
+    /// Blended normal in world space; n/2 + 1/2 in 8-bit formats.
     Normal,
     /// Alpha in all three components.
     Alpha,
 }
 
-/// How colors are encoded. What is blended is display-referred, that is sRGB-encoded.
+/// Encoding of colors. Blended colors are display-referred, that is, sRGB-encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Encoding {
-    /// As blended.
+    /// Encoded as blended.
     Display,
-    /// Decoded to linear light. Formats that decode sRGB when they are read hold encoded values either way.
+    /// Decoded to linear light. Formats that decode sRGB on reads hold encoded values in either case.
     Linear,
 }
 
-/// The formats that can be packed.
+/// Texel formats that [`present`] can write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum TexelFormat {
     /// `VK_FORMAT_R8G8B8A8_UNORM`
     Rgba8Unorm,
     /// `VK_FORMAT_B8G8R8A8_UNORM`
     Bgra8Unorm,
-    /// `VK_FORMAT_R8G8B8A8_SRGB`: reading decodes, so that only colors go in, encoded as they are.
+    /// `VK_FORMAT_R8G8B8A8_SRGB`: reads decode. Only colors are written, in their encoding.
     Rgba8Srgb,
-    /// `VK_FORMAT_B8G8R8A8_SRGB`: likewise.
+    /// `VK_FORMAT_B8G8R8A8_SRGB`: like [`TexelFormat::Rgba8Srgb`].
     Bgra8Srgb,
-    /// `VK_FORMAT_R16G16B16A16_SFLOAT`; beyond ±65504 values saturate.
+    /// `VK_FORMAT_R16G16B16A16_SFLOAT`; values beyond ±65504 saturate.
     Rgba16Float,
     /// `VK_FORMAT_R32G32B32A32_SFLOAT`
     Rgba32Float,
 }
 
 impl TexelFormat {
-    /// All of them.
+    /// All formats.
     pub const ALL: [TexelFormat; 6] = [
         TexelFormat::Rgba8Unorm,
         TexelFormat::Bgra8Unorm,
@@ -58,7 +58,7 @@ impl TexelFormat {
         TexelFormat::Rgba32Float,
     ];
 
-    /// Bytes of a texel.
+    /// Returns the bytes of a texel.
     pub fn bytes(self) -> u64 {
         match self {
             TexelFormat::Rgba16Float => 8,
@@ -67,7 +67,7 @@ impl TexelFormat {
         }
     }
 
-    /// Whether reading decodes sRGB.
+    /// Returns whether reads decode sRGB.
     pub fn srgb(self) -> bool {
         matches!(self, TexelFormat::Rgba8Srgb | TexelFormat::Bgra8Srgb)
     }
@@ -82,40 +82,40 @@ impl TexelFormat {
     }
 }
 
-/// What [`present`] makes of a view.
+/// Output of [`present`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Presented {
-    /// What is shown.
+    /// Layer to present.
     pub layer: Layer,
-    /// As what.
+    /// Format of the texels.
     pub format: TexelFormat,
-    /// How colors are encoded.
+    /// Encoding of colors.
     pub encoding: Encoding,
     /// Factor on depths.
     pub depth_scale: f32,
 }
 
-/// What [`present`] reads and writes.
+/// Buffers of [`present`].
 #[derive(Clone, Copy, Debug)]
 pub struct Present {
-    /// The view.
+    /// Blended view.
     pub blended: Blended,
-    /// Its channels.
+    /// Channels of the view.
     pub channels: Channels,
     /// One word: not zero if the view is incomplete.
     pub flags: Buffer,
-    /// One word: entries that were wanted.
+    /// One word: number of required entries.
     pub wanted: Slice,
-    /// The texels, row by row without gaps.
+    /// Texels, row by row without gaps.
     pub texels: Buffer,
-    /// Three words that add up over replays: frames, incomplete frames, most entries wanted.
+    /// Three words that accumulate over replays: frames, incomplete frames, largest number of required entries.
     pub report: Buffer,
 }
 
-/// Packs a view.
+/// Converts a view to texels.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn present(g: &mut Graph, t: &Tuning, screen: &Screen, what: &Present, as_: &Presented) -> Result<(), GraphError> {
     let (layer, first) = match as_.layer {
         Layer::Color => (0, 0),
@@ -127,10 +127,10 @@ pub fn present(g: &mut Graph, t: &Tuning, screen: &Screen, what: &Present, as_: 
     pack(g, t, screen, what, [layer, first], as_.format, u32::from(linear), as_.depth_scale)
 }
 
-/// Packs a view of three channels whose colors are linear light, or, if there is no encoding, are no colors.
+/// Converts a view of three channels in linear light to texels. Without an encoding, the channels are not colors.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn present_light(
     g: &mut Graph,
     t: &Tuning,
@@ -143,6 +143,7 @@ pub fn present_light(
     pack(g, t, screen, what, [0, 0], format, if encoded { 2 } else { 0 }, 1.0)
 }
 
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 fn pack(
     g: &mut Graph,
     t: &Tuning,

@@ -1,8 +1,8 @@
-//! `project`, `project_bwd`, its form fused with Adam, and its form for what came through features alone.
+//! `project`, `project_bwd` and its form fused with Adam: projection of Gaussians to splats.
 //!
-//! Cost a Gaussian of N: 44 bytes read and one bit written, which is read again. Cost a visible one: the 44 bytes again and
-//! 4 (d+1)² · 3 bytes of harmonics read, 36 + 4 C written (4 fewer with colors in 16 bits). Backward, fused: the gradients of its entries read
-//! once (4 (6 + C) bytes each), 12 bytes read and 12 written for each of its scalars.
+//! Cost per Gaussian of N: 44 bytes read and one bit written, which is read again. Cost per visible one: the 44 bytes
+//! again and 4 (d+1)² · 3 bytes of harmonics read, 36 + 4 C written (4 fewer with 16-bit colors). Backward, fused: the
+//! gradients of its entries read once (4 (6 + C) bytes each), 12 bytes read and 12 written per scalar.
 
 use super::{Channels, EntryFeatures, ExtraGradients, Screen, Statistic};
 use crate::Tuning;
@@ -12,40 +12,40 @@ use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{pose_sum, project as kernel, project_bwd as bwd, project_bwd_adam as fused, project_count};
 
-/// The splats that the camera sees, compacted.
+/// Visible splats of a view, compacted.
 #[derive(Clone, Copy, Debug)]
 pub struct Visible {
-    /// Count and dispatch size, for the group sizes of what follows.
+    /// Count and dispatch sizes, for the group sizes of later passes.
     pub work: Records,
-    /// Gaussian of each.
+    /// Gaussian of each splat.
     pub ids: Buffer,
-    /// Depth as sortable bits.
+    /// Depths as sortable bits.
     pub depth_keys: Buffer,
     /// Footprints.
     pub splats: Buffer,
-    /// `[V * words]`: channels, a word each, but two words for a color of 16 bits.
+    /// `[V * words]`: channels, one word each; a 16-bit color takes two words.
     pub features: Buffer,
-    /// Tiles of each.
+    /// Number of tiles of each splat.
     pub tile_counts: Buffer,
-    /// Most there can be.
+    /// Largest number of splats.
     pub capacity: u32,
-    /// What the features are.
+    /// Channels of the features.
     pub channels: Channels,
-    /// Bits of a color's channel, 32 or 16 ([`crate::Accuracy::color_bits`]).
+    /// Bits of a color channel, 32 or 16 ([`crate::Accuracy::color_bits`]).
     pub color_bits: u32,
 }
 
 impl Visible {
-    /// Words of a splat's channels.
+    /// Returns the words of a splat's channels.
     pub fn words(channels: Channels, color_bits: u32) -> u32 {
         channels.count() - u32::from(color_bits == 16)
     }
 }
 
-/// Projects the Gaussians of a step. The first pass decides which are visible; all later ones follow its bits.
+/// Projects the Gaussians of a step. The first pass decides which are visible; later passes read its bits.
 ///
 /// # Errors
-/// If the graph refuses a pass.
+/// If the graph rejects a pass.
 pub fn project(
     g: &mut Graph,
     t: &Tuning,
@@ -75,7 +75,7 @@ pub fn project(
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(n, t.workgroup))?;
     exclusive_scan(g, *t, "project_scan", block_counts, None, block_offsets, total, Count::Host(blocks as u32))?;
-    // There is always room: the flag of this count can never rise.
+    // The capacity holds all Gaussians, so this count never sets the flag.
     let works = g.transient("visible", 64);
     let flag = g.transient("visible_flag", 4);
     let wanted = g.transient("visible_wanted", 4);
@@ -130,39 +130,38 @@ pub fn project(
     Ok(visible)
 }
 
-/// What backward needs of the entries: where each splat's are, and the gradients that blending left there.
+/// Backward inputs by entry: positions of each splat's entries, and gradients from blending.
 #[derive(Clone, Copy, Debug)]
 pub struct EntryGradients {
     /// First entry of each visible splat.
     pub starts: Buffer,
-    /// `[entries * (6 + channels + weights + statistic)]`; of visible splats in place of entries where these have been added
-    /// up.
+    /// `[entries * (6 + channels + weights + statistic)]`. If `reduced` is set, visible splats replace the entries.
     pub gradients: Buffer,
-    /// What came through features, if that moves opacities and footprints.
+    /// Gradients through features, if these move opacities and footprints.
     pub features: Option<EntryFeatures>,
-    /// Whether the sum of weights is among them.
+    /// Whether the gradients contain the sum of weights.
     pub weights: bool,
-    /// What enters the statistic of densification; unless it is all, two moments of its own are among them.
+    /// Losses in the densification statistic. Unless it is the total, the gradients contain two moments of its own.
     pub statistic: Statistic,
-    /// Whether the entries of each splat have been added up.
+    /// Whether the entries of each splat are already summed.
     pub reduced: bool,
 }
 
-/// Every gradient of a step, by Gaussian: written for visible ones alone, so the caller clears them first.
+/// All gradients of a step, by Gaussian. Passes write those of visible Gaussians only, so the caller clears them first.
 #[derive(Clone, Copy, Debug)]
 pub struct Gradients {
     /// By position in [`Group::ALL`].
     pub groups: [Buffer; Group::COUNT],
-    /// Screen gradient of each visible splat, pixels.
+    /// Screen-space gradient of each visible splat, in pixels.
     pub means2d: Buffer,
-    /// Gradient of world-to-camera: nine of the rotation by rows, three of the translation; if asked for.
+    /// Optional gradient of world-to-camera: nine values of the rotation by rows, three of the translation.
     pub pose: Option<Buffer>,
 }
 
-/// Backward of [`project`] with every gradient written out.
+/// Runs the backward pass of [`project`] and writes every gradient.
 ///
 /// # Errors
-/// If the graph refuses a pass.
+/// If the graph rejects a pass.
 pub fn project_bwd(
     g: &mut Graph,
     t: &Tuning,
@@ -234,26 +233,27 @@ pub fn project_bwd(
     Ok(())
 }
 
-/// What the fused form needs beside the gradients.
+/// Inputs of the fused form besides the gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct FusedAdam {
-    /// A word that is not zero when the step must change nothing.
+    /// Flag word. If it is not zero, the step changes nothing.
     pub flags: Buffer,
-    /// Counts splats whose gradients were not finite.
+    /// Counter of splats with non-finite gradients.
     pub skipped: Buffer,
-    /// Whether densification statistics are gathered.
+    /// Whether the pass accumulates densification statistics.
     pub statistics: bool,
-    /// A word a Gaussian that is set where it was updated, for [`crate::optim::adam_unseen()`]; cleared by the caller.
+    /// Word of each Gaussian that is set if it was updated. [`crate::optim::adam_unseen()`] reads it; the caller clears
+    /// it.
     pub seen: Option<Buffer>,
-    /// What other views left, added before Adam. Then `seen` is also set where a gradient was not finite, so that the
-    /// other views alone do not move what was skipped.
+    /// Gradients from other views, added before Adam. With them `seen` is also set where a gradient was not finite.
+    /// Otherwise the other views alone would move Gaussians that were skipped.
     pub extra: Option<ExtraGradients>,
 }
 
-/// Backward of [`project`] and Adam in one pass.
+/// Runs the backward pass of [`project`] and Adam in one pass.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn project_bwd_adam(
     g: &mut Graph,
     t: &Tuning,
@@ -319,12 +319,12 @@ pub fn project_bwd_adam(
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }
 
-/// Features whose moments are added.
+/// Returns the number of features whose moments are added.
 fn feature_width(entries: &EntryGradients) -> u32 {
     if entries.features.is_some() { Group::Semantics.width() } else { 0 }
 }
 
-/// The group sizes that later passes dispatch a count at; the ordinary one first.
+/// Returns the group sizes of later dispatches of a count. The ordinary group size comes first.
 pub(crate) fn group_sizes(t: &Tuning) -> [u32; 4] {
     let mut sizes = [t.workgroup, ScanShape::from(*t).block(), SortShape::from(*t).block(), 0];
     for i in 1..3 {

@@ -1,6 +1,6 @@
-//! `show`: a picture as a window shows it, with marks and letters over it.
+//! `show`: display of an image in a window, with overlaid marks and letters.
 //!
-//! Cost: a pixel reads 8 bytes and writes 4, and looks at every mark.
+//! Cost: a pixel reads 8 bytes and writes 4, and tests every mark.
 
 use super::TexelFormat;
 use crate::kernel::stage_with;
@@ -9,72 +9,72 @@ use sgs_shaders::show as kernel;
 
 pub use sgs_shaders::structs::{Mark, ShowStep};
 
-/// What a picture holds.
+/// Content of a displayed image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum ShownKind {
-    /// Color as screens take it. A gain applies to the light that it stands for.
+    /// Display-referred color. A gain applies to its linear light.
     Encoded,
     /// Linear light.
     Linear,
-    /// Numbers from 0 to 1 once the gain is on them.
+    /// Values from 0 to 1 after the gain.
     Values,
-    /// Directions; the gain does not change them.
+    /// Directions; the gain does not apply.
     Directions,
 }
 
 impl ShownKind {
-    /// The number that kernels know it by.
+    /// Returns the number of the kind in kernels.
     pub fn number(self) -> u32 {
         self as u32
     }
 }
 
-/// A ring around a mark.
+/// Flag of a mark with a ring.
 pub const MARK_RINGED: u32 = 1;
-/// A mark that is only its edge.
+/// Flag of a mark that shows only its edge.
 pub const MARK_HOLLOW: u32 = 2;
 
-/// The letters that there are, as pixels.
+/// Letters of a bitmap font.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Letters {
-    /// Columns and rows of each.
+    /// Columns and rows of a letter.
     pub cell: [u32; 2],
-    /// Code of the first; it is not 0, which leaves the picture as it is.
+    /// Code of the first letter. It is not 0; code 0 leaves the image unchanged.
     pub first: u32,
-    /// How many there are.
+    /// Number of letters.
     pub count: u32,
 }
 
 impl Letters {
-    /// Bytes of their pixels, letter by letter, one byte each, in whole words.
+    /// Returns the bytes of the font: letter by letter, one byte per pixel, padded to whole words.
     pub fn bytes(&self) -> u64 {
         (u64::from(self.count) * u64::from(self.cell[0]) * u64::from(self.cell[1])).next_multiple_of(4)
     }
 }
 
-/// What [`show`] reads and writes.
+/// Buffers of [`show`].
 #[derive(Clone, Copy, Debug)]
 pub struct Show {
     /// Uniform [`ShowStep`].
     pub step: Buffer,
-    /// What is shown, in [`sgs_engine::ImageFormat::Rgba16Float`].
-    pub picture: Image,
-    /// Columns and rows of the picture. Where they differ from the window's, the picture is interpolated bilinearly.
-    pub picture_size: [u32; 2],
-    /// Room for [`Mark`]s, at least as many as a step says.
+    /// Displayed image, in [`sgs_engine::ImageFormat::Rgba16Float`].
+    pub image: Image,
+    /// Columns and rows of the image. If they differ from the window's, the image is interpolated bilinearly.
+    pub render_size: [u32; 2],
+    /// Capacity for [`Mark`]s, at least as many as a step contains.
     pub marks: Buffer,
-    /// A byte a cell, line by line: the code of a letter, 0 for none.
+    /// One byte per cell, line by line: code of a letter, 0 for none.
     pub text: Buffer,
-    /// [`Letters::bytes`]
+    /// Font of [`Letters::bytes`] bytes.
     pub font: Buffer,
     /// Texels of 4 bytes, row by row without gaps.
     pub texels: Buffer,
 }
 
-/// Shows a picture of `size` pixels as texels of an 8-bit format.
+/// Converts an image to `size` texels of an 8-bit format, with marks and letters.
 ///
 /// # Errors
-/// If the graph refuses the pass.
+/// If the graph rejects the pass.
 pub fn show(
     g: &mut Graph,
     size: [u32; 2],
@@ -89,10 +89,10 @@ pub fn show(
         first_letter: letters.first,
         letters: letters.count,
     };
-    let push = kernel::Push { size, image_size: what.picture_size };
+    let push = kernel::Push { size, image_size: what.render_size };
     stage_with(g, "show", &kernel::KERNEL, specs.entries(), bytemuck::bytes_of(&push))
         .bind("params", what.step)
-        .bind_image("image", what.picture)
+        .bind_image("image", what.image)
         .bind("marks", what.marks)
         .bind("text", what.text)
         .bind("font", what.font)

@@ -1,22 +1,9 @@
 //! Access of a kernel to each binding, from its loads, stores and atomics.
 //!
-//! Decorations (`readonly`, `writeonly`) say what a kernel may do; hazards depend on what it does.
+//! Decorations (`readonly`, `writeonly`) state what a kernel may do, but hazards depend on what the code does.
 
+use sgs_shader_abi::Access;
 use std::collections::{BTreeMap, BTreeSet};
-
-/// How the code touches a binding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
-    /// Only loads (or nothing at all).
-    Read,
-    /// Only stores.
-    Write,
-    /// Both, or atomics whose result is used.
-    ReadWrite,
-    /// Only atomic additions and subtractions whose result is unused. Minima, maxima and bits commute among themselves, but
-    /// not with additions, and a binding has no word for which of them it is.
-    Accumulate,
-}
 
 #[derive(Default, Clone, Copy)]
 struct Seen {
@@ -54,11 +41,13 @@ mod op {
 
 const DECORATION_BINDING: u32 = 33;
 
-/// Binding number to access, for descriptor set 0 of a module.
+/// Returns the access to each binding of a module, by binding number.
+///
+/// Assumes that all bindings are in descriptor set 0.
 pub fn accesses(spirv: &[u32]) -> BTreeMap<u32, Access> {
     let instructions = || Instructions { words: spirv.get(5..).unwrap_or(&[]) };
-    // Which result ids are consumed: operand words of every instruction, minus names and decorations. A literal may
-    // happen to equal an id and be counted as a use; that only makes the answer more conservative.
+    // Ids that instructions use: all their operand words, except for names and decorations. A literal may equal an id
+    // and count as a use. That only makes the result more conservative.
     let mut used = BTreeSet::new();
     let mut binding_of = BTreeMap::new();
     for i in instructions() {
@@ -71,11 +60,11 @@ pub fn accesses(spirv: &[u32]) -> BTreeMap<u32, Access> {
             _ => {}
         }
     }
-    // In unoptimized code the result of an atomic is an operand only of instructions that use it; its own definition
-    // was skipped above (word 2).
+    // `used` does not contain the definition of an atomic's result (word 2), which was skipped above. In unoptimized
+    // code, the result is an operand only of instructions that use it.
     let mut seen: BTreeMap<u32, Seen> = BTreeMap::new();
     let mut root: BTreeMap<u32, u32> = BTreeMap::new();
-    // Image types, pointers to them, and variables of those.
+    // Image types, pointers to these types, and variables of the pointer types.
     let mut images = BTreeSet::new();
     for i in instructions() {
         let opcode = i[0] & 0xffff;
@@ -96,7 +85,7 @@ pub fn accesses(spirv: &[u32]) -> BTreeMap<u32, Access> {
                     root.insert(i[2], b);
                 }
             }
-            // Loading an image only takes its handle; what is done to its texels comes later.
+            // Loading an image only takes its handle. Later instructions access its texels.
             op::LOAD if images.contains(&i[3]) => {
                 if let Some(&b) = root.get(&i[3]) {
                     root.insert(i[2], b);

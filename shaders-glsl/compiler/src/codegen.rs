@@ -1,11 +1,13 @@
-//! The generated Rust: one module a kernel, one type a shared struct.
+//! Code generator: one Rust module per kernel, one type per shared struct.
 
-use crate::access::Access;
 use crate::compile::{Absent, Folder};
-use crate::reflect::{BindingKind, Kernel, Struct};
+use crate::reflect::{Kernel, Struct};
+use sgs_shader_abi::{BindingKind, SpecConstant};
 use std::fmt::Write;
 
-/// Rust source for a folder's kernels; SPIR-V is included from `spirv_dir/NAME.spv`, which the caller writes.
+/// Generates the Rust source for the kernels of a folder.
+///
+/// The source includes SPIR-V from `spirv_dir/NAME.spv`, which the caller writes.
 ///
 /// # Errors
 /// If two kernels give the same struct name different layouts.
@@ -92,6 +94,14 @@ fn qualify(rust: &str, ty: &crate::reflect::FieldType, prefix: &str) -> String {
     }
 }
 
+/// Returns the Rust expression of a binding's kind.
+fn kind(kind: BindingKind) -> String {
+    match kind {
+        BindingKind::Image(format) => format!("crate::BindingKind::Image(crate::ImageFormat::{format:?})"),
+        other => format!("crate::BindingKind::{other:?}"),
+    }
+}
+
 fn emit_kernel(out: &mut String, k: &Kernel, spirv_dir: &str) {
     let _ = writeln!(out, "/// Kernel `{}` of family `{}`.\npub mod {} {{", k.name, k.family, k.name);
     if let Some(push) = &k.push {
@@ -118,17 +128,17 @@ fn emit_kernel(out: &mut String, k: &Kernel, spirv_dir: &str) {
     out.push_str("] }\n}\n");
     let _ = writeln!(out, "/// Specialization constants, by name.\n#[derive(Clone, Copy, Debug)]\npub struct Specs {{");
     for s in &k.specs {
-        let _ = writeln!(out, "/// constant_id {}.\npub {}: {},", s.id, s.name.to_lowercase(), s.ty);
+        let _ = writeln!(out, "/// constant_id {}.\npub {}: {},", s.constant.id, s.constant.name.to_lowercase(), s.ty);
     }
     out.push_str("}\n#[allow(clippy::derivable_impls)]\nimpl Default for Specs {\nfn default() -> Self { Specs {");
     for s in &k.specs {
         let value = match s.ty {
-            "f32" => format!("f32::from_bits({})", s.default),
-            "bool" => (s.default != 0).to_string(),
-            "i32" => format!("{}", s.default as i32),
-            _ => s.default.to_string(),
+            "f32" => format!("f32::from_bits({})", s.constant.default),
+            "bool" => (s.constant.default != 0).to_string(),
+            "i32" => format!("{}", s.constant.default as i32),
+            _ => s.constant.default.to_string(),
         };
-        let _ = write!(out, "{}: {value},", s.name.to_lowercase());
+        let _ = write!(out, "{}: {value},", s.constant.name.to_lowercase());
     }
     let _ = writeln!(
         out,
@@ -136,13 +146,13 @@ fn emit_kernel(out: &mut String, k: &Kernel, spirv_dir: &str) {
         k.specs.len()
     );
     for s in &k.specs {
-        let field = s.name.to_lowercase();
+        let field = s.constant.name.to_lowercase();
         let bits = match s.ty {
             "f32" => format!("self.{field}.to_bits()"),
             "u32" => format!("self.{field}"),
             _ => format!("self.{field} as u32"),
         };
-        let _ = write!(out, "(\"{}\", {bits}),", s.name);
+        let _ = write!(out, "(\"{}\", {bits}),", s.constant.name);
     }
     out.push_str("] }\n}\n");
     let _ = writeln!(
@@ -154,26 +164,22 @@ fn emit_kernel(out: &mut String, k: &Kernel, spirv_dir: &str) {
         k.push.as_ref().map_or(0, |p| p.bytes)
     );
     for b in &k.bindings {
-        let access = match b.access {
-            Access::Read => "Read",
-            Access::Write => "Write",
-            Access::ReadWrite => "ReadWrite",
-            Access::Accumulate => "Accumulate",
-        };
-        let kind = match b.kind {
-            BindingKind::Storage => "Storage".to_owned(),
-            BindingKind::Uniform => "Uniform".to_owned(),
-            BindingKind::Image(format) => format!("Image(crate::ImageFormat::{format})"),
-        };
         let _ = writeln!(
             out,
-            "crate::Binding {{ name: \"{}\", number: {}, kind: crate::BindingKind::{kind}, access: crate::Access::{access} }},",
-            b.name, b.number
+            "crate::Binding {{ name: crate::Cow::Borrowed({:?}), number: {}, kind: {}, access: crate::Access::{:?} }},",
+            b.name,
+            b.number,
+            kind(b.kind),
+            b.access
         );
     }
     out.push_str("], specs: &[");
     for s in &k.specs {
-        let _ = write!(out, "crate::Spec {{ name: \"{}\", id: {}, default: {} }},", s.name, s.id, s.default);
+        let SpecConstant { name, id, default } = &s.constant;
+        let _ = write!(
+            out,
+            "crate::SpecConstant {{ name: crate::Cow::Borrowed({name:?}), id: {id}, default: {default} }},"
+        );
     }
     out.push_str("] };\n}\n");
 }

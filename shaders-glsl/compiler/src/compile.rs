@@ -1,9 +1,9 @@
-//! GLSL to SPIR-V: finds the kernels of a folder, resolves `#include`, compiles and reflects each.
+//! GLSL to SPIR-V: finds, compiles and reflects the kernels of a folder.
 
 use crate::reflect::{Kernel, reflect};
 use std::path::{Path, PathBuf};
 
-/// Why a kernel could not be built.
+/// Reason why a kernel could not be built.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The compiler could not be set up.
@@ -12,39 +12,42 @@ pub enum Error {
     /// A file could not be read.
     #[error("\"{0}\" could not be read: {1}.")]
     Read(PathBuf, std::io::Error),
-    /// The GLSL is wrong.
+    /// The GLSL does not compile.
     #[error("Kernel \"{0}\" does not compile:\n{1}")]
     Glsl(String, String),
-    /// The SPIR-V cannot be expressed on the host side.
+    /// The SPIR-V has an interface that the generated Rust cannot express.
     #[error("Kernel \"{0}\" cannot be reflected: {1}.")]
     Reflect(String, String),
 }
 
-/// GLSL that is newer than some compilers in use. A kernel that requires such an extension is left out where the compiler does not
-/// know it; any other one has to compile.
+/// GLSL extensions that some compilers in use lack.
+///
+/// A kernel that requires such an extension is omitted if the compiler lacks it. Every other kernel must compile.
 pub const OPTIONAL_EXTENSIONS: [&str; 1] = ["GL_KHR_cooperative_matrix"];
 
-/// The kernels of a folder, sorted by name.
+/// Kernels of a folder, sorted by name.
 pub struct Folder {
-    /// Those that were compiled.
+    /// Compiled kernels.
     pub kernels: Vec<Kernel>,
-    /// Those that this compiler is too old for.
+    /// Kernels that need an extension which this compiler lacks.
     pub absent: Vec<Absent>,
 }
 
-/// A kernel that was left out.
+/// Kernel that was omitted.
 pub struct Absent {
     /// File stem.
     pub name: String,
-    /// What it requires and the compiler does not know, of [`OPTIONAL_EXTENSIONS`].
+    /// Required extension that the compiler lacks, one of [`OPTIONAL_EXTENSIONS`].
     pub extension: &'static str,
 }
 
-/// Compiles every `family/NAME.comp` below `root`; `#include "x.glsl"` is looked up in `root/include`.
+/// Compiles every `family/NAME.comp` below `root`.
+///
+/// `#include "x.glsl"` is resolved in `root/include`.
 ///
 /// # Errors
-/// If a file cannot be read, or a kernel is wrong. One that requires an extension of [`OPTIONAL_EXTENSIONS`] that the compiler does
-/// not know is no error.
+/// If a file cannot be read, or a kernel cannot be compiled or reflected. A kernel that requires an extension of
+/// [`OPTIONAL_EXTENSIONS`] which the compiler lacks is not an error.
 pub fn compile_folder(root: &Path) -> Result<Folder, Error> {
     let mut files = Vec::new();
     for family in list(root)? {
@@ -66,7 +69,7 @@ pub fn compile_folder(root: &Path) -> Result<Folder, Error> {
     Ok(folder)
 }
 
-/// The extension of [`OPTIONAL_EXTENSIONS`] that a source requires, if any.
+/// Returns the extension of [`OPTIONAL_EXTENSIONS`] that a source requires, if any.
 fn required(source: &str) -> Option<&'static str> {
     let words =
         |line: &str| line.split([' ', ':', '\t']).filter(|w| !w.is_empty()).map(str::to_owned).collect::<Vec<_>>();
@@ -74,7 +77,7 @@ fn required(source: &str) -> Option<&'static str> {
     OPTIONAL_EXTENSIONS.into_iter().find(is_required)
 }
 
-/// Whether the compiler knows an extension of GLSL.
+/// Returns whether the compiler supports a GLSL extension.
 fn knows(compiler: &shaderc::Compiler, extension: &str) -> bool {
     let source = format!("#version 460\n#extension {extension} : require\nvoid main() {{}}\n");
     let Ok(mut options) = shaderc::CompileOptions::new() else { return false };
@@ -101,7 +104,7 @@ fn compile(compiler: &shaderc::Compiler, include: &Path, file: &Path, source: &s
     let family = file.parent().map(stem).unwrap_or_default();
     let mut options = shaderc::CompileOptions::new().map_err(|e| Error::Compiler(e.to_string()))?;
     options.set_target_env(shaderc::TargetEnv::Vulkan, shaderc::EnvVersion::Vulkan1_3 as u32);
-    // 1.5 rather than 1.6: local sizes stay a plain specialization constant, which every reflector understands.
+    // With 1.5 rather than 1.6, local sizes stay plain specialization constants, which every reflector understands.
     options.set_target_spirv(shaderc::SpirvVersion::V1_5);
     options.set_auto_bind_uniforms(true);
     options.set_warnings_as_errors();
@@ -123,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_required_extension_is_seen() {
+    fn required_extensions_are_detected() {
         let known = Some("GL_KHR_cooperative_matrix");
         assert_eq!(required("#version 460\n#extension GL_KHR_cooperative_matrix : require\n"), known);
         assert_eq!(required("#extension\tGL_KHR_cooperative_matrix:require"), known);

@@ -1,65 +1,39 @@
-//! SPIR-V to the facts that the host needs: named bindings, struct layouts, specialization constants.
+//! Reflection of SPIR-V: named bindings, struct layouts, specialization constants.
 
-use crate::access::{Access, accesses};
+use crate::access::accesses;
+use sgs_shader_abi::{Access, Binding, BindingKind, ImageFormat, SpecConstant};
 use spirq::prelude::*;
 use spirq::ty::{DescriptorType, ScalarType, StructType};
 
-/// A kernel with everything the host side is generated from.
+/// Kernel with everything that the Rust side is generated from.
 pub struct Kernel {
     /// File stem.
     pub name: String,
     /// Folder name.
     pub family: String,
-    /// Extension of GLSL without which it would be absent.
+    /// Optional GLSL extension that the kernel requires, if any.
     pub extension: Option<&'static str>,
-    /// The module.
+    /// SPIR-V module.
     pub spirv: Vec<u32>,
-    /// Bindings of set 0 by number.
+    /// Bindings of set 0, sorted by number.
     pub bindings: Vec<Binding>,
     /// Push constants, if any.
     pub push: Option<Struct>,
-    /// Specialization constants by id.
+    /// Specialization constants, sorted by id.
     pub specs: Vec<Spec>,
-    /// Structs that bindings and push constants are made of, innermost first.
+    /// Structs that bindings and push constants contain, innermost first.
     pub structs: Vec<Struct>,
 }
 
-/// One binding.
-pub struct Binding {
-    /// Instance name, or the name of the only member of an unnamed block; the variable's name of an image.
-    pub name: String,
-    /// Number in set 0.
-    pub number: u32,
-    /// Kind of the bound resource.
-    pub kind: BindingKind,
-    /// Access of the code.
-    pub access: Access,
-}
-
-/// Kind of a binding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BindingKind {
-    /// A storage buffer.
-    Storage,
-    /// A uniform buffer.
-    Uniform,
-    /// A two-dimensional storage image of the format with this name on the host side.
-    Image(&'static str),
-}
-
-/// One specialization constant.
+/// One specialization constant, with its Rust type.
 pub struct Spec {
-    /// GLSL name.
-    pub name: String,
-    /// `constant_id`.
-    pub id: u32,
-    /// `u32`, `i32`, `f32` or `bool`.
+    /// The constant.
+    pub constant: SpecConstant,
+    /// Rust type: `u32`, `i32`, `f32` or `bool`.
     pub ty: &'static str,
-    /// Default as raw bits.
-    pub default: u32,
 }
 
-/// A struct with checked offsets.
+/// Struct with checked offsets.
 #[derive(Clone, PartialEq)]
 pub struct Struct {
     /// GLSL name.
@@ -70,30 +44,30 @@ pub struct Struct {
     pub bytes: usize,
 }
 
-/// One member.
+/// One member of a struct.
 #[derive(Clone, PartialEq)]
 pub struct Field {
     /// GLSL name.
     pub name: String,
-    /// Its type.
+    /// Type.
     pub ty: FieldType,
     /// Byte offset.
     pub offset: usize,
 }
 
-/// A type in both worlds.
+/// Type that GLSL and Rust share.
 #[derive(Clone, PartialEq)]
 pub enum FieldType {
-    /// A Rust scalar's name.
+    /// Scalar, by its Rust name.
     Scalar(&'static str),
-    /// A fixed array (vectors, matrices, arrays).
+    /// Fixed-size array. Vectors and matrices are arrays too.
     Array(Box<FieldType>, usize),
     /// Another generated struct.
     Struct(String),
 }
 
 impl FieldType {
-    /// The Rust spelling.
+    /// Returns the type as Rust source.
     pub fn rust(&self) -> String {
         match self {
             FieldType::Scalar(s) => (*s).to_owned(),
@@ -103,7 +77,9 @@ impl FieldType {
     }
 }
 
-/// Reflects a module; errors are sentences without the full stop.
+/// Reflects a module.
+///
+/// Errors are sentences without the period.
 pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Kernel, String> {
     let entry = ReflectConfig::new()
         .spv(legible(spirv))
@@ -146,7 +122,7 @@ pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Ker
                         name.filter(|n| !n.is_empty()).ok_or_else(|| format!("binding {desc_bind} has no name"))?;
                     let number = desc_bind.bind();
                     let access = access.get(&number).copied().unwrap_or(Access::Read);
-                    kernel.bindings.push(Binding { name, number, kind, access });
+                    kernel.bindings.push(Binding { name: name.into(), number, kind, access });
                     continue;
                 }
                 let Type::Struct(block) = &ty else { return Err(format!("binding {desc_bind} is not a block")) };
@@ -168,7 +144,7 @@ pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Ker
                 }
                 let number = desc_bind.bind();
                 let access = access.get(&number).copied().unwrap_or(Access::Read);
-                kernel.bindings.push(Binding { name, number, kind, access });
+                kernel.bindings.push(Binding { name: name.into(), number, kind, access });
             }
             Variable::PushConstant { ty: Type::Struct(s), .. } => {
                 let mut push = layout(&s, &mut kernel.structs)?;
@@ -183,30 +159,31 @@ pub(crate) fn reflect(name: String, family: String, spirv: &[u32]) -> Result<Ker
                     _ => scalar_name(&scalar)?,
                 };
                 let default = defaults.iter().find(|d| d.0 == spec_id).map_or(0, |d| d.1);
-                kernel.specs.push(Spec { name, id: spec_id, ty, default });
+                let constant = SpecConstant { name: name.into(), id: spec_id, default };
+                kernel.specs.push(Spec { constant, ty });
             }
             _ => {}
         }
     }
     kernel.bindings.sort_by_key(|b| b.number);
-    kernel.specs.sort_by_key(|s| s.id);
-    kernel.specs.dedup_by_key(|s| s.id);
+    kernel.specs.sort_by_key(|s| s.constant.id);
+    kernel.specs.dedup_by_key(|s| s.constant.id);
     Ok(kernel)
 }
 
-/// The host's name of a storage image's format.
-fn image_format(ty: &Type) -> Result<&'static str, String> {
+/// Returns the format of a storage image.
+fn image_format(ty: &Type) -> Result<ImageFormat, String> {
     let Type::StorageImage(image) = ty else { return Err(format!("{ty} is not a storage image")) };
     if image.dim != spirq::spirv::Dim::Dim2D || image.is_array || image.is_multisampled {
         return Err("an image is not a plain image2D".into());
     }
     use spirq::spirv::ImageFormat as F;
     Ok(match image.fmt {
-        F::R32f => "R32Float",
-        F::R32ui => "R32Uint",
-        F::Rgba8 => "Rgba8Unorm",
-        F::Rgba16f => "Rgba16Float",
-        F::Rgba32f => "Rgba32Float",
+        F::R32f => ImageFormat::R32Float,
+        F::R32ui => ImageFormat::R32Uint,
+        F::Rgba8 => ImageFormat::Rgba8Unorm,
+        F::Rgba16f => ImageFormat::Rgba16Float,
+        F::Rgba32f => ImageFormat::Rgba32Float,
         other => return Err(format!("image format {other:?} has no counterpart on the host")),
     })
 }
@@ -277,9 +254,12 @@ fn field_type(ty: &Type, into: &mut Vec<Struct>) -> Result<(FieldType, usize), S
     })
 }
 
-/// The module as spirq can read it. Every operation on specialization constants is replaced by a constant: spirq evaluates only some
-/// of them, and their values matter to no layout that the host shares (arrays in shared or private memory). Cooperative matrices,
-/// which it does not know and no interface has, become structs of one component, and what is done with them is left out.
+/// Returns the module in a form that spirq can read.
+///
+/// Constants replace all operations on specialization constants. Spirq evaluates only some of these operations. Their
+/// values affect only arrays in shared or private memory, and no layout that the host shares. Spirq does not support
+/// cooperative matrices, and no interface contains them. Their types become structs of one component, and their
+/// operations are removed.
 fn legible(spirv: &[u32]) -> Vec<u32> {
     let mut out = spirv[..spirv.len().min(5)].to_vec();
     let mut bools = Vec::new();
@@ -295,7 +275,7 @@ fn legible(spirv: &[u32]) -> Vec<u32> {
             // OpSpecConstantOp becomes OpConstantTrue or OpConstant 1.
             52 if bools.contains(&instruction[1]) => out.extend([(3 << 16) | 41, instruction[1], instruction[2]]),
             52 => out.extend([(4 << 16) | 43, instruction[1], instruction[2], 1]),
-            // OpTypeCooperativeMatrixKHR becomes OpTypeStruct; loads, stores, products and lengths go.
+            // OpTypeCooperativeMatrixKHR becomes OpTypeStruct. Loads, stores, products and lengths are removed.
             4456 => out.extend([(3 << 16) | 30, instruction[1], instruction[2]]),
             4457..=4460 => {}
             opcode => {
@@ -310,7 +290,7 @@ fn legible(spirv: &[u32]) -> Vec<u32> {
     out
 }
 
-/// `(constant_id, default bits)` of every 32-bit specialization constant.
+/// Returns `(constant_id, default bits)` of every 32-bit specialization constant.
 fn spec_defaults(spirv: &[u32]) -> Vec<(u32, u32)> {
     let mut ids = Vec::new();
     let mut values = Vec::new();

@@ -2,10 +2,10 @@
 //!
 //!     cargo run -p sgs-embedding --example host [RUN]
 //!
-//! `run` shows splats, `relight` a run whose materials were trained, under light that changes.
+//! `run` shows splats. `relight` shows a run with trained materials under changing light.
 //!
-//! `Host` is the application: its instance and device made with `ash`, its queue behind its own lock, its image, its
-//! commands. This file holds all calls to the engine: adopt, wrap, record, and the end of a recording.
+//! `Host` is the application: its instance and device made with `ash`, its queue behind its own lock, its image and its
+//! commands. This file holds all calls to the engine: adopt, wrap, record and complete a recording.
 
 use ash::vk;
 use sgs_embedding::Host;
@@ -24,17 +24,17 @@ use vk::ImageLayout as L;
 
 const SIZE: [u32; 2] = [80, 60];
 
-/// Shows some frames.
+/// Shows `frames` frames.
 ///
-/// Returns the number of texels that differ from the application's own renderer.
+/// Returns the number of texels that differ from the engine's own submission.
 pub fn run(frames: u64) -> usize {
-    // The host makes its device as `requirements` states.
+    // The host creates its device as `requirements` states.
     let host = Host::new();
     let image = host.image(SIZE, vk::Format::B8G8R8A8_SRGB);
     let back = host.buffer(u64::from(SIZE[0] * SIZE[1] * 4));
     let timeline = host.semaphore(true);
 
-    // SAFETY: instance, device and queue are the host's, live longer than the engine, and are as stated.
+    // SAFETY: instance, device and queue are the host's, outlive the engine, and match the description.
     let device = unsafe { sgs_engine::Device::adopt(host.offer(true)) }.expect("the device fits");
     let model = Model { sh_degree: 2, normals: false, ..Default::default() };
     let gaussians = Gaussians::new(&device, model, 250, false).expect("memory");
@@ -54,7 +54,7 @@ pub fn run(frames: u64) -> usize {
     };
     let tuning = Tuning::for_device(device.info());
     let mut view = View::new(&device, tuning, &gaussians, options).expect("a view");
-    // SAFETY: the image has this size and format, and lives until the engine is gone.
+    // SAFETY: the image has this size and format, and outlives the engine.
     let target =
         unsafe { device.wrap_image("window", image.raw, SIZE, ImageFormat::Bgra8Srgb, false) }.expect("it fits");
 
@@ -64,7 +64,7 @@ pub fn run(frames: u64) -> usize {
         camera.center[0] += k as f32;
         let frame = Frame { camera, sh_degree: 2, background: [0.0, 0.1, 0.3] };
         let commands = host.begin();
-        // The host draws.
+        // The host draws first.
         host.transition(commands, image.raw, L::UNDEFINED, L::TRANSFER_DST_OPTIMAL);
         host.clear(commands, image.raw, [1.0, 0.0, 1.0, 1.0]);
         // The engine draws over it, in the same command buffer.
@@ -72,7 +72,7 @@ pub fn run(frames: u64) -> usize {
             // SAFETY: the commands are being recorded here and submitted once; the image is in the entry's layout.
             unsafe { exec.record_into(commands, uniforms) }
         });
-        // The host goes on.
+        // The host continues.
         host.read_image(commands, image.raw, SIZE, back.raw);
         let done = vk::SemaphoreSubmitInfo::default()
             .semaphore(timeline)
@@ -86,10 +86,10 @@ pub fn run(frames: u64) -> usize {
         // SAFETY: the semaphore is alive.
         unsafe { host.device.wait_semaphores(&wait, u64::MAX) }.expect("done");
 
-        // The same image, in between, through the engine's own submissions.
+        // The reference is the engine's own submission of the same view.
         let channels = Channels { colors: true, normals: false, depth: false };
         let mut renderer = Renderer::new(&device, tuning, &gaussians, SIZE, channels).expect("memory");
-        let rendered = renderer.render(&gaussians, &frame.camera, 2, frame.background).expect("a picture");
+        let rendered = renderer.render(&gaussians, &frame.camera, 2, frame.background).expect("an image");
         let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
         let displayed = host.read(&back, u64::from(SIZE[0] * SIZE[1] * 4));
         for ((texel, c), t) in displayed.chunks(4).zip(rendered.image.chunks(3)).zip(&rendered.transmittance) {
@@ -105,9 +105,9 @@ pub fn run(frames: u64) -> usize {
 
 /// Relights a run whose materials were trained, one light at a time.
 ///
-/// Shows it under all light, without one light, under that light alone, and with that light moved. Returns three
-/// differences over the largest value: of the first two images from `sgs relight`, of the sum of switched off and alone
-/// from all light, and of the move.
+/// Shows the run under all light, without one light, under that light alone, and with that light moved. Returns three
+/// maximum differences, relative to the largest value. The first compares the first two images with `sgs relight`. The
+/// second compares the first image with the sum of the second and the third. The third compares the last two images.
 pub fn relight(directory: &Path) -> [f32; 3] {
     let host = Host::new();
     let format = vk::Format::R32G32B32A32_SFLOAT;
@@ -149,7 +149,7 @@ pub fn relight(directory: &Path) -> [f32; 3] {
             recorded.expect("a slot is free").release();
             host.device.destroy_fence(fence, None);
         }
-        // A frame that lacked capacity is shown again; the next one has it.
+        // A frame that lacks capacity is shown again; the view raises the capacity for the next frame.
         if view.report().expect("visible").incomplete == before {
             let texels = host.read(&back, bytes);
             let light = bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&texels);
@@ -158,7 +158,7 @@ pub fn relight(directory: &Path) -> [f32; 3] {
     };
     let relit = |run: &Relighter| {
         let scene = run.relit().upload(&device).expect("memory");
-        let view = Shading::new(&device, scene).expect("memory").shade_from(&camera).expect("a picture");
+        let view = Shading::new(&device, scene).expect("memory").shade_from(&camera).expect("an image");
         view.radiance([0.0; 3]).data
     };
     let (all, all_relit) = (show(&run), relit(&run));

@@ -1,8 +1,8 @@
-//! A host: an application that has an instance, a device, a queue with its lock, and commands of its own.
+//! Host application with its own instance, device, locked queue and commands.
 //!
-//! Written with `ash`; of the engine it uses only the calls that a host needs. The host enables validation, including
-//! synchronization validation across submissions, and collects the messages itself. Dropping it fails the test if the layer
-//! has reported anything.
+//! The host uses `ash`, and from the engine only the calls that a host needs. It enables validation, including
+//! synchronization validation across submissions, and collects the messages itself. Dropping the host fails the test if
+//! the layer has reported a message.
 
 use ash::{ext, vk};
 use sgs_engine::device::{Feature, HostDevice, HostInstance, HostQueue, QueueLock, Requirements, requirements};
@@ -11,14 +11,14 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Duration;
 
-/// Lock of the host around its queue. Records whether it is held and how often it was taken.
+/// Lock of the host around its queue. Records its state and the number of times it was taken.
 #[derive(Default)]
 pub struct Lock {
     held: Mutex<bool>,
     free: Condvar,
-    /// Number of times it was taken.
+    /// Number of times the lock was taken.
     pub taken: AtomicU64,
-    /// Whether it was ever released without being held.
+    /// Whether the lock was ever released without being held.
     pub misused: AtomicBool,
 }
 
@@ -55,33 +55,33 @@ impl QueueLock for Lent {
     }
 }
 
-/// Parts that a host leaves out when it makes its device.
+/// Features that a host leaves out when it creates its device.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Without {
-    /// Optional features and extensions.
+    /// Whether to leave out optional features and extensions.
     pub optional: bool,
 }
 
-/// The host.
+/// Vulkan application that lends its device to the engine.
 pub struct Host {
     _entry: ash::Entry,
-    /// Its instance.
+    /// Vulkan instance.
     pub instance: ash::Instance,
-    /// Its device.
+    /// Logical device.
     pub device: ash::Device,
-    /// The physical one.
+    /// Physical device.
     pub physical: vk::PhysicalDevice,
-    /// Its queue's family.
+    /// Family of the queue.
     pub family: u32,
-    /// Its queue.
+    /// Compute queue.
     pub queue: vk::Queue,
-    /// The queue's lock.
+    /// Lock of the queue.
     pub lock: Arc<Lock>,
     /// Requirements that the engine reported.
     pub needs: Requirements,
-    /// Features that are enabled.
+    /// Enabled features.
     pub features: Vec<Feature>,
-    /// Extensions that are enabled.
+    /// Enabled extensions.
     pub extensions: Vec<&'static CStr>,
     get: vk::PFN_vkGetInstanceProcAddr,
     pool: vk::CommandPool,
@@ -91,12 +91,12 @@ pub struct Host {
 }
 
 impl Host {
-    /// A host with everything that the engine can use.
+    /// Creates a host with everything that the engine can use.
     pub fn new() -> Host {
         Host::with(Without::default())
     }
 
-    /// A host that leaves something out.
+    /// Creates a host that leaves features out.
     pub fn with(without: Without) -> Host {
         // SAFETY: the system's loader is sound.
         let entry = unsafe { ash::Entry::load() }.expect("there is a Vulkan loader");
@@ -189,7 +189,9 @@ impl Host {
         }
     }
 
-    /// Describes the device to the engine; with the queue if the engine submits itself.
+    /// Describes the device to the engine.
+    ///
+    /// `with_queue`: whether the engine gets the queue, to submit by itself.
     pub fn offer(&self, with_queue: bool) -> HostDevice<'_> {
         HostDevice {
             instance: self.at(),
@@ -209,7 +211,7 @@ impl Host {
 
     /// Opens the engine on this host's device.
     pub fn adopt(&self) -> sgs_engine::Device {
-        // SAFETY: the host's statements are true, and it outlives the objects of the tests.
+        // SAFETY: the host's description is true, and the host outlives the objects of the tests.
         unsafe { sgs_engine::Device::adopt(self.offer(true)) }.unwrap_or_else(|e| panic!("{e}"))
     }
 
@@ -228,7 +230,7 @@ impl Host {
         }
     }
 
-    /// Ends and submits, between semaphores, and with a fence on request.
+    /// Ends the commands and submits them between semaphores, with an optional fence.
     pub fn submit(
         &self,
         commands: vk::CommandBuffer,
@@ -251,14 +253,14 @@ impl Host {
         }
     }
 
-    /// Ends, submits and waits with a fence.
+    /// Ends the commands, submits them and waits with a fence.
     pub fn run(&self, commands: vk::CommandBuffer) {
         let fence = self.fence();
         self.submit(commands, &[], &[], fence);
         self.wait(fence);
     }
 
-    /// A fence.
+    /// Creates a fence.
     pub fn fence(&self) -> vk::Fence {
         // SAFETY: the device is alive.
         unsafe { self.device.create_fence(&vk::FenceCreateInfo::default(), None) }.expect("a fence")
@@ -266,14 +268,14 @@ impl Host {
 
     /// Waits for a fence and destroys it.
     pub fn wait(&self, fence: vk::Fence) {
-        // SAFETY: the fence is alive and done afterwards.
+        // SAFETY: the fence is alive, and signaled after the wait.
         unsafe {
             self.device.wait_for_fences(&[fence], true, u64::MAX).expect("done");
             self.device.destroy_fence(fence, None);
         }
     }
 
-    /// A semaphore, timeline or binary.
+    /// Creates a semaphore, timeline or binary.
     pub fn semaphore(&self, timeline: bool) -> vk::Semaphore {
         let kind = if timeline { vk::SemaphoreType::TIMELINE } else { vk::SemaphoreType::BINARY };
         let mut kind = vk::SemaphoreTypeCreateInfo::default().semaphore_type(kind);
@@ -296,7 +298,7 @@ impl Host {
         }
     }
 
-    /// A buffer of the host's, visible to it.
+    /// Creates a buffer of the host in host-visible memory.
     pub fn buffer(&self, bytes: u64) -> Owned<vk::Buffer> {
         let usage = vk::BufferUsageFlags::STORAGE_BUFFER
             | vk::BufferUsageFlags::TRANSFER_SRC
@@ -313,10 +315,12 @@ impl Host {
         }
     }
 
-    /// Returns the contents of a buffer of [`Host::buffer`]; the device is done with it.
+    /// Returns the contents of a buffer of [`Host::buffer`].
+    ///
+    /// The device must no longer use the buffer.
     pub fn read(&self, buffer: &Owned<vk::Buffer>, bytes: u64) -> Vec<u8> {
         let mut data = vec![0; bytes as usize];
-        // SAFETY: the memory is visible and as long.
+        // SAFETY: the memory is host-visible and at least as long.
         unsafe {
             let all = self.device.map_memory(buffer.memory, 0, bytes, vk::MemoryMapFlags::empty()).expect("mapped");
             std::ptr::copy_nonoverlapping(all.cast(), data.as_mut_ptr(), data.len());
@@ -325,9 +329,9 @@ impl Host {
         data
     }
 
-    /// Fills a buffer of [`Host::buffer`]; the device does not use it.
+    /// Fills a buffer of [`Host::buffer`] that the device does not use.
     pub fn write(&self, buffer: &Owned<vk::Buffer>, data: &[u8]) {
-        // SAFETY: the memory is visible and as long.
+        // SAFETY: the memory is host-visible and at least as long.
         unsafe {
             let flags = vk::MemoryMapFlags::empty();
             let all = self.device.map_memory(buffer.memory, 0, data.len() as u64, flags).expect("mapped");
@@ -355,7 +359,7 @@ impl Host {
         }
     }
 
-    /// Records a change of layout that waits for everything and lets everything wait.
+    /// Records a layout transition with a full barrier.
     pub fn transition(
         &self,
         commands: vk::CommandBuffer,
@@ -379,7 +383,7 @@ impl Host {
         unsafe { self.device.cmd_pipeline_barrier2(commands, &info) };
     }
 
-    /// Records the clearing of an image, which is in a layout for transfers.
+    /// Records a clear of an image in the layout for transfer destinations.
     pub fn clear(&self, commands: vk::CommandBuffer, image: vk::Image, color: [f32; 4]) {
         let value = vk::ClearColorValue { float32: color };
         let layout = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
@@ -387,7 +391,7 @@ impl Host {
         unsafe { self.device.cmd_clear_color_image(commands, image, layout, &value, &[COLOR]) };
     }
 
-    /// Records a copy of an image, which is in the source layout, into a buffer.
+    /// Records a copy into a buffer from an image in the layout for transfer sources.
     pub fn read_image(&self, commands: vk::CommandBuffer, image: vk::Image, size: [u32; 2], into: vk::Buffer) {
         let region = [vk::BufferImageCopy {
             image_subresource: vk::ImageSubresourceLayers {
@@ -400,7 +404,7 @@ impl Host {
             ..Default::default()
         }];
         let layout = vk::ImageLayout::TRANSFER_SRC_OPTIMAL;
-        // SAFETY: the commands are being recorded; the buffer has room for the image.
+        // SAFETY: the commands are being recorded; the buffer is large enough for the image.
         unsafe { self.device.cmd_copy_image_to_buffer(commands, image, layout, into, &region) };
         let barrier = [vk::MemoryBarrier2::default()
             .src_stage_mask(vk::PipelineStageFlags2::COPY)
@@ -415,7 +419,7 @@ impl Host {
 
     /// Destroys an image.
     pub fn destroy_image(&self, image: Owned<vk::Image>) {
-        // SAFETY: the caller is done with it.
+        // SAFETY: the caller no longer uses the image.
         unsafe {
             self.device.destroy_image(image.raw, None);
             self.device.free_memory(image.memory, None);
@@ -424,17 +428,19 @@ impl Host {
 
     /// Destroys a buffer.
     pub fn destroy_buffer(&self, buffer: Owned<vk::Buffer>) {
-        // SAFETY: the caller is done with it.
+        // SAFETY: the caller no longer uses the buffer.
         unsafe {
             self.device.destroy_buffer(buffer.raw, None);
             self.device.free_memory(buffer.memory, None);
         }
     }
 
-    /// Destroys a semaphore, when the device is idle: lavapipe 22.3 still touches a timeline semaphore that a submission
-    /// waited for a moment after that submission's fence is signaled.
+    /// Destroys a semaphore when the queue is idle.
+    ///
+    /// lavapipe 22.3 still accesses a timeline semaphore of a submission's wait shortly after that submission's fence
+    /// is signaled.
     pub fn destroy_semaphore(&self, semaphore: vk::Semaphore) {
-        // SAFETY: the caller is done with it; the queue is used under its lock.
+        // SAFETY: the caller no longer uses the semaphore; the queue is used under its lock.
         unsafe {
             self.lock.lock();
             let idle = self.device.queue_wait_idle(self.queue);
@@ -444,7 +450,7 @@ impl Host {
         }
     }
 
-    /// Takes the validation messages collected up to now.
+    /// Takes the collected validation messages.
     pub fn messages(&self) -> Vec<String> {
         std::mem::take(&mut *self.messages.lock().unwrap())
     }
@@ -458,7 +464,7 @@ impl Default for Host {
 
 impl Drop for Host {
     fn drop(&mut self) {
-        // SAFETY: the host is done with its objects; validation reports any object of the engine that is left.
+        // SAFETY: the host no longer uses its objects; validation reports remaining objects of the engine.
         unsafe {
             self.device.destroy_command_pool(self.pool, None);
             self.device.destroy_device(None);
@@ -475,7 +481,7 @@ impl Drop for Host {
 
 /// Object of the host with its memory.
 pub struct Owned<T> {
-    /// The object.
+    /// Vulkan handle of the object.
     pub raw: T,
     memory: vk::DeviceMemory,
 }
@@ -489,8 +495,10 @@ pub const COLOR: vk::ImageSubresourceRange = vk::ImageSubresourceRange {
     layer_count: 1,
 };
 
+/// Collects a message of the validation layer.
+///
 /// # Safety
-/// Called by the layer with the sink that was registered.
+/// The layer calls this function with the registered sink.
 unsafe extern "system" fn hear(
     _: vk::DebugUtilsMessageSeverityFlagsEXT,
     _: vk::DebugUtilsMessageTypeFlagsEXT,

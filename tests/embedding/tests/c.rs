@@ -1,4 +1,4 @@
-//! The C program of `tools/capi/examples`, built by gcc and run on a real device.
+//! C program of `tools/capi/examples`, built by gcc and run on a device.
 
 use sgs_passes::scene::Model;
 use sgs_tests::scenes;
@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
-/// The library that cargo has built for these tests is beside them.
+/// Use of the library, which cargo builds next to these tests.
 const _: () = assert!(sgs::SGS_LAYER_ALPHA == 3);
 
 fn capi() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/capi")
 }
 
-/// Runs a tool that tools/setup installs. Fails if it is missing, so no test is skipped silently.
+/// Runs a tool that tools/setup installs. Fails if the tool is missing, so no test is skipped silently.
 #[track_caller]
 fn run(command: &mut Command) -> Output {
     match command.output() {
@@ -29,7 +29,7 @@ fn ok(output: Output) -> String {
     text(&output.stdout)
 }
 
-/// Installs the library in a folder of its own.
+/// Installs the library in a temporary directory.
 fn installed() -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     let built = std::env::current_exe().unwrap().parent().unwrap().to_owned();
@@ -76,7 +76,7 @@ fn works(compiler: &[&str], link: &[String], prefix: &Path) {
     let ppm = std::fs::read(ppm).unwrap();
     let pixels = ppm.strip_prefix(b"P6\n96 64\n255\n").expect("a PPM");
     assert_eq!(pixels.len(), 96 * 64 * 3);
-    // Neither the host's red nor the background alone.
+    // The image shows neither the host's red nor the background alone.
     assert!(pixels.chunks(3).all(|p| p != [255, 0, 0]));
     assert!(pixels.chunks(3).any(|p| p != [0, 0, 64]));
 }
@@ -92,7 +92,7 @@ fn a_c_program_shows_splats_in_its_own_image() {
 }
 
 #[test]
-fn the_static_library_is_enough() {
+fn a_c_program_links_with_the_static_library() {
     let prefix = installed();
     let lib = prefix.path().join("lib");
     for name in ["libsgs.so", "libsgs.so.0"] {
@@ -102,7 +102,7 @@ fn the_static_library_is_enough() {
 }
 
 #[test]
-fn the_header_is_c_and_cpp_before_and_after_vulkan() {
+fn header_compiles_as_c_and_cpp_before_and_after_vulkan() {
     let folder = tempfile::tempdir().unwrap();
     let include = format!("-I{}", capi().join("include").display());
     for (compiler, standard, name) in [
@@ -116,7 +116,7 @@ fn the_header_is_c_and_cpp_before_and_after_vulkan() {
             "#include <vulkan/vulkan.h>\n#include \"sgs.h\"\n",
             "#include \"sgs.h\"\n#include <vulkan/vulkan.h>\n",
         ] {
-            // Names that are defined twice are allowed from C11 on.
+            // Repeated definitions of a name are allowed from C11 on.
             if standard == "-std=c99" && order.ends_with("vulkan.h>\n") {
                 continue;
             }
@@ -131,7 +131,7 @@ fn the_header_is_c_and_cpp_before_and_after_vulkan() {
 }
 
 #[test]
-fn a_wrong_program_fails_here() {
+fn a_wrong_call_does_not_compile() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("wrong.c");
     std::fs::write(&path, "#include \"sgs.h\"\nint f(void) { return sgs_version(1); }\n").unwrap();

@@ -1,4 +1,4 @@
-//! The engine on a host's device: refusals, used features, untouched state.
+//! Engine on a host's device: refusals, enabled features, unchanged state of the host.
 
 use ash::vk;
 use sgs_embedding::{Host, Without};
@@ -49,13 +49,13 @@ fn host_works(host: &Host) {
 }
 
 #[test]
-fn kernels_run_in_a_hosts_device_and_the_host_keeps_it() {
+fn kernels_run_on_a_hosts_device_that_the_host_keeps() {
     let host = Host::new();
     host_works(&host);
     let mut offer = host.offer(true);
     let objects = sgs_engine::device::Objects::default();
     offer.objects = objects.clone();
-    // SAFETY: all that the host says is so.
+    // SAFETY: the host's description is true.
     let device = unsafe { Device::adopt(offer) }.unwrap();
     assert!(device.adopted());
     works(&device);
@@ -63,13 +63,13 @@ fn kernels_run_in_a_hosts_device_and_the_host_keeps_it() {
     assert!(objects.total() > 0);
     drop(device);
     assert_eq!(objects.alive(), [], "something is left in the host's device");
-    // Again, after the first one has gone.
+    // A second engine on the device, after the first has been dropped.
     works(&host.adopt());
     host_works(&host);
 }
 
 #[test]
-fn what_the_host_does_not_enable_is_not_used() {
+fn features_that_the_host_does_not_enable_are_not_used() {
     let host = Host::with(Without { optional: true });
     let device = host.adopt();
     assert_eq!(device.info().optional, Default::default());
@@ -113,21 +113,21 @@ fn false_claims_are_refused_by_name() {
 }
 
 #[test]
-fn requirements_are_known_before_a_device_and_suffice_to_make_one() {
+fn requirements_suffice_to_create_a_device() {
     let host = Host::new();
     // SAFETY: entry point and instance are real.
     let needs = unsafe { requirements(&host.at()) }.unwrap();
     assert_eq!(needs.required.len(), Feature::ALL.iter().filter(|f| f.required()).count());
     assert!(needs.queue_family.is_some() && needs.info.missing.is_empty());
     assert!(needs.features().len() == needs.required.len() + needs.optional.len());
-    // The host of these tests made its device of nothing else, with validation on.
+    // The host of these tests creates its device from these requirements alone, with validation on.
     works(&host.adopt());
 }
 
 #[test]
 fn without_a_queue_nothing_is_submitted() {
     let host = Host::new();
-    // SAFETY: all that the host says is so.
+    // SAFETY: the host's description is true.
     let device = unsafe { Device::adopt(host.offer(false)) }.unwrap();
     let buffer = device.buffer("b", 64, Location::Device).unwrap();
     let error = device.upload(&buffer, 0, &[0; 64]).unwrap_err();
@@ -136,14 +136,14 @@ fn without_a_queue_nothing_is_submitted() {
 }
 
 #[test]
-fn the_queue_is_used_under_its_lock_alone() {
+fn queue_is_used_only_under_its_lock() {
     let host = Host::new();
     let device = host.adopt();
     let buffer = device.buffer("b", 64, Location::Device).unwrap();
     let before = host.lock.taken.load(Ordering::SeqCst);
     device.fill(&buffer, 3).unwrap();
     assert_eq!(host.lock.taken.load(Ordering::SeqCst), before + 1, "one submission");
-    // Host and engine submit at the same time; validation sees queues that are used without a lock.
+    // Host and engine submit at the same time; validation reports queues that are used without a lock.
     std::thread::scope(|s| {
         let other = device.clone();
         s.spawn(move || (0..30).for_each(|_| works(&other)));
@@ -174,7 +174,7 @@ unsafe fn forbidden(name: *const c_char) -> vk::PFN_vkVoidFunction {
 static REAL: std::sync::OnceLock<vk::PFN_vkGetInstanceProcAddr> = std::sync::OnceLock::new();
 static REAL_DEVICE: std::sync::OnceLock<vk::PFN_vkGetDeviceProcAddr> = std::sync::OnceLock::new();
 
-/// An entry point of the host's own, which hands out traps.
+/// Entry point of the host that returns traps for forbidden calls.
 unsafe extern "system" fn watched(instance: vk::Instance, name: *const c_char) -> vk::PFN_vkVoidFunction {
     // SAFETY: names are strings; the real entry point is the loader's.
     unsafe {
@@ -198,7 +198,7 @@ unsafe extern "system" fn watched_device(device: vk::Device, name: *const c_char
 }
 
 #[test]
-fn nothing_waits_for_the_whole_device_or_destroys_it() {
+fn engine_never_waits_for_or_destroys_a_hosts_device() {
     let host = Host::new();
     let mut offer = host.offer(true);
     REAL.get_or_init(|| offer.instance.get_instance_proc_addr);
@@ -209,13 +209,13 @@ fn nothing_waits_for_the_whole_device_or_destroys_it() {
     drop(device);
     assert_eq!(CAUGHT.load(Ordering::SeqCst), 0);
     // The trap works.
-    // SAFETY: the name is a string; what is returned takes no arguments.
+    // SAFETY: the name is a string; the returned function takes no arguments.
     unsafe { watched(vk::Instance::null(), c"vkDeviceWaitIdle".as_ptr()).expect("a trap")() };
     assert_eq!(CAUGHT.load(Ordering::SeqCst), 1);
 }
 
 #[test]
-fn several_engines_live_in_one_process() {
+fn several_engines_run_in_one_process() {
     let (one, two) = (Host::new(), Host::new());
     let (a, b, again) = (one.adopt(), two.adopt(), one.adopt());
     let own = Device::open(&DeviceOptions {

@@ -4,12 +4,12 @@
 mod host;
 
 #[test]
-fn the_example_shows_what_the_renderer_gives() {
+fn example_shows_the_image_of_the_renderer() {
     assert_eq!(host::run(3), 0);
 }
 
 #[test]
-fn the_example_shows_a_run_under_changing_light() {
+fn example_shows_a_run_under_changing_light() {
     let folder = tempfile::tempdir().unwrap();
     sgs_tests::runs::fabricate(folder.path(), sgs_tests::runs::Parts::ALL);
     let [relit, sum, moved] = host::relight(folder.path());

@@ -1,4 +1,4 @@
-//! The C interface as a C program calls it: results, and answers to invalid calls.
+//! C interface as a C program calls it: results and error codes.
 
 #[macro_use]
 mod support;
@@ -22,7 +22,7 @@ fn scene(folder: &TempDir) -> std::path::PathBuf {
 }
 
 #[test]
-fn layers_in_memory_are_those_of_the_renderer() {
+fn layers_in_memory_match_the_renderer() {
     let folder = tempfile::tempdir().unwrap();
     let context = Context::new();
     let scene = context.load(&scene(&folder));
@@ -46,7 +46,7 @@ fn layers_in_memory_are_those_of_the_renderer() {
         let info = sized!(SgsRenderInfo { layer: layer, background: [0.3, 0.2, 0.1] });
         let mut into = vec![f32::NAN; pixels * floats];
         let camera = camera(size);
-        // SAFETY: all pointers are real.
+        // SAFETY: all pointers are valid.
         context.ok(unsafe { sgs_render(context.0, scene, &camera, &info, into.as_mut_ptr(), into.len()) });
         for (i, got) in into.chunks(floats).enumerate() {
             let want: Vec<f32> = if layer == SGS_LAYER_ALPHA {
@@ -54,14 +54,14 @@ fn layers_in_memory_are_those_of_the_renderer() {
             } else {
                 rendered.image[8 * i + from..8 * i + from + floats].to_vec()
             };
-            // The camera's position comes from the matrix here, which rounds differently.
+            // The interface computes the camera's position from the matrix, which rounds differently.
             assert!(got.iter().zip(&want).all(|(g, w)| (g - w).abs() < 1e-4 * (1.0 + w.abs())), "{got:?} {want:?}");
         }
     }
 }
 
 #[test]
-fn training_goes_on_between_other_things_and_is_resumed() {
+fn training_runs_in_single_steps_and_resumes() {
     let folder = tempfile::tempdir().unwrap();
     let context = Context::new();
     let dataset = folder.path().join("room");
@@ -71,10 +71,10 @@ fn training_goes_on_between_other_things_and_is_resumed() {
     let settings = c"[geometry]\nsteps = 12\nsh_degree = 1\nbackward = \"pixel\"\ndensify = { enabled = false }\n";
     let mut info = sized!(SgsTrainerInfo { dataset: dataset.as_ptr(), settings: settings.as_ptr() });
     let (mut trainer, mut status) = (0, sized!(SgsTrainStatus {}));
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     unsafe {
         context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
-        // No time is one step.
+        // A budget of zero runs one step.
         context.ok(sgs_train_step(context.0, trainer, 0.0, &mut status));
         assert_eq!((status.step, status.steps, status.finished), (1, 12, 0));
         assert!(status.loss > 0.0 && status.gaussians > 0);
@@ -102,7 +102,7 @@ fn training_goes_on_between_other_things_and_is_resumed() {
         let out = text(&folder.path().join("out.ply"));
         context.ok(sgs_trainer_export(context.0, trainer, out.as_ptr()));
         let again = context.load(&folder.path().join("out.ply"));
-        // A run directory is a scene too.
+        // A run directory loads as a scene.
         context.ok(sgs_trainer_save(context.0, trainer, run.as_ptr()));
         let of_run = context.load(&folder.path().join("run"));
         assert_ne!(again, of_run);
@@ -121,14 +121,14 @@ fn training_goes_on_between_other_things_and_is_resumed() {
 }
 
 #[test]
-fn cameras_come_from_transforms_files() {
+fn cameras_load_from_transforms_files() {
     let folder = tempfile::tempdir().unwrap();
     let context = Context::new();
     let room = Room { views: 5, size: [20, 12], ..Room::default() };
     room.write(folder.path());
     let path = text(&folder.path().join("transforms.json"));
     let (mut cameras, mut count, mut camera) = (0, 0, sized!(SgsCamera {}));
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     unsafe {
         context.ok(sgs_cameras_load(context.0, path.as_ptr(), &mut cameras));
         context.ok(sgs_cameras_count(context.0, cameras, &mut count));
@@ -146,11 +146,11 @@ fn cameras_come_from_transforms_files() {
 }
 
 #[test]
-fn null_is_answered_everywhere() {
+fn null_pointers_return_an_error() {
     use SgsResult::SGS_ERROR_NULL as NULL;
     let context = Context::new();
     let none = null::<SgsContext>();
-    // SAFETY: the null pointers are under test; all else is real.
+    // SAFETY: the null pointers are under test; all other pointers are valid.
     unsafe {
         let mut why = [1 as c_char; 8];
         assert_eq!(sgs_context_open(null(), null_mut(), why.as_mut_ptr(), why.len()), NULL);
@@ -192,7 +192,7 @@ fn null_is_answered_everywhere() {
 }
 
 #[test]
-fn sizes_of_structs_are_checked_both_ways() {
+fn struct_sizes_are_checked_on_input_and_output() {
     use SgsResult::SGS_ERROR_STRUCT_SIZE as SIZE;
     let folder = tempfile::tempdir().unwrap();
     let context = Context::new();
@@ -200,7 +200,7 @@ fn sizes_of_structs_are_checked_both_ways() {
     let info = sized!(SgsRenderInfo {});
     let mut pixels = [0.0; 4 * 4 * 3];
     let mut draw = |camera: *const SgsCamera| {
-        // SAFETY: all pointers are real, and as long as they say.
+        // SAFETY: all pointers are valid, and as long as they say.
         unsafe { sgs_render(context.0, scene, camera, &info, pixels.as_mut_ptr(), pixels.len()) }
     };
     let good = camera([4, 4]);
@@ -210,7 +210,7 @@ fn sizes_of_structs_are_checked_both_ways() {
         wrong.struct_size = size;
         context.refused(draw(&wrong), SIZE, "SgsCamera.struct_size");
     }
-    // A program of a later version may pass unknown fields as long as they are zero.
+    // A program of a later version may pass unknown fields if they are zero.
     #[repr(C)]
     struct Later {
         camera: SgsCamera,
@@ -221,13 +221,13 @@ fn sizes_of_structs_are_checked_both_ways() {
     context.ok(draw(&raw const later.camera));
     later.more[3] = 1;
     context.refused(draw(&raw const later.camera), SIZE, "does not know");
-    // Nothing is written beyond the stated size.
+    // The call writes nothing beyond the struct that it knows.
     let mut out = Later { camera: zeroed(), more: [7; 4] };
     let (mut cameras, room) = (0, Room { views: 2, ..Room::default() });
     room.write(folder.path());
     let path = text(&folder.path().join("transforms.json"));
     out.camera.struct_size = size_of::<Later>() as u32;
-    // SAFETY: all pointers are real, and as long as they say.
+    // SAFETY: all pointers are valid, and as long as they say.
     unsafe {
         context.ok(sgs_cameras_load(context.0, path.as_ptr(), &mut cameras));
         context.ok(sgs_cameras_get(context.0, cameras, 0, &raw mut out.camera));
@@ -236,7 +236,7 @@ fn sizes_of_structs_are_checked_both_ways() {
 }
 
 #[test]
-fn handles_are_stale_after_their_object_and_foreign_elsewhere() {
+fn stale_and_foreign_handles_are_refused() {
     use SgsResult::SGS_ERROR_HANDLE as HANDLE;
     let folder = tempfile::tempdir().unwrap();
     let (one, two) = (Context::new(), Context::new());
@@ -244,7 +244,7 @@ fn handles_are_stale_after_their_object_and_foreign_elsewhere() {
     let (a, b) = (one.load(&path), two.load(&path));
     assert_ne!(a, b);
     let mut info = sized!(SgsSceneInfo {});
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     unsafe {
         one.refused(sgs_scene_get(one.0, b, &mut info), HANDLE, "of this context");
         one.refused(sgs_view_wait(one.0, a), HANDLE, "is that of a scene, not of a view");
@@ -257,7 +257,7 @@ fn handles_are_stale_after_their_object_and_foreign_elsewhere() {
         assert_ne!(again, a);
         one.refused(sgs_scene_get(one.0, a, &mut info), HANDLE, "belongs to no scene");
         two.ok(sgs_scene_get(two.0, b, &mut info));
-        // A text that does not fit says how long it is.
+        // A buffer that is too small returns the required length.
         let (mut needed, mut small) = (0, [0 as c_char; 4]);
         let result = sgs_last_error(one.0, small.as_mut_ptr(), small.len(), &mut needed);
         assert_eq!((result, needed), (SgsResult::SGS_ERROR_SPACE, one.error().len() + 1));
@@ -266,14 +266,14 @@ fn handles_are_stale_after_their_object_and_foreign_elsewhere() {
 }
 
 #[test]
-fn values_that_cannot_be_are_refused() {
+fn invalid_values_are_refused() {
     use SgsResult::{SGS_ERROR_ARGUMENT as ARGUMENT, SGS_ERROR_FILE as FILE, SGS_ERROR_SPACE as SPACE};
     let folder = tempfile::tempdir().unwrap();
     let context = Context::new();
     let scene = context.load(&scene(&folder));
     let good = camera([4, 4]);
     let mut pixels = [0.0; 48];
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     unsafe {
         let mut draw = |change: &dyn Fn(&mut SgsCamera, &mut SgsRenderInfo), count: usize| {
             let (mut camera, mut info) = (good, sized!(SgsRenderInfo {}));
@@ -325,7 +325,7 @@ fn values_that_cannot_be_are_refused() {
 }
 
 #[test]
-fn random_calls_are_answered_with_codes() {
+fn random_calls_return_error_codes() {
     let folder = tempfile::tempdir().unwrap();
     let context = Context::new();
     let path = scene(&folder);
@@ -335,7 +335,7 @@ fn random_calls_are_answered_with_codes() {
     let lit = folder.path().join("run");
     sgs_tests::runs::fabricate(&lit, sgs_tests::runs::Parts::NONE);
     let (mut relight, lit) = (0, text(&lit));
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     context.ok(unsafe { sgs_relight_open(context.0, lit.as_ptr(), null(), &mut relight) });
     handles.push(relight);
     let mut codes = std::collections::BTreeMap::<i32, u32>::new();
@@ -369,8 +369,8 @@ fn random_calls_are_answered_with_codes() {
         let mut light = sized!(SgsLight { on: 1, gain: pick(3) as f32 - 1.0 });
         let room = pick(2 * pixels.len());
         let c = context.0;
-        // SAFETY: pointers are null or real; numbers stand for invalid handles. Frames have no image, so nothing of a host
-        // is touched.
+        // SAFETY: pointers are null or valid; numbers stand for invalid handles. Frames have no image, so no object of
+        // a host is used.
         let result = unsafe {
             match which {
                 0 => sgs_scene_load(c, path, &mut made),
@@ -407,12 +407,12 @@ fn random_calls_are_answered_with_codes() {
         if handles.len() > 40 {
             // The oldest handles may be stale already.
             let old = handles.remove(5);
-            // SAFETY: a number.
+            // SAFETY: the handle is only a number.
             unsafe { sgs_destroy(c, old) };
             handles[2] = old;
         }
     }
-    // The test covers some of every kind.
+    // The random calls must cover results of every kind.
     for code in [0, -1, -2, -3, -4, -5] {
         assert!(codes.contains_key(&code), "{code} never came: {codes:?}");
     }

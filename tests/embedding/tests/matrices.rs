@@ -1,7 +1,7 @@
 //! Cooperative matrices on a host's device: requirements and reported features.
 //!
-//! The device is the tests' own behind an entry point that reports `VK_KHR_cooperative_matrix`. The extension is never
-//! enabled, so the tests see only the queries before a device is made.
+//! The device is the tests' own, behind an entry point that reports `VK_KHR_cooperative_matrix`. The extension is never
+//! enabled, so the tests cover only the queries before a device is created.
 
 use ash::{khr, vk};
 use sgs_embedding::Host;
@@ -11,7 +11,7 @@ use std::ffi::{CStr, c_char};
 use std::mem::transmute;
 use std::sync::OnceLock;
 
-/// Real entry point, and the functions that ours wrap.
+/// Real entry point, and the functions that this file wraps.
 static REAL: OnceLock<vk::PFN_vkGetInstanceProcAddr> = OnceLock::new();
 static ENUMERATE: OnceLock<vk::PFN_vkEnumerateDeviceExtensionProperties> = OnceLock::new();
 static FEATURES: OnceLock<vk::PFN_vkGetPhysicalDeviceFeatures2> = OnceLock::new();
@@ -25,7 +25,8 @@ unsafe extern "system" fn enumerate(
 ) -> vk::Result {
     let real = ENUMERATE.get().expect("it was looked up");
     let name = khr::cooperative_matrix::NAME;
-    // SAFETY: pointers as Vulkan's callers pass them; the list holds the first call's count, one more than the driver's.
+    // SAFETY: the pointers come from Vulkan's callers; the list holds the first call's count, one more than the
+    // driver's.
     unsafe {
         let room = *count;
         let result = real(device, layer, count, into);
@@ -53,7 +54,7 @@ unsafe fn without<T>(
     kind: vk::StructureType,
     real: impl FnOnce(),
 ) -> Option<*mut T> {
-    // SAFETY: a chain of Vulkan's structs, put together again as it was.
+    // SAFETY: this is a chain of Vulkan's structs, and it is restored afterwards.
     unsafe {
         let mut before = head;
         while !(*before).p_next.is_null() && (*(*before).p_next).s_type != kind {
@@ -137,7 +138,7 @@ unsafe extern "system" fn entry(instance: vk::Instance, name: *const c_char) -> 
     type Features = vk::PFN_vkGetPhysicalDeviceFeatures2;
     type Properties = vk::PFN_vkGetPhysicalDeviceProperties2;
     type Shapes = vk::PFN_vkGetPhysicalDeviceCooperativeMatrixPropertiesKHR;
-    // SAFETY: a name that ends in a zero; functions are found under their own names, and ours have their types.
+    // SAFETY: the name ends in a zero; functions are found under their own names, and the wrappers have their types.
     unsafe {
         let real = REAL.get().expect("it is set")(instance, name);
         let there = || real.expect("every driver has it");
@@ -161,7 +162,7 @@ unsafe extern "system" fn entry(instance: vk::Instance, name: *const c_char) -> 
 }
 
 #[test]
-fn matrices_are_found_and_used_as_far_as_the_host_says() {
+fn matrices_are_used_only_if_the_host_enables_every_feature() {
     let host = Host::new();
     let plain = host.at();
     REAL.get_or_init(|| plain.get_instance_proc_addr);
@@ -191,7 +192,7 @@ fn matrices_are_found_and_used_as_far_as_the_host_says() {
         let mut offer = host.offer(true);
         offer.instance = at;
         (offer.features, offer.extensions) = (&features, &extensions);
-        // SAFETY: no kernel is made, so nothing needs the features that are not enabled.
+        // SAFETY: no kernel is created, so nothing needs the features that are not enabled.
         let device = unsafe { Device::adopt(offer) }.unwrap();
         let info = device.info();
         assert_eq!(info.optional.cooperative_matrix, !info.matrices.is_empty());

@@ -10,9 +10,9 @@ use sgs_shaders::regroup;
 use sgs_shaders::structs::Work;
 use std::sync::Arc;
 
-/// Plan whose kernel divides the count in `work` into groups of `size`.
+/// Plan whose kernel divides the count in `work` into groups of a fixed size.
 ///
-/// It uses a transient and writes the next count beside it, so it can be replayed on its own result.
+/// The plan uses a transient and writes the next count next to the groups, so it can be replayed on its own result.
 struct Groups {
     exec: Executor,
     work: Buffer,
@@ -47,20 +47,20 @@ fn count(n: u32) -> Vec<u8> {
 fn a_plan_runs_between_a_hosts_commands_on_the_hosts_buffers() {
     let host = Host::new();
     // The host submits everything itself.
-    // SAFETY: all that the host says is so.
+    // SAFETY: the host's description is true.
     let device = unsafe { Device::adopt(host.offer(false)) }.unwrap();
     let (upload, input, output, back) = (host.buffer(16), host.buffer(16), host.buffer(16), host.buffer(16));
     host.write(&upload, &count(95));
     let mut groups = plan(&device, 2);
-    // SAFETY: the buffers outlive the plan and are of this device.
+    // SAFETY: the buffers outlive the plan and belong to this device.
     unsafe {
         groups.exec.bind(groups.work, &device.wrap_buffer("in", input.raw, 16).unwrap()).unwrap();
         groups.exec.bind(groups.out, &device.wrap_buffer("out", output.raw, 16).unwrap()).unwrap();
     }
     let commands = host.begin();
     let region = [vk::BufferCopy { size: 16, ..Default::default() }];
-    // Copies of the host before and after, and no barriers of the host's: entry and exit are the plan's.
-    // SAFETY: everything is alive and of one device; the commands are run once, below.
+    // The host copies before and after without barriers of its own: the plan's entry and exit synchronize.
+    // SAFETY: everything is alive and belongs to one device; the commands are run once, below.
     let recorded = unsafe {
         host.device.cmd_copy_buffer(commands, upload.raw, input.raw, &region);
         let recorded = groups.exec.record_into(commands, &[]).unwrap();
@@ -78,7 +78,7 @@ fn a_plan_runs_between_a_hosts_commands_on_the_hosts_buffers() {
 }
 
 #[test]
-fn held_slots_are_not_recorded_from_again() {
+fn held_slots_are_not_reused() {
     let host = Host::new();
     let device = host.adopt();
     let mut groups = plan(&device, 2);
@@ -93,7 +93,7 @@ fn held_slots_are_not_recorded_from_again() {
     // SAFETY: the commands are submitted once, below.
     let (one, two) =
         unsafe { (groups.exec.record_into(commands, &[]).unwrap(), groups.exec.record_into(commands, &[]).unwrap()) };
-    // SAFETY: nothing is recorded.
+    // SAFETY: this call records nothing.
     let error = unsafe { groups.exec.record_into(commands, &[]) }.unwrap_err();
     assert!(matches!(error, Error::SlotsInUse { slots: 2, .. }), "{error}");
     assert_eq!(groups.exec.recordings().unwrap(), 2);
@@ -103,26 +103,26 @@ fn held_slots_are_not_recorded_from_again() {
         .semaphore(timeline)
         .value(5)
         .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)];
-    // SAFETY: the semaphore covers the one, the fence the other; both live until the end.
+    // SAFETY: the semaphore covers the first recording, the fence the second; both live until the end.
     unsafe {
         one.until(Completion::Timeline(timeline, 5));
         two.until(Completion::Fence(fence));
     }
-    // Not submitted yet, so not done.
+    // The commands are not submitted yet, so the recordings are not done.
     assert_eq!(groups.exec.recordings().unwrap(), 2);
     host.submit(commands, &[], &signal, fence);
     let (semaphores, values) = ([timeline], [5]);
     let both = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-    // SAFETY: alive. Either may be signaled first.
+    // SAFETY: semaphore and fence are alive. Either may be signaled first.
     unsafe {
         host.device.wait_semaphores(&both, u64::MAX).unwrap();
         host.device.wait_for_fences(&[fence], true, u64::MAX).unwrap();
     }
     assert_eq!(groups.exec.recordings().unwrap(), 0);
     let commands = host.begin();
-    // SAFETY: run once, below.
+    // SAFETY: the commands are run once, below.
     let again = unsafe { groups.exec.record_into(commands, &[]) }.unwrap();
-    // Binding again frees nothing that a recording uses.
+    // Binding again must not free memory that a recording uses.
     let other = device.buffer("other", 16, Location::Device).unwrap();
     device.upload(&other, 0, &count(41)).unwrap();
     drop(memory);
@@ -136,7 +136,7 @@ fn held_slots_are_not_recorded_from_again() {
 }
 
 #[test]
-fn a_plan_that_is_dropped_waits_for_what_was_recorded() {
+fn dropping_a_plan_waits_for_its_recordings() {
     let host = Host::new();
     let device = host.adopt();
     let timeline = host.semaphore(true);
@@ -155,8 +155,8 @@ fn a_plan_that_is_dropped_waits_for_what_was_recorded() {
     unsafe { groups.exec.record_into(commands, &[]).unwrap().until(Completion::Timeline(timeline, 1)) };
     host.submit(commands, &[], &signal, vk::Fence::null());
     drop(groups);
-    // Validation would report pools that are in use.
-    // SAFETY: alive.
+    // Validation would report command pools that are destroyed while in use.
+    // SAFETY: the semaphore is alive.
     assert_eq!(unsafe { host.device.get_semaphore_counter_value(timeline) }.unwrap(), 1);
     drop(device);
     host.destroy_semaphore(timeline);
@@ -185,7 +185,7 @@ fn submissions_wait_for_and_signal_a_hosts_semaphores() {
     // SAFETY: everything is alive.
     unsafe { host.device.cmd_copy_buffer(first, upload.raw, input.raw, &region) };
     host.submit(first, &[], &[at(timeline, 1), at(binary, 0)], vk::Fence::null());
-    // SAFETY: the host's signals are on their way, ours are new.
+    // SAFETY: the host's signals are submitted; the engine's value is new.
     let ticket = unsafe {
         groups.exec.submit_with(
             &[],
@@ -229,7 +229,7 @@ fn own() -> Device {
 }
 
 #[test]
-fn shared_memory_is_seen_by_another_device_or_refused_by_name() {
+fn another_device_reads_shared_memory_or_it_is_refused_by_name() {
     let host = Host::new();
     let (from, to) = (host.adopt(), own());
     if !from.info().optional.external_memory_fd {
@@ -249,13 +249,13 @@ fn shared_memory_is_seen_by_another_device_or_refused_by_name() {
     drop(buffer);
     assert!(to.download_as::<u32>(&imported, 1024).unwrap().iter().all(|w| *w == 0x0102_0304));
 
-    let image = from.shared_image("picture", [16, 8], ImageFormat::Rgba8Unorm).unwrap();
+    let image = from.shared_image("image", [16, 8], ImageFormat::Rgba8Unorm).unwrap();
     let texels: Vec<u8> = (0..16 * 8 * 4).map(|i| (i * 3) as u8).collect();
     from.upload_image(&image, &texels).unwrap();
     let handle = image.export().unwrap();
     assert!(handle.bytes >= image.packed_bytes());
     // SAFETY: as above; the image is in the general layout on both sides.
-    let imported = unsafe { to.import_image("picture", [16, 8], ImageFormat::Rgba8Unorm, handle) }.unwrap();
+    let imported = unsafe { to.import_image("image", [16, 8], ImageFormat::Rgba8Unorm, handle) }.unwrap();
     assert_eq!(imported.size(), [16, 8]);
     drop(imported);
     let plain = from.buffer("plain", 64, Location::Device).unwrap();
@@ -294,6 +294,6 @@ fn shared_semaphores_work_or_are_refused_by_name() {
 }
 
 #[test]
-fn work_records_are_as_the_tests_take_them() {
+fn work_struct_has_the_expected_layout() {
     assert_eq!(bytemuck::bytes_of(&Work { x: 1, y: 2, z: 3, count: 4 }).to_vec(), words([1, 2, 3, 4]));
 }

@@ -9,7 +9,7 @@ use sgs_engine::{Device, DeviceImage, ImageFormat};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{LitFrame, LitLayer, LitOptions, LitView, ViewError};
 use sgs_passes::splat::{Encoding, TexelFormat};
-use sgs_relight::{Edit, Lamp, NewLight, Relighter, Relit};
+use sgs_relight::{Edit, LightParameters, NewLight, Relighter, Relit};
 use sgs_run::{ShadedView, Shading};
 use sgs_tests::runs::{self, Parts};
 use sgs_tests::scenes;
@@ -22,7 +22,7 @@ const BEHIND: [f32; 3] = [0.3, 0.1, 0.6];
 
 /// Host with one image, and the contents of that image.
 struct Stage {
-    // Dropped before the host, also if a test fails.
+    // Dropped before the host, even if a test fails.
     target: Option<DeviceImage>,
     device: Device,
     host: Host,
@@ -41,7 +41,7 @@ impl Stage {
         let device = host.adopt();
         let (image, bytes) = (host.image(SIZE, raw), texel * PIXELS as u64);
         let back = host.buffer(bytes);
-        // SAFETY: made by the host with this size and format, and destroyed after the engine.
+        // SAFETY: the host made the image with this size and format, and destroys it after the engine.
         let target = unsafe { device.wrap_image("window", image.raw, SIZE, format, false) }.unwrap();
         Stage { host, device, image, back, target: Some(target), bytes }
     }
@@ -73,7 +73,7 @@ impl Stage {
     fn raw(&self, (commands, recorded): (vk::CommandBuffer, Recording)) -> Vec<u8> {
         let fence = self.host.fence();
         self.host.submit(commands, &[], &[], fence);
-        // SAFETY: alive; the fence covers the submission and is waited for before it is destroyed.
+        // SAFETY: the fence is alive, covers the submission and is waited for before it is destroyed.
         unsafe {
             self.host.device.wait_for_fences(&[fence], true, u64::MAX).unwrap();
             recorded.release();
@@ -82,7 +82,7 @@ impl Stage {
         self.host.read(&self.back, self.bytes)
     }
 
-    /// Records frames in the host's commands until one has the capacity that it needs.
+    /// Records frames in the host's commands until a frame has enough capacity.
     fn show(&self, view: &mut LitView, r: &Relighter, exposure: f32) -> Vec<[f32; 4]> {
         loop {
             let before = view.report().unwrap().incomplete;
@@ -136,18 +136,18 @@ fn of_relit(device: &Device, relit: &Relit, layer: LitLayer) -> Vec<[f32; 3]> {
         LitLayer::Diffuse => view.diffuse(),
         LitLayer::Specular => view.specular(),
         LitLayer::Visibility => view.visibility().unwrap(),
-        LitLayer::Environment => view.surroundings(),
+        LitLayer::Environment => view.environment_map(),
         LitLayer::Direct => view.direct(),
     };
     let c = image.channels as usize;
     image.data.chunks(c).map(|p| [0, 1, 2].map(|k| p[k % c])).collect()
 }
 
-/// Returns the largest difference over the largest value.
+/// Returns the largest difference, relative to the largest value.
 fn apart(a: &[[f32; 4]], b: &[[f32; 3]]) -> f32 {
     assert_eq!((a.len(), b.len()), (PIXELS, PIXELS));
     let largest = b.iter().flatten().fold(0.0f32, |m, v| m.max(v.abs()));
-    assert!(largest > 0.0, "the picture is black");
+    assert!(largest > 0.0, "the image is black");
     let off = a.iter().zip(b).flat_map(|(x, y)| (0..3).map(|k| (x[k] - y[k]).abs()));
     off.fold(0.0f32, |m, v| if v > m || v.is_nan() { v } else { m }) / largest
 }
@@ -156,14 +156,14 @@ fn thirds(a: &[[f32; 4]]) -> Vec<[f32; 3]> {
     a.iter().map(|t| [t[0], t[1], t[2]]).collect()
 }
 
-fn changed_light(r: &Relighter, light: usize, change: impl FnOnce(&mut Lamp)) -> Lamp {
+fn changed_light(r: &Relighter, light: usize, change: impl FnOnce(&mut LightParameters)) -> LightParameters {
     let mut changed = r.light(light).unwrap();
     change(&mut changed);
     changed
 }
 
 #[test]
-fn every_layer_is_that_of_relight() {
+fn every_layer_matches_sgs_relight() {
     let folder = tempfile::tempdir().unwrap();
     let stage = Stage::new();
     let shadows = |visibility| Parts { visibility, ..Parts::ALL };
@@ -190,7 +190,7 @@ fn every_layer_is_that_of_relight() {
             let off = apart(&stage.show(&mut view, &r, 1.0), &expected(&stage.device, &r, layer));
             assert!(off < 1e-5, "{parts:?} {layer:?}: {off}");
         }
-        // And after changes of every kind.
+        // The layers must also match after changes of every kind.
         let changed = changed_light(&r, 0, |l| (l.position, l.color) = ([0.1, -0.6, 0.3], [0.2, 1.0, 3.0]));
         r.set_light(0, changed).unwrap();
         r.set_light(2, changed_light(&r, 2, |l| l.on = true)).unwrap();
@@ -209,14 +209,14 @@ fn every_layer_is_that_of_relight() {
 }
 
 #[test]
-fn changes_of_light_take_no_plan_and_no_memory() {
+fn light_changes_need_no_new_plan_and_no_memory() {
     let folder = tempfile::tempdir().unwrap();
     let stage = Stage::new();
     let mut r = stage.relighter(folder.path(), Parts::ALL);
     let mut view = stage.view(&r, options(LitLayer::Shaded)).unwrap();
     let all = stage.show(&mut view, &r, 1.0);
     let (plans, memory, activity) = (view.plans(), stage.device.memory_use(), stage.device.activity());
-    // Light is the sum of its terms: one light off, and that light alone.
+    // Light is additive: the image without a light plus the image of that light alone is the whole image.
     r.set_light(3, changed_light(&r, 3, |l| l.on = false)).unwrap();
     let without = stage.show(&mut view, &r, 1.0);
     for light in [0, 1] {
@@ -225,22 +225,22 @@ fn changes_of_light_take_no_plan_and_no_memory() {
     r.set_light(3, changed_light(&r, 3, |l| l.on = true)).unwrap();
     r.set_environment_gain([0.0; 3]).unwrap();
     let alone = stage.show(&mut view, &r, 1.0);
-    // The background is in both.
+    // Both images contain the background.
     let behind: Vec<[f32; 3]> = alone.iter().map(|t| BEHIND.map(|b| b * (1.0 - t[3]))).collect();
     let sum: Vec<[f32; 3]> =
         (0..PIXELS).map(|p| [0, 1, 2].map(|k| without[p][k] + alone[p][k] - behind[p][k])).collect();
     let off = apart(&all, &sum);
-    assert!(off < 1e-3, "{off}"); // Pixels of low coverage have no surface, and all of the background.
+    assert!(off < 1e-3, "{off}"); // Pixels of low coverage have no surface and show all of the background.
     let lit: f32 = (0..PIXELS).map(|p| alone[p][1] - behind[p][1]).sum();
     assert!(lit > 1.0 && apart(&all, &thirds(&without)) > 0.01, "light 3 does nothing: {lit}");
-    // Gain and exposure scale the light; a move changes it otherwise.
+    // Gain and exposure scale the light; a move changes it in another way.
     r.set_light(3, changed_light(&r, 3, |l| l.gain *= 3.0)).unwrap();
     let (tripled, exposed) = (stage.show(&mut view, &r, 1.0), stage.show(&mut view, &r, 2.0));
     let of = |a: &[[f32; 4]]| -> f32 { (0..PIXELS).map(|p| a[p][1] - behind[p][1]).sum() };
     assert!((of(&tripled) / lit - 3.0).abs() < 1e-2 && (of(&exposed) / lit - 6.0).abs() < 1e-2);
     r.set_light(3, changed_light(&r, 3, |l| l.position[0] += 0.7)).unwrap();
     assert!(apart(&stage.show(&mut view, &r, 1.0), &thirds(&tripled)) > 0.01);
-    // One light more and one light fewer, within the capacity; an edit of lights.
+    // Additions and removals within the capacity, and an edit of lights.
     let new = NewLight { position: Some([0.0; 3]), intensity: Some([1.0; 3]), ..Default::default() };
     r.add_light(&new).unwrap();
     stage.show(&mut view, &r, 1.0);
@@ -258,7 +258,7 @@ fn changes_of_light_take_no_plan_and_no_memory() {
     assert_eq!((now.made, now.uploads), (activity.made, activity.uploads));
     assert_eq!((view.plans(), stage.device.memory_use()), (plans, memory));
     assert!(apart(&edited, &of_relit(&stage.device, &as_edited, LitLayer::Shaded)) < 1e-5);
-    // Beyond the capacity a new plan is compiled, and the displayed image is right.
+    // Beyond the capacity, the view compiles a new plan and shows the correct image.
     for _ in 0..17 {
         r.add_light(&new).unwrap();
     }
@@ -269,7 +269,7 @@ fn changes_of_light_take_no_plan_and_no_memory() {
 }
 
 #[test]
-fn a_recorded_frame_keeps_its_lights_and_room_is_made() {
+fn recorded_frames_keep_their_lights_and_capacity_grows() {
     let folder = tempfile::tempdir().unwrap();
     let stage = Stage::new();
     let mut r = stage.relighter(folder.path(), Parts { visibility: VisibilityKind::None, ..Parts::ALL });
@@ -309,7 +309,7 @@ fn a_recorded_frame_keeps_its_lights_and_room_is_made() {
 }
 
 #[test]
-fn light_is_encoded_as_the_image_wants_it() {
+fn radiance_is_encoded_for_the_format_of_the_image() {
     let folder = tempfile::tempdir().unwrap();
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as i32;
     let encoded = |v: f32| byte(sgs_scene::linear_to_srgb(v.clamp(0.0, 1.0)));
@@ -327,7 +327,7 @@ fn light_is_encoded_as_the_image_wants_it() {
                 continue;
             }
             let mut view = made.unwrap();
-            stage.raw(stage.record(&mut view, &r, 1.0)); // Finds out how much room it takes.
+            stage.raw(stage.record(&mut view, &r, 1.0)); // Measures the capacity that the view needs.
             let texels = stage.raw(stage.record(&mut view, &r, 1.0));
             let swapped = format == TexelFormat::Bgra8Srgb;
             for (texel, light) in texels.chunks(4).zip(expected(&stage.device, &r, layer)) {
@@ -344,7 +344,7 @@ fn light_is_encoded_as_the_image_wants_it() {
 }
 
 #[test]
-fn frames_are_submitted_too() {
+fn submitted_frames_match_sgs_relight() {
     let folder = tempfile::tempdir().unwrap();
     let stage = Stage::new();
     let mut r = stage.relighter(folder.path(), Parts::ALL);

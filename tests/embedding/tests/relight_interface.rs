@@ -1,4 +1,4 @@
-//! Relighting through the C interface: results, and answers to invalid calls.
+//! Relighting through the C interface: results and error codes.
 
 #[macro_use]
 mod support;
@@ -15,17 +15,17 @@ const PIXELS: usize = 40 * 30;
 
 fn opened(context: &Context, run: &Path) -> SgsRelight {
     let (run, mut relight) = (text(run), 0);
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     context.ok(unsafe { sgs_relight_open(context.0, run.as_ptr(), null(), &mut relight) });
     relight
 }
 
-/// Renders all light over black, or another layer.
+/// Renders a layer over black.
 fn render_layer(context: &Context, relight: SgsRelight, layer: u32, exposure: f32) -> Vec<f32> {
     let info = sized!(SgsRelitInfo { layer: layer, exposure: exposure });
     let mut pixels = vec![f32::NAN; 3 * PIXELS];
     let camera = camera([40, 30]);
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     context.ok(unsafe { sgs_relight_render(context.0, relight, &camera, &info, pixels.as_mut_ptr(), pixels.len()) });
     assert!(pixels[..PIXELS].iter().all(|v| v.is_finite()));
     pixels
@@ -38,20 +38,20 @@ fn apart(a: &[f32], b: impl Iterator<Item = f32>) -> f32 {
 
 fn light(context: &Context, relight: SgsRelight, index: u32) -> SgsLight {
     let mut light = sized!(SgsLight {});
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     context.ok(unsafe { sgs_relight_light_get(context.0, relight, index, &mut light) });
     light
 }
 
 fn state(context: &Context, relight: SgsRelight) -> SgsRelightState {
     let mut state = sized!(SgsRelightState {});
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     context.ok(unsafe { sgs_relight_get(context.0, relight, &mut state) });
     state
 }
 
 #[test]
-fn lights_change_by_calls_as_by_edits() {
+fn light_calls_match_edits() {
     let folder = tempfile::tempdir().unwrap();
     runs::fabricate(folder.path(), Parts::ALL);
     let context = Context::new();
@@ -63,11 +63,11 @@ fn lights_change_by_calls_as_by_edits() {
     assert_eq!((light(&context, relight, 2).on, light(&context, relight, 2).gain), (0, 1.0));
     let all = render_layer(&context, relight, SGS_LAYER_SHADED, 0.0);
     let edit = |json: &std::ffi::CStr| {
-        // SAFETY: all pointers are real.
+        // SAFETY: all pointers are valid.
         context.ok(unsafe { sgs_relight_edit(c, relight, json.as_ptr(), null()) });
         render_layer(&context, relight, SGS_LAYER_SHADED, 0.0)
     };
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     unsafe {
         let first = light(&context, relight, 0);
         let set = |change: &dyn Fn(&mut SgsLight)| {
@@ -79,7 +79,7 @@ fn lights_change_by_calls_as_by_edits() {
         };
         let off = set(&|l| l.on = 0);
         assert_eq!(apart(&off, edit(cr#"{"lights": {"change": [{"light": 0, "on": false}]}}"#).into_iter()), 0.0);
-        // The image with the light off plus the image of that light alone is the whole image.
+        // The image without the light plus the image of that light alone is the whole image.
         let alone = edit(cr#"{"lights": {"only": [0]}, "environment": {"off": true}}"#);
         assert!(apart(&all, off.iter().zip(&alone).map(|(a, b)| a + b)) < 1e-5);
         assert!(apart(&all, off.iter().copied()) > 0.01);
@@ -87,7 +87,7 @@ fn lights_change_by_calls_as_by_edits() {
         let same =
             cr#"{"lights": {"change": [{"light": 0, "by": [0, 0.5, 0], "intensity": 2, "color": [1, 0.5, 0]}]}}"#;
         assert!(apart(&moved, edit(same).into_iter()) < 1e-5);
-        // A new light, and the environment map.
+        // Changes that add a light and scale the environment map.
         context.ok(sgs_relight_reset(c, relight));
         let new = sized!(SgsNewLight { position: [0.1, 0.2, 0.3], intensity: [1.0, 2.0, 3.0] });
         let mut index = 9;
@@ -98,7 +98,7 @@ fn lights_change_by_calls_as_by_edits() {
         let same = cr#"{"lights": {"add": [{"position": [0.1, 0.2, 0.3], "intensity": [1, 2, 3]}]},
             "environment": {"color": [0.5, 1, 2]}}"#;
         assert!(apart(&added, edit(same).into_iter()) < 1e-5);
-        // An edit starts from the run again, and so does a reset.
+        // Edits and resets start from the run again.
         context.ok(sgs_relight_light_remove(c, relight, lights));
         assert!(apart(&added, render_layer(&context, relight, SGS_LAYER_SHADED, 0.0).into_iter()) > 0.01);
         context.ok(sgs_relight_reset(c, relight));
@@ -108,7 +108,7 @@ fn lights_change_by_calls_as_by_edits() {
         let same = cr#"{"lights": {"add": [{"position": [0, 0, 0], "lobes":
             [{"axis": [0, 0, -2], "sharpness": 3, "amplitude": [1, 1, 1]}]}]}}"#;
         assert!(apart(&lobes, edit(same).into_iter()) < 1e-5);
-        // The same map from a pointer and from the run's file.
+        // The map from a pointer and the same map from the run's file.
         context.ok(sgs_relight_environment_set(c, relight, runs::map(32, 6).as_ptr(), 32, 16));
         let other = render_layer(&context, relight, SGS_LAYER_ENVIRONMENT, 0.0);
         context.ok(sgs_relight_environment_set(c, relight, runs::map(32, 5).as_ptr(), 32, 16));
@@ -126,7 +126,7 @@ fn lights_change_by_calls_as_by_edits() {
 }
 
 #[test]
-fn nonsense_is_answered_with_codes() {
+fn invalid_calls_return_error_codes() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     runs::fabricate(&at("run"), Parts::NONE);
@@ -135,7 +135,7 @@ fn nonsense_is_answered_with_codes() {
     let mut made = 7;
     let mut open = |path: &Path, info: *const SgsRelightInfo| {
         let path = text(path);
-        // SAFETY: all pointers are real or null.
+        // SAFETY: all pointers are valid or null.
         let result = unsafe { sgs_relight_open(c, path.as_ptr(), info, &mut made) };
         assert!(result == SgsResult::SGS_OK || made == 0);
         result
@@ -156,7 +156,7 @@ fn nonsense_is_answered_with_codes() {
     context.refused(open(&at("run"), &info), ARGUMENT, "at most 65536");
     info.struct_size = 4;
     context.refused(open(&at("run"), &info), SIZE, "SgsRelightInfo.struct_size");
-    // SAFETY: all pointers are real or null, and null is answered.
+    // SAFETY: all pointers are valid or null, and null is refused.
     unsafe {
         assert_eq!(sgs_relight_open(c, null(), null(), &mut made), NULL);
         assert_eq!(sgs_relight_open(c, c"x".as_ptr(), null(), null_mut()), NULL);
@@ -176,7 +176,7 @@ fn nonsense_is_answered_with_codes() {
         assert_eq!(sgs_relight_reset(null(), 0), NULL);
         assert_eq!(sgs_relight_light_remove(null(), 0, 0), NULL);
         assert_eq!(sgs_view_exposure(null(), 0, 0.0), NULL);
-        // Values.
+        // Invalid values.
         let one = light(&context, relight, 0);
         let set = |change: &dyn Fn(&mut SgsLight)| {
             let mut light = one;
@@ -204,7 +204,7 @@ fn nonsense_is_answered_with_codes() {
         context.refused(sgs_relight_environment_set(c, relight, map.as_ptr(), 2, 1), ARGUMENT, "not finite");
         for (json, words) in [
             (c"{", "not an edit"),
-            (cr#"{"lamps": 1}"#, "unknown field `lamps`"),
+            (cr#"{"lamps": 1}"#, "unknown field `lamps`"), // language: quoted
             (cr#"{"lights": {"only": [9]}}"#, "names light 9"),
             (cr#"{"environment": {"scale": 2}}"#, "has none"),
             (cr#"{"insert": [{"source": "nowhere.ply"}]}"#, "nowhere.ply"),
@@ -215,7 +215,7 @@ fn nonsense_is_answered_with_codes() {
             context.refused(result, code, words);
         }
         assert_eq!(state(&context, relight).lights, 4, "something has changed");
-        // Views and images.
+        // Invalid views and images.
         let shape = sized!(SgsViewInfo { width: 8, height: 6, format: 109, layer: SGS_LAYER_SHADED, final_layout: 1 });
         let mut make = |change: &dyn Fn(&mut SgsViewInfo)| {
             let mut info = shape;
@@ -249,7 +249,7 @@ fn nonsense_is_answered_with_codes() {
         context.refused(draw(SGS_LAYER_SHADED, 143), SPACE, "takes 144 floats");
         context.refused(draw(SGS_LAYER_COLOR, 144), ARGUMENT, "no layer 0");
         context.refused(draw(SGS_LAYER_VISIBILITY, 144), ARGUMENT, "no visibility");
-        // Handles: of another kind, of another context, stale.
+        // Handles of another kind, of another context, and stale handles.
         let other = Context::new();
         let elsewhere = opened(&other, &at("run"));
         assert_ne!(elsewhere, relight);
@@ -259,7 +259,7 @@ fn nonsense_is_answered_with_codes() {
         assert_eq!(count, 4);
         context.refused(sgs_relight_reset(c, plain), HANDLE, "is that of a scene, not of a relighting");
         context.refused(sgs_view_create(c, relight, &shape, &mut made), HANDLE, "not of a scene");
-        // The view outlives what it shows.
+        // The view outlives the relighting that it shows.
         context.ok(sgs_destroy(c, relight));
         context.refused(sgs_relight_reset(c, relight), HANDLE, "belongs to no relighting");
         context.ok(sgs_view_wait(c, view));

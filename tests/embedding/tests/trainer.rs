@@ -28,7 +28,7 @@ const SMALL: [&str; 18] = [
     "--intrinsic-steps",
     "12",
     "--set",
-    "geometry.checkpoint_interval=8",
+    "train.checkpoint_interval=8",
     "--set",
     "intrinsic.environment.resolution=16",
     "--set",
@@ -42,7 +42,7 @@ const SMALL: [&str; 18] = [
 ];
 
 #[test]
-fn both_stages_give_the_bits_of_the_command_line() {
+fn both_stages_match_the_command_line_bit_for_bit() {
     let (place, _) = place();
     let settings = by_command(&place, "command", &SMALL);
     let context = Context::new();
@@ -55,9 +55,9 @@ fn both_stages_give_the_bits_of_the_command_line() {
     };
     let mut info = sized!(SgsTrainerInfo { dataset: dataset.as_ptr(), settings: settings.as_ptr(), stages: both });
     let (mut trainer, mut status) = (0, sized!(SgsTrainStatus {}));
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     unsafe {
-        // In a directory, some steps one by one.
+        // In a directory, single steps first.
         let run = text(&place.path("directory"));
         info.run = run.as_ptr();
         context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
@@ -70,7 +70,7 @@ fn both_stages_give_the_bits_of_the_command_line() {
         let taken = sgs_trainer_open(context.0, &info, &mut other);
         context.refused(taken, SgsResult::SGS_ERROR_FILE, "directory");
         context.ok(sgs_destroy(context.0, trainer));
-        // It continues from the checkpoint after step 8, with its own settings.
+        // The trainer continues from the checkpoint after step 8, with its own settings.
         info.resume = 1;
         let twice = sgs_trainer_open(context.0, &info, &mut trainer);
         context.refused(twice, SgsResult::SGS_ERROR_ARGUMENT, "settings must be null");
@@ -83,7 +83,7 @@ fn both_stages_give_the_bits_of_the_command_line() {
         context.ok(sgs_destroy(context.0, trainer));
         same("directory");
         assert_eq!(place.read("command/config.toml"), place.read("directory/config.toml"));
-        // A finished run is left as it is, and not replaced.
+        // A finished run stays unchanged and is not replaced.
         let summary = place.read("directory/training.json");
         context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
         context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
@@ -116,7 +116,7 @@ fn both_stages_give_the_bits_of_the_command_line() {
         context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
         context.ok(sgs_destroy(context.0, trainer));
         same("alone");
-        // A run's own geometry is not replaced by another one.
+        // A run's own geometry is not replaced by another geometry.
         let replaced = text(&place.path("geometry"));
         info.run = replaced.as_ptr();
         let taken = sgs_trainer_open(context.0, &info, &mut trainer);
@@ -130,12 +130,12 @@ fn both_stages_give_the_bits_of_the_command_line() {
     }
 }
 
-/// Learning rates with which training diverges.
+/// Settings with learning rates at which training diverges.
 const WILD: [&str; 6] =
-    ["--geometry-steps", "400", "--set", "geometry.rates.factor=300", "--set", "geometry.checkpoint_interval=50"];
+    ["--geometry-steps", "400", "--set", "geometry.rates.factor=300", "--set", "train.checkpoint_interval=50"];
 
 #[test]
-fn divergence_is_rolled_back_as_by_the_command_line() {
+fn divergence_rollback_matches_the_command_line() {
     let place = Place::new(Room::default());
     let back = [&WILD[..], &["--set", "train.on_divergence=roll-back"]].concat();
     let settings = by_command(&place, "command", &back);
@@ -143,14 +143,14 @@ fn divergence_is_rolled_back_as_by_the_command_line() {
     let (dataset, run) = (text(&place.path("scene")), text(&place.path("run")));
     let mut info = sized!(SgsTrainerInfo { dataset: dataset.as_ptr(), settings: settings.as_ptr(), run: run.as_ptr() });
     let (mut trainer, mut status) = (0, sized!(SgsTrainStatus {}));
-    // SAFETY: all pointers are real.
+    // SAFETY: all pointers are valid.
     unsafe {
         context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
         context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
         context.ok(sgs_destroy(context.0, trainer));
         assert!(status.finished == 1 && status.roll_backs > 0);
         place.assert_same("command", "run");
-        // Without a directory to roll back to, it is an error, and the trainer is done.
+        // Without a directory to roll back to, divergence is an error and ends the trainer.
         info.run = null();
         context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
         for words in ["it has diverged", "ended with an error"] {
@@ -161,6 +161,6 @@ fn divergence_is_rolled_back_as_by_the_command_line() {
         }
         let saved = text(&place.path("saved"));
         let result = sgs_trainer_save(context.0, trainer, saved.as_ptr());
-        context.refused(result, SgsResult::SGS_ERROR_ARGUMENT, "nothing to save");
+        context.refused(result, SgsResult::SGS_ERROR_ARGUMENT, "ended with an error");
     }
 }

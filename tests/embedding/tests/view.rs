@@ -49,7 +49,7 @@ fn frame(k: u32) -> Frame {
     Frame { camera, sh_degree: 3, background: [0.2, 0.0, 0.4] }
 }
 
-/// Renders with our own renderer and returns bytes.
+/// Renders a frame with the engine's own renderer, as RGBA8 bytes.
 fn expected(e: &Engine, k: u32) -> Vec<u8> {
     let channels = Channels { colors: true, normals: false, depth: false };
     let tuning = Tuning::for_device(e.device.info());
@@ -62,7 +62,7 @@ fn expected(e: &Engine, k: u32) -> Vec<u8> {
 }
 
 fn wrap(device: &Device, image: &Owned<vk::Image>) -> DeviceImage {
-    // SAFETY: made by the host with this size and format for copies both ways, and destroyed after the engine.
+    // SAFETY: the host made the image with this size and format for copies both ways, and destroys it after the engine.
     unsafe { device.wrap_image("host's image", image.raw, SIZE, ImageFormat::Rgba8Unorm, false) }.unwrap()
 }
 
@@ -84,7 +84,7 @@ fn frames_are_recorded_between_a_hosts_commands() {
     let timeline = host.semaphore(true);
     let submissions = host.lock.taken.load(std::sync::atomic::Ordering::SeqCst);
     for k in 0..6u32 {
-        // Two frames in flight: the one before the last must be done before its slot is used again.
+        // With two frames in flight, the frame before the last must be done before its slot is reused.
         if k >= 2 {
             let (s, v) = ([timeline], [u64::from(k) - 1]);
             let info = vk::SemaphoreWaitInfo::default().semaphores(&s).values(&v);
@@ -93,7 +93,7 @@ fn frames_are_recorded_between_a_hosts_commands() {
         }
         let image = &images[k as usize % 2];
         let commands = host.begin();
-        // The host draws first and inspects its result.
+        // The host draws first and reads its result.
         host.transition(commands, image.raw, L::UNDEFINED, L::TRANSFER_DST_OPTIMAL);
         host.clear(commands, image.raw, [1.0, 0.0, 0.0, 1.0]);
         host.transition(commands, image.raw, L::TRANSFER_DST_OPTIMAL, L::TRANSFER_SRC_OPTIMAL);
@@ -163,7 +163,7 @@ fn a_frame_is_submitted_between_a_hosts_semaphores() {
 }
 
 #[test]
-fn room_is_made_while_the_host_holds_recordings() {
+fn capacity_grows_while_the_host_holds_recordings() {
     let host = Host::new();
     let mut e = engine(&host, 1, 16);
     let (image, back) = (host.image(SIZE, vk::Format::R8G8B8A8_UNORM), host.buffer(BYTES));
@@ -178,7 +178,7 @@ fn room_is_made_while_the_host_holds_recordings() {
     };
     let (first, background) = shot(&mut e, 0);
     assert!(background.chunks(4).all(|t| t == [51, 0, 102, 0]));
-    // The first recording is still in use; the plan with more capacity has slots of its own.
+    // The first recording still holds its slot; the plan with more capacity has slots of its own.
     let (second, displayed) = shot(&mut e, 0);
     assert!(displayed == expected(&e, 0));
     assert_eq!(e.view.recordings().unwrap(), 2);
@@ -187,7 +187,7 @@ fn room_is_made_while_the_host_holds_recordings() {
     let error = record(&mut e, commands, &wrapped, 0).err();
     assert!(matches!(error, Some(ViewError::Engine(Error::SlotsInUse { slots: 1, .. }))), "{error:?}");
     host.run(commands);
-    // SAFETY: all has been waited for.
+    // SAFETY: every submission has been waited for.
     unsafe {
         first.release();
         second.release();

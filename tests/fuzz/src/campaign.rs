@@ -1,10 +1,11 @@
-//! A target fed: the corpus first, then changes of it; what goes wrong, made small.
+//! Fuzzing of a target: the corpus, mutations of it, and minimized findings.
 
+use crate::corpus::corpus;
 use crate::count;
 use crate::coverage::Coverage;
 use crate::mutate::{Generator, Rng};
 use crate::place::Place;
-use crate::target::{Target, corpus};
+use crate::target::Target;
 use std::collections::HashSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -12,33 +13,35 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Memory that is always allowed.
+/// Memory that every input may use, in bytes.
 const FREE: usize = 64 << 20;
 
-/// And no more beyond, whatever its size: the largest image that is read, a few times over.
+/// Maximum memory beyond [`FREE`], in bytes: a few times the largest image that is read.
 const MOST: usize = 512 << 20;
 
-/// Inputs of a target that are kept from run to run: each is tried at the beginning of every turn.
+/// Maximum number of grown inputs of a target. Every turn starts with all of them.
 const MOST_GROWN: usize = 4000;
 
-/// Bytes that they have at most, together.
+/// Maximum total size of the grown inputs, in bytes.
 const MOST_GROWN_BYTES: usize = 64 << 20;
 
-/// Inputs after which branches are looked for where none was taken before.
+/// Number of inputs between checks of all blocks of counters.
 const LOOK: usize = 32;
 
-/// What the last panic said.
+/// Message of the last panic.
 static PANIC: Mutex<String> = Mutex::new(String::new());
 
-/// How many inputs were begun with.
+/// Number of inputs that were started.
 static TAKEN: AtomicU64 = AtomicU64::new(0);
 
-/// How many inputs this process has begun with.
+/// Returns the number of inputs that this process has started.
 pub fn taken() -> u64 {
     TAKEN.load(Ordering::Relaxed)
 }
 
-/// Keeps panics from the terminal, and what they say for findings. Once in a program.
+/// Hides panics from the terminal and records their messages for findings.
+///
+/// Call this function once per program.
 pub fn quietly() {
     std::panic::set_hook(Box::new(|info| {
         let place = info.location().map(|l| format!("{}:{}", l.file(), l.line())).unwrap_or_default();
@@ -49,57 +52,57 @@ pub fn quietly() {
     }));
 }
 
-/// An input at which a reader fails.
+/// Input at which a reader fails.
 #[derive(Clone, Debug)]
 pub struct Finding {
-    /// What is wrong.
+    /// Description of the failure.
     pub what: String,
-    /// The input, as small as it was made.
+    /// Minimized input.
     pub input: Vec<u8>,
 }
 
-/// What a campaign came to.
+/// Results of a campaign.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
-    /// Inputs that were tried.
+    /// Number of inputs.
     pub inputs: u64,
-    /// Different things that the target said.
+    /// Number of different results of the target, without numbers and names.
     pub said: usize,
-    /// Branches that inputs took; `None` where the program does not count them.
+    /// Branches that inputs took; `None` if the program does not count branches.
     pub branches: Option<usize>,
-    /// How long it took.
+    /// Wall time of the campaign.
     pub time: Duration,
-    /// The longest that an input took.
+    /// Longest time of an input.
     pub slowest: Duration,
-    /// The most memory that an input took.
+    /// Largest memory of an input, in bytes.
     pub most_memory: usize,
-    /// What was found, one of each kind.
+    /// Findings, one of each kind.
     pub findings: Vec<Finding>,
 }
 
-/// A target that is fed.
+/// Fuzzing of one target.
 pub struct Campaign<'a> {
     target: &'a Target,
     generator: Generator,
     random: Rng,
-    /// Where each input is written before it is tried, for those that end the process.
+    /// File to which each input is written first, to keep inputs that end the process.
     pub current: Option<PathBuf>,
-    /// Where inputs that came to something new are kept from run to run.
+    /// Directory of grown inputs, kept from run to run.
     pub grown: Option<PathBuf>,
-    /// How many more may be kept there, and how many bytes.
+    /// Number of inputs and bytes that may still be added to the directory.
     room: [usize; 2],
     said: HashSet<String>,
     coverage: Coverage,
-    /// Inputs since all counters were looked at.
+    /// Inputs since the last check of all counters.
     recent: Vec<Vec<u8>>,
     kinds: HashSet<String>,
     tally: Tally,
 }
 
 impl<'a> Campaign<'a> {
-    /// With the kept corpus.
+    /// Creates a campaign with the corpus of the target.
     pub fn new(target: &'a Target, seed: u64) -> Campaign<'a> {
-        let files = corpus(target).into_iter().map(|(_, bytes)| bytes).collect();
+        let files = corpus(target).into_values().collect();
         Campaign {
             target,
             generator: Generator::new(target, files),
@@ -115,23 +118,23 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// Tries the kept corpus, and then so many inputs, or until the time is over.
+    /// Runs the corpus, and then mutations up to a number of inputs or a time.
     pub fn run(mut self, inputs: u64, time: Duration) -> Tally {
         let start = Instant::now();
-        for (_, bytes) in corpus(self.target) {
-            let _new = self.take_wholly(&bytes);
+        for bytes in corpus(self.target).values() {
+            let _new = self.take_wholly(bytes);
         }
         self.room = [MOST_GROWN, MOST_GROWN_BYTES];
-        // Short ones first: a longer one that comes to nothing more is not needed.
+        // Short inputs first: a longer input that takes no more branches is not needed.
         for file in self.grown.as_deref().map(by_length).unwrap_or_default() {
             let Ok(input) = std::fs::read(&file) else { continue };
             let found = self.tally.findings.len();
-            // Those that are new stay where they are; those that fail are told as findings.
+            // New inputs stay in the directory, and failing ones become findings. All others are removed.
             if !self.take_wholly(&input) && found == self.tally.findings.len() {
                 let _still_there = std::fs::remove_file(file);
             }
         }
-        // What the first one takes to begin with is not the input's.
+        // Memory of the first inputs includes initialization of the readers.
         self.tally.most_memory = 0;
         while self.tally.inputs < inputs && start.elapsed() < time {
             let input = self.generator.next(&mut self.random);
@@ -144,7 +147,9 @@ impl<'a> Campaign<'a> {
         self.tally
     }
 
-    /// Now and then, where an input came to branches far from all others, has another look at each of the last ones.
+    /// Checks all blocks of counters after every [`LOOK`] inputs.
+    ///
+    /// If inputs took branches in new blocks, runs the last inputs again with these blocks included.
     fn look_around(&mut self, input: Vec<u8>) {
         self.recent.push(input);
         if self.recent.len() == LOOK {
@@ -157,7 +162,7 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// Keeps an input for later runs; they do without it if that fails.
+    /// Writes an input to the grown corpus; a failed write is ignored.
     fn grow(&mut self, input: &[u8]) {
         let [inputs, bytes] = self.room;
         let Some(folder) = self.grown.as_ref().filter(|_| inputs > 0 && input.len() <= bytes) else { return };
@@ -168,16 +173,18 @@ impl<'a> Campaign<'a> {
         }
     }
 
-    /// Tries an input, and again where it came to branches far from all others; whether it came to something new.
+    /// Runs an input, and again if it took branches in new blocks.
+    ///
+    /// Returns true if the input is new.
     fn take_wholly(&mut self, input: &[u8]) -> bool {
         let new = self.take(input);
         if self.coverage.elsewhere() { self.take(input) } else { new }
     }
 
-    /// Tries an input and takes note of what it came to; whether that is new.
+    /// Runs an input and records its result. Returns true if the result is new.
     fn take(&mut self, input: &[u8]) -> bool {
         if let Some(file) = &self.current {
-            // Without it, an input that ends the process is lost, and no more.
+            // If the write fails, only an input that ends the process is lost.
             let _unwritten = std::fs::write(file, input);
         }
         self.tally.inputs += 1;
@@ -189,7 +196,7 @@ impl<'a> Campaign<'a> {
             Ok((said, memory)) => {
                 self.tally.most_memory = self.tally.most_memory.max(memory);
                 let words = self.said.insert(shape(&said));
-                // Words may be new without end, as the names in them are.
+                // Messages alone may be new without end, since they contain names.
                 let new = if self.coverage.counts() { self.coverage.is_new() } else { words };
                 if new {
                     self.generator.keep(input);
@@ -208,7 +215,9 @@ impl<'a> Campaign<'a> {
     }
 }
 
-/// The files in a folder, short ones first, and of one length in the order of names. They are not all in memory at once: some are large.
+/// Lists the files of a directory, ordered by length and then by name.
+///
+/// Returns paths, since the files together may be too large for memory.
 fn by_length(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut files: Vec<_> = entries.filter_map(|e| Some((e.metadata().ok()?.len(), e.path()))).collect();
@@ -216,18 +225,18 @@ fn by_length(folder: &Path) -> Vec<PathBuf> {
     files.into_iter().map(|(_, file)| file).collect()
 }
 
-/// Tries an input: what the target says, and the memory that it took; else what is wrong.
+/// Runs an input. Returns the target's result and the memory, or the failure.
 pub(crate) fn attempt(target: &Target, input: &[u8]) -> Result<(String, usize), String> {
     TAKEN.fetch_add(1, Ordering::Relaxed);
     let begun = count::begin();
     let said = catch_unwind(AssertUnwindSafe(|| (target.run)(input)));
     let memory = count::most(begun);
     let Ok(said) = said else {
-        // What lies around the input may be half made.
+        // A panic may leave the files around the input incomplete.
         Place::forget();
         return Err(std::mem::take(&mut *PANIC.lock().unwrap_or_else(PoisonError::into_inner)));
     };
-    // Some inputs are files of other sizes by the time they are read.
+    // Some inputs have another size when they are read, so a fixed amount is always allowed.
     let allowed = FREE + target.per_byte.saturating_mul(input.len()).min(MOST);
     match memory > allowed {
         true => Err(format!("memory: {memory} bytes for an input of {}", input.len())),
@@ -235,7 +244,7 @@ pub(crate) fn attempt(target: &Target, input: &[u8]) -> Result<(String, usize), 
     }
 }
 
-/// What was said without numbers and names: the way through the reader that it stands for.
+/// Strips numbers and names from a result, to identify the path through the reader.
 fn shape(said: &str) -> String {
     let mut quoted = false;
     let mut out = String::new();
@@ -257,17 +266,19 @@ fn shape(said: &str) -> String {
     out
 }
 
-/// A name for an input (FNV-1a).
+/// Returns a hash that names an input (FNV-1a).
 pub fn hash(input: &[u8]) -> u64 {
     input.iter().fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x100_0000_01b3))
 }
 
-/// By what findings count as one: where, or what.
+/// Returns the kind of a failure: its place or its category.
 fn kind(what: &str) -> String {
     what.split(": ").next().unwrap_or_default().to_owned()
 }
 
-/// The input with parts left out, as long as the same is wrong with it; within a few seconds.
+/// Removes parts of an input as long as it fails in the same way.
+///
+/// Takes about five seconds at most.
 fn smaller(target: &Target, input: &[u8], what: &str) -> Vec<u8> {
     let mut best = input.to_vec();
     let until = Instant::now() + Duration::from_secs(5);

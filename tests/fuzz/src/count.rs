@@ -1,19 +1,21 @@
-//! An allocator that counts, so that memory out of proportion is seen before it is gone.
+//! Counting allocator, which detects excessive memory before it is exhausted.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 
-/// Bytes in use.
+/// Number of bytes in use.
 static LIVE: AtomicUsize = AtomicUsize::new(0);
-/// Most bytes in use since [`begin`].
+/// Largest number of bytes in use since [`begin`].
 static PEAK: AtomicUsize = AtomicUsize::new(0);
-/// Largest request that was refused since [`begin`].
+/// Size of the largest request that was refused since [`begin`].
 static REFUSED: AtomicUsize = AtomicUsize::new(0);
 
-/// What nobody is given: the machine has other users.
+/// Maximum number of bytes in use; the machine has other users.
 const MOST: usize = 3 << 30;
 
-/// The system's allocator, counted. Give it to a program with `#[global_allocator]`; without, nothing is counted and nothing found.
+/// System allocator with counters.
+///
+/// Install the allocator with `#[global_allocator]`. Otherwise nothing is counted, and no excess of memory is found.
 pub struct Counting;
 
 // SAFETY: every call is passed on to the system's allocator, or refused as an allocator may.
@@ -50,7 +52,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Counts a request; false if it is to be refused.
+/// Counts a request. Returns false if the request must be refused.
 fn more(size: usize) -> bool {
     let live = LIVE.fetch_add(size, Relaxed).saturating_add(size);
     if live > MOST {
@@ -62,7 +64,7 @@ fn more(size: usize) -> bool {
     true
 }
 
-/// Begins to measure; gives what is in use.
+/// Starts a measurement. Returns the number of bytes in use.
 pub(crate) fn begin() -> usize {
     let live = LIVE.load(Relaxed);
     PEAK.store(live, Relaxed);
@@ -70,7 +72,7 @@ pub(crate) fn begin() -> usize {
     live
 }
 
-/// The most that was in use beyond what was at the beginning, or a larger request that was refused.
+/// Returns the peak since [`begin`] beyond `begun`, or a larger refused request.
 pub(crate) fn most(begun: usize) -> usize {
     PEAK.load(Relaxed).saturating_sub(begun).max(REFUSED.load(Relaxed))
 }

@@ -1,38 +1,42 @@
-//! The ways that inputs take through the code, where the program was built with counters at its branches (LLVM's SanitizerCoverage;
-//! `tests/fuzz/coverage.toml` says how). Where it was not, no input takes a new way, and what targets say is all there is to go by.
+//! Branches that inputs take, from LLVM's SanitizerCoverage counters.
 //!
-//! As AFL and libFuzzer do, a way is new where a branch is taken that never was, or about twice as many times as ever.
+//! `tests/fuzz/coverage.toml` builds a program with such counters. Without counters, no input takes a new branch, and
+//! only the results of targets guide the fuzzer. As in AFL and libFuzzer, an input is new in two cases: if it takes a
+//! branch for the first time, or about twice as many times as before.
 
 use std::collections::HashSet;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// The program's counters: a byte for each branch.
+/// Counters of the program, one byte per branch.
 static COUNTERS: OnceLock<&'static [AtomicU64]> = OnceLock::new();
 
-/// Takes the program's counters, eight to a number. They come before `main`, and those that come first stay.
+/// Registers the program's counters, eight per word.
+///
+/// The call comes before `main`. Only the first call has an effect.
 pub fn enlist(counters: &'static [AtomicU64]) {
     COUNTERS.get_or_init(|| counters);
 }
 
-/// Counters that are looked at together, in numbers of eight.
+/// Size of a block of counters, in words of eight counters.
 const BLOCK: usize = 32;
 
-/// The branches that inputs took so far, and how many times.
+/// Branches that inputs have taken, with classes of their counts.
 ///
-/// Most of a program's counters belong to what a target never reaches, and to go through all of them takes longer than most inputs do.
-/// So a look goes through blocks in which something was counted before; [`Coverage::elsewhere`] looks for others.
+/// Most counters of a program belong to code that a target never reaches. A scan of all counters takes longer than most
+/// inputs do. A regular scan therefore covers only blocks that had counts before; [`Coverage::elsewhere`] finds new
+/// blocks.
 pub(crate) struct Coverage {
     blocks: Vec<Block>,
-    /// How many of them, from the first, are looked at each time.
+    /// Number of active blocks, at the front; each scan covers these.
     near: usize,
 }
 
 struct Block {
-    /// Which it is among all.
+    /// Index of the block in the program.
     number: usize,
     counters: &'static [AtomicU64],
-    /// For each counter a bit for each of eight classes of numbers.
+    /// One bit for each of eight classes of counts, for each counter.
     seen: [u64; BLOCK],
 }
 
@@ -43,7 +47,7 @@ impl Block {
 }
 
 impl Coverage {
-    /// Of the program's counters.
+    /// Creates the coverage of the program's counters.
     pub(crate) fn of_program() -> Coverage {
         Coverage::of(COUNTERS.get().copied().unwrap_or(&[]))
     }
@@ -54,18 +58,18 @@ impl Coverage {
         Coverage { blocks, near: 0 }
     }
 
-    /// Whether the program counts.
+    /// Returns true if the program has counters.
     pub(crate) fn counts(&self) -> bool {
         !self.blocks.is_empty()
     }
 
-    /// Forgets what was counted since the last look.
+    /// Resets the counters of active blocks.
     pub(crate) fn begin(&self) {
         let counters = self.blocks[..self.near].iter().flat_map(|b| b.counters);
         counters.filter(|c| c.load(Relaxed) != 0).for_each(|c| c.store(0, Relaxed));
     }
 
-    /// Whether what was counted since then is new.
+    /// Records the counts since [`Coverage::begin`]; returns true if any is new.
     pub(crate) fn is_new(&mut self) -> bool {
         let mut new = false;
         for block in &mut self.blocks[..self.near] {
@@ -81,7 +85,9 @@ impl Coverage {
         new
     }
 
-    /// Whether something was counted where nothing ever was, whenever. From now on looks go there, too.
+    /// Activates blocks with counts; returns true if any block is new.
+    ///
+    /// The counts of inactive blocks accumulate over all inputs.
     pub(crate) fn elsewhere(&mut self) -> bool {
         let before = self.near;
         for at in before..self.blocks.len() {
@@ -93,7 +99,7 @@ impl Coverage {
         self.near > before
     }
 
-    /// Which branches were counted since [`Coverage::begin`], where something was counted before.
+    /// Returns the branches taken since [`Coverage::begin`] in active blocks.
     pub(crate) fn taken(&self) -> HashSet<u32> {
         let numbers = self.blocks[..self.near].iter().flat_map(|block| {
             let counters = block.counters.iter().enumerate().filter(|(_, c)| c.load(Relaxed) != 0);
@@ -105,14 +111,14 @@ impl Coverage {
         numbers.collect()
     }
 
-    /// How many branches were taken at all.
+    /// Returns the number of branches that any input took.
     pub(crate) fn branches(&self) -> usize {
         let seen = self.blocks[..self.near].iter().flat_map(|b| b.seen);
         seen.map(|s| s.to_ne_bytes().into_iter().filter(|c| *c != 0).count()).sum()
     }
 }
 
-/// A bit for a number of times; none for none.
+/// Returns the bit of a count's class; no bit for a count of zero.
 fn class(count: u8) -> u8 {
     match count {
         0 => 0,
@@ -130,7 +136,7 @@ mod tests {
     use super::{BLOCK, Coverage};
     use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-    /// Counters, and how to count so many times at one.
+    /// Creates counters, and a function that sets the count of a branch.
     fn counters(blocks: usize) -> (&'static [AtomicU64], impl Fn(usize, u8)) {
         let numbers = (0..blocks * BLOCK).map(|_| AtomicU64::new(0)).collect::<Vec<_>>();
         let counters: &'static [AtomicU64] = numbers.leak();
@@ -143,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_never_taken_is_new_and_so_is_twice_as_often() {
+    fn new_branches_and_doubled_counts_are_new() {
         let (counters, count) = counters(1);
         let mut coverage = Coverage::of(counters);
         assert!(coverage.counts() && coverage.branches() == 0);
@@ -168,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn looks_go_where_something_was_counted() {
+    fn blocks_become_active_once_they_have_counts() {
         let (counters, count) = counters(5);
         let mut coverage = Coverage::of(counters);
         let (far, farther) = (8 * BLOCK * 3 + 100, 8 * BLOCK * 4 + 7);
@@ -188,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_new_where_nothing_counts() {
+    fn nothing_is_new_without_counters() {
         let mut coverage = Coverage::of(&[]);
         coverage.begin();
         assert!(!coverage.counts() && !coverage.is_new() && !coverage.elsewhere() && coverage.branches() == 0);

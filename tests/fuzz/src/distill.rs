@@ -1,14 +1,18 @@
-//! Few inputs that stand for many: those that take the branches that the kept corpus does not, most branches a byte first.
+//! Selection of few inputs that take the branches which the corpus misses.
 
 use crate::campaign::attempt;
+use crate::corpus::corpus;
 use crate::coverage::Coverage;
-use crate::target::{Target, corpus};
+use crate::target::Target;
 use std::collections::HashSet;
 
-/// The inputs that take branches which neither the corpus of a target takes nor those before, at most `room` bytes in all, of
-/// which a file takes 200 beside its own; and how many branches more they take than the corpus. `None` where the program does not count branches.
+/// Selects inputs with branches that neither the corpus nor earlier ones take.
 ///
-/// Chosen greedily, which comes near the best choice there is. Inputs at which the target fails are left out.
+/// Returns the selected inputs and the number of branches that they add to the corpus. `room`: maximum size in bytes;
+/// each file counts 200 bytes in addition to its own. Returns `None` if the program does not count branches.
+///
+/// The selection is greedy by branches per byte, which is close to the optimum. Inputs at which the target fails are
+/// left out.
 pub fn distill(target: &Target, inputs: &[Vec<u8>], mut room: usize) -> Option<(Vec<Vec<u8>>, usize)> {
     let mut coverage = Coverage::of_program();
     if !coverage.counts() {
@@ -23,14 +27,14 @@ pub fn distill(target: &Target, inputs: &[Vec<u8>], mut room: usize) -> Option<(
             }
         }
     };
-    let old: HashSet<u32> = corpus(target).iter().flat_map(|(_, input)| branches(input)).collect();
+    let old: HashSet<u32> = corpus(target).values().flat_map(|input| branches(input)).collect();
     let new = |input: &Vec<u8>| (input.clone(), &branches(input) - &old);
     let mut left: Vec<(Vec<u8>, HashSet<u32>)> = inputs.iter().map(new).collect();
     let (mut chosen, mut more) = (Vec::new(), 0);
     loop {
         left.retain(|(input, new)| !new.is_empty() && input.len() + OVERHEAD <= room);
-        let worth = |(input, new): &(Vec<u8>, HashSet<u32>)| new.len() as f64 / (input.len() + OVERHEAD) as f64;
-        let best = (0..left.len()).max_by(|a, b| worth(&left[*a]).total_cmp(&worth(&left[*b])));
+        let gain = |(input, new): &(Vec<u8>, HashSet<u32>)| new.len() as f64 / (input.len() + OVERHEAD) as f64;
+        let best = (0..left.len()).max_by(|a, b| gain(&left[*a]).total_cmp(&gain(&left[*b])));
         let Some(best) = best else { return Some((chosen, more)) };
         let (input, taken) = left.swap_remove(best);
         left.iter_mut().for_each(|(_, new)| new.retain(|branch| !taken.contains(branch)));
@@ -40,5 +44,5 @@ pub fn distill(target: &Target, inputs: &[Vec<u8>], mut room: usize) -> Option<(
     }
 }
 
-/// What a file costs beside its bytes.
+/// Cost of a file in addition to its size, in bytes.
 const OVERHEAD: usize = 200;

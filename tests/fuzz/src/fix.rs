@@ -1,11 +1,15 @@
-//! Repairs: lengths and sums that a reader checks first, put right again after a change, so that what lies behind is reached.
+//! Repairs of lengths and checksums after a mutation.
+//!
+//! Readers check these first. The repairs let mutated inputs reach the code after the checks.
 
 #![allow(clippy::ptr_arg, reason = "repairs are of one type, and some change the length")]
 
-/// Puts right what a change has made wrong.
+/// Repair of an input in place.
 pub(crate) type Fix = fn(&mut Vec<u8>);
 
-/// The length of the JSON at the beginning of a safetensors file, and numbers for all that it promises, up to 16 MiB.
+/// Repairs a safetensors file.
+///
+/// Corrects the length of the JSON header, and resizes the data to the offsets of the header, up to 16 MiB.
 pub(crate) fn safetensors(bytes: &mut Vec<u8>) {
     let Some(end) = bytes.get(8..).and_then(object_end).map(|n| n + 8) else { return };
     bytes[..8].copy_from_slice(&(end as u64 - 8).to_le_bytes());
@@ -16,14 +20,14 @@ pub(crate) fn safetensors(bytes: &mut Vec<u8>) {
     }
 }
 
-/// Where a JSON object ends that begins at the start.
+/// Returns the end of a JSON object that begins at the start.
 fn object_end(bytes: &[u8]) -> Option<usize> {
     let mut all = serde_json::Deserializer::from_slice(bytes).into_iter::<serde::de::IgnoredAny>();
     all.next()?.ok()?;
     Some(all.byte_offset())
 }
 
-/// The checksums of a PNG file's chunks.
+/// Repairs the checksums of a PNG file's chunks.
 pub(crate) fn png(bytes: &mut Vec<u8>) {
     let mut at = 8;
     while let Some(length) = bytes.get(at..at + 4).map(|b| u32::from_be_bytes([b[0], b[1], b[2], b[3]]) as usize) {
@@ -43,7 +47,7 @@ fn crc(bytes: &[u8]) -> u32 {
     })
 }
 
-/// The lengths in a binary glTF file: of the whole and of its JSON. What follows this is left alone.
+/// Repairs the lengths in a binary glTF file: of the file, its JSON and the next chunk.
 pub(crate) fn glb(bytes: &mut Vec<u8>) {
     if !bytes.starts_with(b"glTF") || bytes.len() < 20 {
         return;
@@ -66,7 +70,7 @@ pub(crate) fn glb(bytes: &mut Vec<u8>) {
     bytes[8..12].copy_from_slice(&length.to_le_bytes());
 }
 
-/// The length of a NumPy file's header.
+/// Repairs the length of a NumPy file's header.
 pub(crate) fn npy(bytes: &mut Vec<u8>) {
     let Some(end) = bytes.iter().take(4096).position(|b| *b == b'\n') else { return };
     if bytes.starts_with(b"\x93NUMPY\x01") && end >= 10 {
@@ -74,7 +78,10 @@ pub(crate) fn npy(bytes: &mut Vec<u8>) {
     }
 }
 
-/// The lengths of the messages of a provider, each of them a safetensors file behind four letters; the first byte is none of theirs.
+/// Repairs the lengths of a provider's messages.
+///
+/// Each message is a safetensors file after four letters and a length. The first byte of the input is not part of a
+/// message.
 pub(crate) fn talk(bytes: &mut Vec<u8>) {
     let Some((first, rest)) = bytes.split_first() else { return };
     let mut out = vec![*first];

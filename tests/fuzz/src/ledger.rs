@@ -1,38 +1,40 @@
-//! How long each target has been fed, over as many runs as it takes: a file that adds up.
+//! Ledger: a file that accumulates the fuzzing time of each target over many runs.
 //!
-//! Promises: the file is whole at any time, and what a run that was stopped had finished is in it. Time is the processor's, with that of
-//! processes a target starts, so that a busy machine does not count.
+//! Guarantees: the file is complete at any time. A run that is stopped has recorded its finished slices. Time is
+//! processor time, including the processes that a target starts, so that a busy machine does not distort it.
 
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What a target was fed.
+/// Accumulated fuzzing results of a target.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Fed {
-    /// Seconds of the processor.
+    /// Processor time, in seconds.
     pub seconds: f64,
-    /// Those of them in which the program counted branches, and followed inputs that took new ones.
+    /// Processor time with branch counters, in seconds.
+    ///
+    /// During this time, mutations build on inputs that took new branches.
     #[serde(default)]
     pub guided: f64,
-    /// Seconds of the clock on the wall: more where a target waits.
+    /// Wall time, in seconds; larger than the processor time if a target waits.
     pub wall: f64,
-    /// Inputs that were tried.
+    /// Number of inputs.
     pub inputs: u64,
-    /// Processes that did it, each with a seed of its own.
+    /// Number of processes, each with its own seed.
     pub slices: u64,
-    /// Branches that the inputs of a slice took, at most.
+    /// Largest number of branches that the inputs of a slice took.
     #[serde(default)]
     pub branches: u64,
-    /// The most memory that an input took, bytes.
+    /// Largest memory of an input, in bytes.
     pub most_memory: u64,
-    /// What was found wrong.
+    /// Number of findings.
     pub findings: u64,
 }
 
 impl Fed {
-    /// With another slice.
+    /// Adds a slice.
     pub fn add(&mut self, slice: &Fed) {
         self.seconds = tenths(self.seconds + slice.seconds);
         self.guided = tenths(self.guided + slice.guided);
@@ -49,13 +51,13 @@ fn tenths(seconds: f64) -> f64 {
     (seconds * 10.0).round() / 10.0
 }
 
-/// All targets.
+/// Accumulated results of all targets.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Ledger(BTreeMap<String, Fed>);
 
 impl Ledger {
-    /// What the file says; nothing if there is none.
+    /// Reads the file; returns an empty ledger if there is none.
     pub fn open(file: &Path) -> Result<Ledger, String> {
         match std::fs::read_to_string(file) {
             Ok(text) => toml::from_str(&text).map_err(|e| format!("{}: {e}", file.display())),
@@ -64,19 +66,21 @@ impl Ledger {
         }
     }
 
-    /// Puts it where a reader finds the old file or the new one.
+    /// Writes the file atomically: a reader finds either the old or the new file.
     pub fn write(&self, file: &Path) -> Result<(), String> {
         let failed = |e: &dyn std::fmt::Display| format!("{}: {e}", file.display());
         let text = toml::to_string(self).map_err(|e| failed(&e))?;
         sgs_scene::atomic_write(file, |out| std::io::Write::write_all(out, text.as_bytes())).map_err(|e| failed(&e))
     }
 
-    /// What a target was fed.
+    /// Returns the accumulated results of a target.
     pub fn of(&self, target: &str) -> Fed {
         self.0.get(target).cloned().unwrap_or_default()
     }
 
-    /// The target that was fed least, of those that were fed for less than `seconds` and for which `free` holds.
+    /// Returns the target with the least time.
+    ///
+    /// Considers only targets with less than `seconds` for which `free` holds.
     pub fn hungriest<'a>(
         &self,
         targets: impl Iterator<Item = &'a str>,
@@ -87,7 +91,7 @@ impl Ledger {
         hungry.min_by(|a, b| self.of(a).seconds.total_cmp(&self.of(b).seconds))
     }
 
-    /// Adds what a slice came to.
+    /// Adds the results of a slice to a target.
     pub fn add(&mut self, target: &str, slice: &Fed) {
         self.0.entry(target.to_owned()).or_default().add(slice);
     }
@@ -98,7 +102,7 @@ mod tests {
     use super::{Fed, Ledger};
 
     #[test]
-    fn it_adds_up_and_lasts() {
+    fn ledger_sums_slices_and_reloads() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("ledger.toml");
         let mut ledger = Ledger::open(&file).expect("nothing is a ledger");
@@ -122,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn those_that_were_fed_least_come_first() {
+    fn least_fuzzed_target_comes_first() {
         let mut ledger = Ledger::default();
         for (target, seconds) in [("a", 50.0), ("b", 20.0), ("c", 60.0)] {
             ledger.add(target, &Fed { seconds, ..Fed::default() });

@@ -1,12 +1,13 @@
-//! Damaged files for every reader: what a reader takes from outside may be anything, and must come to a value or a sentence.
+//! Fuzzing of every reader: any input must yield a value or an error.
 //!
-//! A [`Target`] is a function of bytes that brings them to one reader, in the middle of a scene or run that is otherwise whole.
-//! [`Campaign`] feeds it files of a kept corpus (`corpus/TARGET`) and changes of them, and finds panics, memory out of proportion
-//! to the input, and inputs that take too long. What changes are made depends on a seed alone, and on the branches that inputs take where
-//! the program counts them (`coverage.toml`). The same targets run under libFuzzer (`libfuzzer/`). Leaves it to the readers' own tests
-//! whether what is read is right.
+//! A [`Target`] is a function that gives bytes to one reader, within a scene or run that is otherwise valid.
+//! [`Campaign`] runs the files of a corpus (`corpus/TARGET.safetensors`) and mutations of them. It finds panics, memory
+//! out of proportion to the input, and inputs that take too long. The mutations depend only on a seed, and on the branches
+//! that inputs take if the program counts them (`coverage.toml`). The same targets run under libFuzzer (`libfuzzer/`).
+//! The readers' own tests check the values.
 
 mod campaign;
+pub mod corpus;
 mod count;
 mod coverage;
 mod distill;
@@ -25,5 +26,5 @@ pub use distill::distill;
 pub use mutate::{Generator, Rng};
 pub use place::Place;
 pub use seeds::write_seeds;
-pub use target::{TARGETS, Target, corpus, files, find, folder, fuzz};
+pub use target::{TARGETS, Target, files, find, fuzz};
 pub use words::Words;

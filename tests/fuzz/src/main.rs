@@ -1,14 +1,15 @@
-//! `sgs-fuzz`: damaged files for every reader, for so many seconds.
+//! `sgs-fuzz`: feeds damaged files to every reader for a number of seconds.
 //!
-//! Each target runs in a process of its own, so that one that ends it (no memory, no stack, no end) is a finding too. With a ledger
-//! targets take turns, for as many runs of this program as it takes until each has been fed for so long.
+//! Each target runs in its own process, so that an input that ends the process (no memory, no stack, no end) is a
+//! finding. With a ledger, targets take turns until each has been fuzzed for the requested time, over as many runs as
+//! that takes.
 
 mod hook;
 mod ledger;
 
 use clap::Parser;
 use ledger::{Fed, Ledger};
-use sgs_fuzz::{Campaign, Counting, TARGETS, Tally, Target, distill, files, find, folder, hash, quietly, write_seeds};
+use sgs_fuzz::{Campaign, Counting, TARGETS, Tally, Target, corpus, distill, files, find, hash, quietly, write_seeds};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::{Mutex, PoisonError};
@@ -17,56 +18,62 @@ use std::time::{Duration, Instant};
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Processor time after which an input counts as one without end.
+/// Processor time per input, in seconds; an input that exceeds the time is a hang.
 const PATIENCE: u64 = 30;
 
-/// Seconds after which it is another target's turn, where there is a ledger.
+/// Seconds of a turn. With a ledger, another target follows.
 const TURN: f64 = 120.0;
 
 #[derive(Parser)]
 #[command(about = "Damaged files for every reader of SGS")]
 struct Cli {
-    /// How long each target is fed; with a ledger until it says so many seconds of the processor.
+    /// Seconds to fuzz each target; with a ledger, processor seconds over all runs.
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
-    /// Adds up in this file what targets are fed, and goes on where it ends.
+    /// Adds the time of each target to this file and continues from the file.
     #[arg(long, value_name = "FILE")]
     ledger: Option<PathBuf>,
-    /// With a ledger: so many targets at a time.
+    /// Number of targets that run at a time, with a ledger.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=256))]
     jobs: u32,
-    /// Takes inputs that came to something new from DIR/TARGET, and leaves new ones there.
+    /// Reads inputs that took new branches from DIR/TARGET and writes new ones there.
     #[arg(long, value_name = "DIR")]
     grown: Option<PathBuf>,
-    /// Puts those inputs into the corpus that came to branches which it does not come to, at most so many bytes for each target, and
-    /// each file for 200 more than it has.
+    /// Adds grown inputs to the corpus if they take branches that the corpus misses.
+    /// Adds at most BYTES per target; a file costs 200 bytes more than its size.
     #[arg(long, value_name = "BYTES", requires = "grown", conflicts_with = "ledger")]
     distill: Option<usize>,
-    /// At most so many inputs for each.
+    /// Maximum number of inputs for each target.
     #[arg(long, default_value_t = u64::MAX)]
     inputs: u64,
-    /// Which targets; all, if there is none.
+    /// Targets to run; all by default.
     #[arg(long)]
     target: Vec<String>,
-    /// What the changes depend on.
+    /// Seed of the mutations.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Where inputs go at which a reader fails.
+    /// Directory for inputs at which a reader fails.
     #[arg(long, default_value = "findings")]
     output: PathBuf,
-    /// Try this file alone, and say what it came to.
+    /// Runs one target on this file and prints the result.
     #[arg(long)]
     file: Option<PathBuf>,
     /// Lists the targets.
     #[arg(long)]
     list: bool,
-    /// Writes the files that the corpus begins with below a folder.
+    /// Adds the initial inputs to the corpora in a directory.
     #[arg(long, value_name = "DIR")]
     seeds: Option<PathBuf>,
-    /// Feeds one target in this process; where each input is put first.
+    /// Adds this file to the corpus of one target.
+    #[arg(long, value_name = "FILE")]
+    add: Option<PathBuf>,
+    /// Writes the inputs of the corpora to DIR/TARGET/NAME, for libFuzzer.
+    #[arg(long, value_name = "DIR")]
+    unpack: Option<PathBuf>,
+    /// Fuzzes one target in this process; writes each input to this file first.
     #[arg(long, hide = true)]
     current: Option<PathBuf>,
-    /// Where it is written what that came to.
+    /// Writes the results of that target to this file.
     #[arg(long, hide = true)]
     tally: Option<PathBuf>,
 }
@@ -100,6 +107,17 @@ fn run(cli: &Cli) -> Result<ExitCode, String> {
         println!("{}", (target.run)(&bytes));
         return Ok(ExitCode::SUCCESS);
     }
+    if let Some(file) = &cli.add {
+        let [target] = chosen[..] else { return Err("--add needs one --target".into()) };
+        let bytes = std::fs::read(file).map_err(|e| format!("{}: {e}", file.display()))?;
+        let name = file.file_name().map_or_else(|| hash(&bytes).to_string(), |n| n.to_string_lossy().into_owned());
+        add(target, [(name, bytes)])?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    if let Some(folder) = &cli.unpack {
+        let unpacked = chosen.into_iter().try_for_each(|target| unpack(target, folder));
+        return unpacked.map(|()| ExitCode::SUCCESS).map_err(|e| format!("{}: {e}", folder.display()));
+    }
     if let (Some(room), Some(grown)) = (cli.distill, &cli.grown) {
         quietly();
         return chosen.into_iter().try_for_each(|t| distilled(t, grown, room)).map(|()| ExitCode::SUCCESS);
@@ -119,7 +137,7 @@ fn run(cli: &Cli) -> Result<ExitCode, String> {
     Ok(if found == 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
-/// Feeds a target and says what it came to, on lines that the parent reads.
+/// Fuzzes a target and prints its results.
 fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
     quietly();
     watch();
@@ -144,7 +162,7 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
             most_memory: most_memory as u64,
             findings: findings.len() as u64,
         };
-        // Without it the turn does not count.
+        // Without the file the turn does not count.
         let _unwritten = serde_json::to_vec(&fed).map(|text| std::fs::write(file, text));
     }
     let memory = most_memory as f64 / f64::from(1 << 20);
@@ -157,22 +175,33 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
     ExitCode::from(u8::from(count > 0))
 }
 
-/// Puts inputs into the corpus that take branches which it does not.
+/// Adds inputs to the corpus that take branches that the corpus misses.
 fn distilled(target: &Target, grown: &Path, room: usize) -> Result<(), String> {
     let inputs: Vec<Vec<u8>> = files(&grown.join(target.name)).into_iter().map(|(_, input)| input).collect();
     let uncounted = "branches are not counted; build with --config tests/fuzz/coverage.toml (docs/project/testing.md)";
     let (chosen, more) = distill(target, &inputs, room).ok_or(uncounted)?;
-    let (folder, bytes) = (folder(target), chosen.iter().map(Vec::len).sum::<usize>());
-    for input in &chosen {
-        let file = folder.join(format!("grown-{:016x}", hash(input)));
-        std::fs::write(&file, input).map_err(|e| format!("{}: {e}", file.display()))?;
+    let (count, bytes) = (chosen.len(), chosen.iter().map(Vec::len).sum::<usize>());
+    if count > 0 {
+        add(target, chosen.into_iter().map(|input| (format!("grown-{:016x}", hash(&input)), input)))?;
     }
-    let of = inputs.len();
-    println!("{:<22} {:>4} of {of:>4} inputs, {bytes:>6} bytes, {more:>5} branches more", target.name, chosen.len());
+    println!("{:<22} {count:>4} of {:>4} inputs, {bytes:>6} bytes, {more:>5} branches more", target.name, inputs.len());
     Ok(())
 }
 
-/// Writes an input at which a reader fails.
+/// Adds inputs to the corpus of a target.
+fn add(target: &Target, inputs: impl IntoIterator<Item = (String, Vec<u8>)>) -> Result<(), String> {
+    let path = corpus::packed(&corpus::folder(), target.name);
+    corpus::add(&path, inputs).map_err(|e| format!("{}: {e}", path.display()))
+}
+
+/// Writes the inputs of a corpus to `DIR/TARGET/NAME`.
+fn unpack(target: &Target, folder: &Path) -> std::io::Result<()> {
+    let folder = folder.join(target.name);
+    std::fs::create_dir_all(&folder)?;
+    corpus::corpus(target).into_iter().try_for_each(|(name, bytes)| std::fs::write(folder.join(name), bytes))
+}
+
+/// Writes an input at which a reader fails, and prints the failure.
 fn keep(cli: &Cli, target: &Target, what: &str, input: &[u8]) {
     let file = cli.output.join(format!("{}-{:016x}", target.name, hash(input)));
     let written = std::fs::create_dir_all(&cli.output).and_then(|()| std::fs::write(&file, input));
@@ -180,7 +209,9 @@ fn keep(cli: &Cli, target: &Target, what: &str, input: &[u8]) {
     println!("{}: {what}; {} bytes in {place}", target.name, input.len());
 }
 
-/// Feeds a target in a process of its own, and again with another seed where that ends early. How much was found.
+/// Fuzzes a target in its own process. Returns the number of findings.
+///
+/// If the process ends early, another starts with the next seed.
 fn parent(cli: &Cli, target: &Target) -> Result<u64, String> {
     let start = Instant::now();
     let mut found = 0;
@@ -198,9 +229,11 @@ fn parent(cli: &Cli, target: &Target) -> Result<u64, String> {
     Ok(found)
 }
 
-/// Feeds targets in turns, those first that were fed least, until the ledger says that each was fed for so long. How much was found.
+/// Fuzzes the least fuzzed targets first, until each reaches the requested time.
+///
+/// Returns the number of findings.
 fn in_turns(cli: &Cli, targets: &[&Target], file: &Path) -> Result<u64, String> {
-    // What is fed just now is not fed twice: the grown corpus has one writer a target.
+    // Two workers never fuzz one target at a time: the grown corpus has one writer per target.
     let state = Mutex::new((Ledger::open(file)?, Vec::<&str>::new(), 0u64));
     let lock = || state.lock().unwrap_or_else(PoisonError::into_inner);
     let work = || -> Result<(), String> {
@@ -238,7 +271,9 @@ fn in_turns(cli: &Cli, targets: &[&Target], file: &Path) -> Result<u64, String> 
     Ok(*found)
 }
 
-/// Feeds a target in a process of its own. What it was fed, and whether an input ended the process.
+/// Fuzzes a target in its own process.
+///
+/// Returns its results, and whether an input ended the process.
 fn turn(cli: &Cli, target: &Target, seed: u64, seconds: f64, loud: bool) -> Result<(Fed, bool), String> {
     let folder = sgs_fuzz::Place::new();
     let (current, tally) = (folder.path("current"), folder.path("tally"));
@@ -267,7 +302,9 @@ fn turn(cli: &Cli, target: &Target, seed: u64, seconds: f64, loud: bool) -> Resu
     }
 }
 
-/// Ends the process when an input takes too much of the processor's time. Clocks on the wall say nothing on a busy machine.
+/// Aborts the process when an input takes too much processor time.
+///
+/// Wall time would be misleading on a busy machine.
 fn watch() {
     std::thread::spawn(|| {
         let mut last = (sgs_fuzz::taken(), used());
@@ -284,7 +321,9 @@ fn watch() {
     });
 }
 
-/// Processor time of this process and those that it started so far, in hundredths of a second; 0 where the system does not say.
+/// Returns the processor time of this process and its finished children.
+///
+/// The unit is 1/100 s. Returns 0 if the system does not report the time.
 fn used() -> u64 {
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     let after = text.rsplit(')').next().unwrap_or_default();

@@ -1,18 +1,18 @@
-//! Changes of inputs: small ones that keep most of a file, and rough ones.
+//! Mutations of inputs: small ones that keep most of a file, and large ones.
 
 use crate::target::Target;
 
-/// Random numbers: SplitMix64.
+/// Random generator (SplitMix64).
 #[derive(Clone, Debug)]
 pub struct Rng(u64);
 
 impl Rng {
-    /// From a seed.
+    /// Creates a generator from a seed.
     pub fn new(seed: u64) -> Rng {
         Rng(seed)
     }
 
-    /// 64 random bits.
+    /// Draws 64 random bits.
     pub fn bits(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -20,12 +20,12 @@ impl Rng {
         z ^ (z >> 31)
     }
 
-    /// Below `n`; 0 where `n` is.
+    /// Draws a number below `n`; returns 0 if `n` is 0.
     pub fn below(&mut self, n: usize) -> usize {
         if n == 0 { 0 } else { (self.bits() % n as u64) as usize }
     }
 
-    /// True once in `n` times.
+    /// Draws true with probability 1/`n`.
     pub fn once_in(&mut self, n: usize) -> bool {
         self.below(n) == 0
     }
@@ -35,7 +35,7 @@ impl Rng {
     }
 }
 
-/// Numbers at which readers err.
+/// Boundary values, at which readers tend to fail.
 const EDGES: [u64; 22] = [
     0,
     1,
@@ -61,32 +61,32 @@ const EDGES: [u64; 22] = [
     u64::MAX,
 ];
 
-/// Makes inputs of what there is.
+/// Generator of inputs from a corpus.
 pub struct Generator {
     words: Vec<&'static [u8]>,
     fix: Option<crate::fix::Fix>,
     longest: usize,
     corpus: Vec<Vec<u8>>,
-    /// How many of them were there in the beginning.
+    /// Number of initial inputs.
     kept: usize,
-    /// How many bytes more may be kept.
+    /// Number of bytes that may still be added.
     room: usize,
 }
 
-/// Inputs that came to something new are kept until there are so many.
+/// Maximum number of inputs that are added.
 const MOST_KEPT: usize = 4000;
 
-/// Or so many bytes: the driver shares its memory with the readers.
+/// Maximum number of bytes that are added: the fuzzer shares its memory with the readers.
 const MOST_BYTES: usize = 256 << 20;
 
-/// How much longer most inputs become at most, bytes.
+/// Maximum growth of most inputs, in bytes.
 const SHORT: usize = 1 << 10;
 
-/// How many inputs are the last ones.
+/// Number of recent inputs that are preferred.
 const LAST: usize = 32;
 
 impl Generator {
-    /// For a target with these files; an empty one is always among them.
+    /// Creates a generator for a target with these files and an empty file.
     pub fn new(target: &Target, mut corpus: Vec<Vec<u8>>) -> Generator {
         corpus.retain(|file| !file.is_empty());
         let longest = corpus.iter().map(|file| 2 * file.len()).max().unwrap_or(0).max(1 << 16);
@@ -95,7 +95,7 @@ impl Generator {
         Generator { words, fix: target.fix, longest, kept: corpus.len(), room: MOST_BYTES, corpus }
     }
 
-    /// Keeps an input that came to something new.
+    /// Adds an input with a new result.
     pub fn keep(&mut self, input: &[u8]) {
         if self.corpus.len() < self.kept + MOST_KEPT && input.len() <= self.room {
             self.room -= input.len();
@@ -103,19 +103,19 @@ impl Generator {
         }
     }
 
-    /// How many inputs there are to begin with.
+    /// Returns the number of inputs in the corpus.
     pub fn len(&self) -> usize {
         self.corpus.len()
     }
 
-    /// Whether there are none, which is never so.
+    /// Returns true if the corpus is empty, which never happens.
     pub fn is_empty(&self) -> bool {
         self.corpus.is_empty()
     }
 
-    /// Another input.
+    /// Returns a mutated input.
     pub fn next(&self, random: &mut Rng) -> Vec<u8> {
-        // Some from the files themselves, lest chance lead away from what is valid; some from what was new last, to go on from there.
+        // Initial files keep the inputs close to valid ones; the most recent inputs lead on from new results.
         let (all, last) = (self.corpus.len(), self.corpus.len().min(LAST));
         let from = match random.below(4) {
             0 => random.below(self.kept),
@@ -123,7 +123,7 @@ impl Generator {
             _ => random.below(all),
         };
         let mut input = self.corpus[from].clone();
-        // Long ones take long, so there are few.
+        // Long inputs take long, so they are rare.
         let longest = if random.once_in(8) { self.longest } else { self.longest.min(input.len() + SHORT) };
         let most = 1 << random.below(5);
         let changes = 1 + random.below(most);
@@ -139,7 +139,7 @@ impl Generator {
         input
     }
 
-    /// One change.
+    /// Applies one mutation.
     fn change(&self, b: &mut Vec<u8>, r: &mut Rng) {
         match r.below(18) {
             0 => at(b, r, 1, |part, r| part[0] ^= 1 << r.below(8)),
@@ -164,7 +164,7 @@ impl Generator {
                 insert(b, place(b, r), &part);
             }
             8 if r.once_in(8) => {
-                // Deep, or many.
+                // Creates deep nesting or many items.
                 let span = range(b, r);
                 let part = b[span.start..span.end.min(span.start + 1 + r.below(24))].to_vec();
                 let times = (1 << r.below(15)).min((1 << 16) / part.len().max(1));
@@ -208,7 +208,7 @@ impl Generator {
         r.pick(&self.words).map_or_else(|| vec![0; 4], |w| w.to_vec())
     }
 
-    /// A number in text becomes another.
+    /// Replaces a number in text.
     fn replace_number(&self, b: &mut Vec<u8>, r: &mut Rng) {
         let start = place(b, r);
         let part = |c: &u8| c.is_ascii_digit() || matches!(c, b'.' | b'-' | b'+' | b'e' | b'E');
@@ -220,7 +220,7 @@ impl Generator {
         b.splice(from..to, new.iter().copied());
     }
 
-    /// A quoted text becomes another of the file, or a word.
+    /// Replaces a quoted text by another quoted text of the file, or by a word.
     fn replace_text(&self, b: &mut Vec<u8>, r: &mut Rng) {
         let quoted = |b: &[u8], start: usize| {
             let from = b[start..].iter().position(|c| *c == b'"').map(|n| start + n)?;
@@ -236,19 +236,19 @@ impl Generator {
     }
 }
 
-/// A place in a file, or its end. What stands first decides most.
+/// Draws a position in a file, or its end; positions near the start are more likely.
 fn place(b: &[u8], r: &mut Rng) -> usize {
     if r.once_in(2) { r.below(b.len().min(600) + 1) } else { r.below(b.len() + 1) }
 }
 
-/// A part of a file, mostly a short one.
+/// Draws a range of a file, mostly a short one.
 fn range(b: &[u8], r: &mut Rng) -> std::ops::Range<usize> {
     let from = place(b, r);
     let longest = if r.once_in(4) { b.len() } else { 32 };
     from..(from + r.below(longest + 1)).min(b.len())
 }
 
-/// Changes so many bytes somewhere, if there are so many.
+/// Changes `width` bytes at a random position, if the file is long enough.
 fn at(b: &mut [u8], r: &mut Rng, width: usize, change: impl FnOnce(&mut [u8], &mut Rng)) {
     if width > 0 && b.len() >= width {
         let from = place(b, r).min(b.len() - width);
@@ -256,7 +256,7 @@ fn at(b: &mut [u8], r: &mut Rng, width: usize, change: impl FnOnce(&mut [u8], &m
     }
 }
 
-/// Writes a number in either order of bytes.
+/// Writes a number in little-endian or big-endian order.
 fn number(part: &mut [u8], value: u64, r: &mut Rng) {
     let bytes = value.to_le_bytes();
     let width = part.len();

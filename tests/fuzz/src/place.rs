@@ -1,4 +1,4 @@
-//! A folder of a target's own, gone with the value: in memory where the system has such a place.
+//! Temporary directory of a target, in memory if possible, deleted on drop.
 
 use std::cell::RefCell;
 use std::collections::HashMap;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use tempfile::TempDir;
 
-/// A folder.
+/// Temporary directory.
 pub struct Place(TempDir);
 
 thread_local! {
@@ -14,7 +14,7 @@ thread_local! {
 }
 
 impl Place {
-    /// An empty one.
+    /// Creates an empty directory.
     #[allow(clippy::new_without_default, reason = "it makes a folder")]
     pub fn new() -> Place {
         let memory = Path::new("/dev/shm");
@@ -22,7 +22,7 @@ impl Place {
         Place(made.or_else(|_| tempfile::tempdir()).expect("a folder for inputs can be made"))
     }
 
-    /// The one of this name and thread, which `fill` fills when it is first asked for.
+    /// Returns this thread's directory with this name; `fill` fills it at the first call.
     pub fn of(name: &'static str, fill: fn(&Place)) -> Rc<Place> {
         if let Some(place) = PLACES.with_borrow(|all| all.get(name).cloned()) {
             return place;
@@ -33,17 +33,17 @@ impl Place {
         place
     }
 
-    /// Forgets all of this thread's: something has gone wrong in one.
+    /// Deletes all directories of this thread, since a failure may have damaged one.
     pub fn forget() {
         PLACES.with_borrow_mut(HashMap::clear);
     }
 
-    /// The folder, or what is in it.
+    /// Returns the path of the directory or of a file in it.
     pub fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    /// Writes a file, with the folders that it lies in.
+    /// Writes a file and creates its parent directories.
     pub fn put(&self, name: &str, bytes: &[u8]) -> PathBuf {
         let path = self.path(name);
         if std::fs::write(&path, bytes).is_err() {

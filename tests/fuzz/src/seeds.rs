@@ -1,4 +1,4 @@
-//! Whole files: those that lie around a damaged one, and those that the corpus begins with.
+//! Valid files: those around a damaged file, and the initial files of the corpus.
 
 mod binary;
 mod corpus;
@@ -11,12 +11,12 @@ pub(crate) use text::{LIGHTS, SETTINGS, SPLATS_ASCII, unsized_transforms};
 use crate::place::Place;
 use text::*;
 
-/// The binary form of COLMAP's files.
+/// Binary form of COLMAP's files.
 pub(crate) const COLMAP: bool = true;
-/// Their form as text.
+/// Text form of COLMAP's files.
 pub(crate) const TEXT: bool = false;
 
-/// Two photographs with a transforms file, a split and names of classes.
+/// Writes two photographs with a transforms file, a split and class names.
 pub(crate) fn scene(place: &Place) {
     place.put("transforms.json", TRANSFORMS.as_bytes());
     place.put("split.json", SPLIT.as_bytes());
@@ -28,7 +28,7 @@ pub(crate) fn scene(place: &Place) {
     place.put("images/001.png", &png(8, 6));
 }
 
-/// The same with held-out frames in a file of their own.
+/// Writes the same scene with held-out frames in a separate file.
 pub(crate) fn scene_held_out(place: &Place) {
     scene(place);
     place.put("split.json", br#"{"train": ["000", "001"], "test": ["002", "003"]}"#);
@@ -37,7 +37,7 @@ pub(crate) fn scene_held_out(place: &Place) {
     place.put("images/003.jpg", &binary::jpeg(8, 6));
 }
 
-/// TensoIR's layout.
+/// Writes a scene in TensoIR's layout.
 pub(crate) fn blender(place: &Place) {
     place.put("transforms_train.json", BLENDER.as_bytes());
     place.put("transforms_test.json", &BLENDER.replace("train_", "test_").into_bytes());
@@ -48,7 +48,7 @@ pub(crate) fn blender(place: &Place) {
     }
 }
 
-/// InteriorVerse's layout.
+/// Writes a scene in InteriorVerse's layout.
 pub(crate) fn interiorverse(place: &Place) {
     place.put("transforms.json", INTERIORVERSE.as_bytes());
     for number in ["000", "001"] {
@@ -60,7 +60,7 @@ pub(crate) fn interiorverse(place: &Place) {
     }
 }
 
-/// FIPT's layout of real captures.
+/// Writes a scene in FIPT's layout of real captures.
 pub(crate) fn fipt(place: &Place) {
     place.put("cam.txt", FIPT_CAMERAS.as_bytes());
     place.put("K_list.txt", FIPT_MATRICES.as_bytes());
@@ -69,7 +69,7 @@ pub(crate) fn fipt(place: &Place) {
     }
 }
 
-/// FIPT's layout of synthetic scenes.
+/// Writes a scene in FIPT's layout of synthetic scenes.
 pub(crate) fn fipt_synthetic(place: &Place) {
     for split in ["train", "val"] {
         place.put(&format!("{split}/transforms.json"), FIPT_TRANSFORMS.as_bytes());
@@ -82,7 +82,7 @@ pub(crate) fn fipt_synthetic(place: &Place) {
     }
 }
 
-/// A model of COLMAP.
+/// Writes a COLMAP model with two photographs.
 pub(crate) fn colmap(place: &Place, binary: bool) {
     if binary {
         place.put("sparse/0/cameras.bin", &binary::colmap_cameras());

@@ -1,22 +1,24 @@
-//! The readers, as functions of bytes.
+//! Readers as functions of bytes.
 
 use crate::fix::{self, Fix};
 use crate::targets::{images, light, provider, runs, scenes, splats, tensors};
 use crate::words::Words::{self, *};
 use std::path::{Path, PathBuf};
 
-/// A reader.
+/// Reader under test.
 #[derive(Clone, Debug)]
 pub struct Target {
-    /// Its name; that of its folder of the corpus.
+    /// Name of the target and of its corpus.
     pub name: &'static str,
-    /// Brings bytes to the reader. What it came to is said in words, of which new ones show new ways through it.
+    /// Gives bytes to the reader and returns a text of the result.
+    ///
+    /// A new text indicates a new path through the reader.
     pub run: fn(&[u8]) -> String,
-    /// What its files are made of.
+    /// Keywords of its files.
     pub words: &'static [Words],
-    /// What readers check first.
+    /// Repair of the fields that the reader checks first.
     pub(crate) fix: Option<Fix>,
-    /// Bytes of memory that a byte of input may stand for. Compressed images stand for many.
+    /// Memory allowed per byte of input, in bytes; compressed images need much.
     pub per_byte: usize,
 }
 
@@ -28,8 +30,10 @@ const fn fixed(name: &'static str, run: fn(&[u8]) -> String, words: &'static [Wo
     Target { name, run, words, fix: Some(fix), per_byte: 64 }
 }
 
-/// Images: deflate stands for a thousand bytes at most, each of which becomes numbers of 32 bits, several times.
-const fn picture(name: &'static str, run: fn(&[u8]) -> String, words: &'static [Words], fix: Option<Fix>) -> Target {
+/// Creates a target of images.
+///
+/// Deflate expands a byte to a thousand at most. Each of these becomes a 32-bit number, several times.
+const fn image(name: &'static str, run: fn(&[u8]) -> String, words: &'static [Words], fix: Option<Fix>) -> Target {
     Target { name, run, words, fix, per_byte: 1 << 15 }
 }
 
@@ -46,7 +50,7 @@ pub const TARGETS: &[Target] = &[
     target("colmap_points_bin", scenes::colmap_points_bin, &[Cameras]),
     target("colmap_points_txt", scenes::colmap_points_txt, &[Numbers, Cameras]),
     target("edit", light::edit, &[Numbers, Json, Light]),
-    picture("environment", light::environment, &[Exr], None),
+    image("environment", light::environment, &[Exr], None),
     target("fipt_cameras", scenes::fipt_cameras, &[Numbers, Cameras]),
     target("fipt_matrices", scenes::fipt_matrices, &[Numbers, Cameras]),
     target("fipt_transforms", scenes::fipt_transforms, &[Numbers, Json, Cameras]),
@@ -58,13 +62,13 @@ pub const TARGETS: &[Target] = &[
     target("lights", light::lights, &[Numbers, Json, Light]),
     target("lights_beside", light::lights_beside, &[Numbers, Json, Light]),
     fixed("lpips", tensors::lpips, &[Numbers, Json, Tensors], fix::safetensors),
-    picture("map_exr", images::map_exr, &[Exr], None),
+    image("map_exr", images::map_exr, &[Exr], None),
     fixed("map_npy", images::map_npy, &[Numbers, Npy], fix::npy),
-    picture("map_png", images::map_png, &[Png], Some(fix::png)),
+    image("map_png", images::map_png, &[Png], Some(fix::png)),
     target("metrics", runs::metrics, &[Numbers, Json, Run]),
-    picture("photograph_exr", images::photograph_exr, &[Exr], None),
-    picture("photograph_jpeg", images::photograph_jpeg, &[Jpeg], None),
-    picture("photograph_png", images::photograph_png, &[Png], Some(fix::png)),
+    image("photograph_exr", images::photograph_exr, &[Exr], None),
+    image("photograph_jpeg", images::photograph_jpeg, &[Jpeg], None),
+    image("photograph_png", images::photograph_png, &[Png], Some(fix::png)),
     target("page_request", runs::request, &[Numbers, Http]),
     target("points_ply", splats::points, &[Numbers, Ply]),
     target("priors", scenes::priors, &[Numbers, Json, Cameras]),
@@ -85,31 +89,21 @@ pub const TARGETS: &[Target] = &[
     fixed("visibility", tensors::visibility, &[Numbers, Json, Tensors], fix::safetensors),
 ];
 
-/// The target of a name.
+/// Returns the target with this name.
 pub fn find(name: &str) -> Option<&'static Target> {
     TARGETS.iter().find(|t| t.name == name)
 }
 
-/// For libFuzzer: brings bytes to a target.
+/// Runs a target on an input; for libFuzzer.
 ///
 /// # Panics
-/// If there is none of that name, or its reader panics.
+/// If no target has this name, or its reader panics.
 pub fn fuzz(name: &str, bytes: &[u8]) {
     let target = find(name).expect("the target is known");
     let _said = (target.run)(bytes);
 }
 
-/// The kept files of a target, in the order of their names.
-pub fn corpus(target: &Target) -> Vec<(PathBuf, Vec<u8>)> {
-    files(&folder(target))
-}
-
-/// Where the kept files of a target lie.
-pub fn folder(target: &Target) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target.name)
-}
-
-/// What lies in a folder, in the order of names; nothing if there is none.
+/// Returns the files of a directory, ordered by name; empty if there is none.
 pub fn files(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let mut files: Vec<_> = entries.filter_map(|e| Some((e.path(), std::fs::read(e.path()).ok()?))).collect();

@@ -1,42 +1,42 @@
-//! Words that mean something to readers, by what kind of file they are for.
+//! Keywords of file formats, for mutations.
 
-/// Kinds of words.
+/// Kind of keywords.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Words {
-    /// Numbers as text.
+    /// Numbers in text.
     Numbers,
-    /// JSON.
+    /// JSON syntax and values.
     Json,
-    /// TOML, and names of settings.
+    /// TOML syntax and names of settings.
     Toml,
-    /// Names in files of cameras.
+    /// Names in camera files.
     Cameras,
-    /// Headers of PLY.
+    /// PLY headers.
     Ply,
-    /// glTF.
+    /// glTF names and values.
     Gltf,
-    /// Headers of NumPy.
+    /// NumPy headers.
     Npy,
-    /// EXR.
+    /// EXR attributes.
     Exr,
-    /// PNG.
+    /// PNG chunks.
     Png,
-    /// JPEG.
+    /// JPEG markers.
     Jpeg,
-    /// Safetensors, and what this project keeps in them.
+    /// Safetensors headers and this project's metadata.
     Tensors,
     /// Lights and edits.
     Light,
-    /// Messages of providers.
+    /// Provider messages.
     Provider,
     /// Files of runs.
     Run,
-    /// Requests for pages.
+    /// HTTP requests.
     Http,
 }
 
 impl Words {
-    /// The words.
+    /// Returns the keywords of this kind.
     pub fn list(self) -> &'static [&'static [u8]] {
         macro_rules! words {
             ($($word:literal)*) => { const { &[$($word.as_bytes()),*] } };
@@ -56,7 +56,7 @@ impl Words {
             Words::Toml => words!(
                 "[geometry]" "[geometry.rates]" "[geometry.losses]" "[geometry.densify]" "[intrinsic]" "[intrinsic.lights]"
                 "[intrinsic.environment]" "[intrinsic.visibility]" "[intrinsic.losses]" "[intrinsic.rates]" "[provider]" "[memory]"
-                "[accuracy]" "[train]" "[noise]" "[geometry.pseudo]" "[intrinsic.relight]" "\nsteps = " "\nsteps = 0" "\nscale = "
+                "[accuracy]" "[train]" "[noise]" "[geometry.pseudo]" "[intrinsic.relight]" "[intrinsic.automatic]" "\nparts = [\"lobes\"]" "\nsteps = " "\nsteps = 0" "\nscale = "
                 "\nseed = " "\nviews = " "\nsh_degree = " "\nresolution = " "\nbudget = " "\nkind = " "\ncommand = " "\nbackground = "
                 "[[a]]" "[a.b.c]" "a.b.c = 1" "\"\" = 1" "'''" "\"\"\"" "= {" "{ a = 1 }" "[ 1, 2, 3 ]" "1979-05-27T07:32:00Z"
                 "07:32:00" "0b1" "0o7" "\\u0000" "\r\n" "\n" "a.a.a.a.a.a.a.a." "[[[[[[[[" "{a={a={a=" "on_divergence = " "\nx = -1"
@@ -156,7 +156,7 @@ impl Words {
                 "\n" "\r\n" "\"seconds\"" "\"peak_device_bytes\"" "\"lpips\""
             ),
             Words::Http => words!(
-                "GET " "HEAD " "POST " "/ " "/live" "?pictures=1" " HTTP/1.1\r\n" " HTTP/1.0\r\n" "\r\n" "\r\n\r\n" "Host: 127.0.0.1:8117\r\n" "localhost:8117"
+                "GET " "HEAD " "POST " "/ " "/live" "?images=1" " HTTP/1.1\r\n" " HTTP/1.0\r\n" "\r\n" "\r\n\r\n" "Host: 127.0.0.1:8117\r\n" "localhost:8117"
                 "localhost" ":8117" "Content-Length: " "Transfer-Encoding: chunked\r\n" "Expect: 100-continue\r\n" "Connection: " "a: b\r\n" "\n" "http://" "%00"
             ),
         }

@@ -1,4 +1,4 @@
-//! Counters at branches lead the driver: those of the compiler are taken over, and inputs that take new ways are gone on from.
+//! Guidance by branch counters: compiler counters are read, new branches are followed.
 
 use sgs_fuzz::{Campaign, Tally, Target, distill, enlist, find, quietly};
 use std::path::Path;
@@ -6,10 +6,10 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
-/// As the compiler's counters, counted by hand.
+/// Stand-in for the compiler's counters, incremented by hand.
 static COUNTERS: [AtomicU64; 1000] = [const { AtomicU64::new(0) }; 1000];
 
-/// Each letter is looked at once those before are right.
+/// Word whose letters the maze compares one after the other.
 const WORD: &[u8] = b"way";
 
 fn maze(bytes: &[u8], count: impl Fn(usize)) -> String {
@@ -20,7 +20,7 @@ fn maze(bytes: &[u8], count: impl Fn(usize)) -> String {
 }
 
 fn counted(bytes: &[u8]) -> String {
-    // Far apart, as in code that one branch leads to.
+    // The counters lie far apart, as in real code of different branches.
     maze(bytes, |letter| {
         let _before = COUNTERS[100 + 200 * letter].fetch_add(1 << (8 * letter), Relaxed);
     })
@@ -30,7 +30,7 @@ fn uncounted(bytes: &[u8]) -> String {
     maze(bytes, |_| ())
 }
 
-/// A target without a corpus.
+/// Creates a target without a corpus.
 fn maze_of(run: fn(&[u8]) -> String) -> Target {
     let mut target = find("bytes").expect("a target").clone();
     (target.name, target.run) = ("maze", run);
@@ -49,7 +49,7 @@ fn coverage_guidance_reaches_what_random_inputs_miss() {
     let [finding] = &led.findings[..] else { panic!("{:?} after {} inputs", led.findings, led.inputs) };
     assert!(finding.input == WORD && finding.what.contains("the end of the maze"), "{finding:?}");
     assert_eq!(led.branches, Some(WORD.len() - 1), "one a letter, but for the last input, which is a finding");
-    // What stands for many inputs: one that takes both branches, not the shorter one that takes one, nor what fails.
+    // Distillation prefers one input that takes both branches, and leaves out shorter and failing inputs.
     let target = maze_of(counted);
     let inputs = ["w", "x", "wa", "way", "wax and more"].map(|text| text.as_bytes().to_vec());
     assert_eq!(distill(&target, &inputs, 1000), Some((vec![b"wa".to_vec()], 2)));
@@ -57,18 +57,19 @@ fn coverage_guidance_reaches_what_random_inputs_miss() {
     assert!(blind.findings.is_empty() && blind.branches == Some(0), "{blind:?}");
 }
 
-/// Some ten times what it takes.
+/// About ten times the number of inputs that the guided campaign needs.
 const INPUTS: u64 = 400_000;
 
 #[test]
-fn counters_of_the_compiler_are_taken_over() {
+fn compiler_counters_are_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let text = std::fs::read_to_string(here.join("coverage.toml")).expect("settings");
     let settings: toml::Table = text.parse().expect("TOML");
     let flags = settings["build"]["rustflags"].as_array().expect("flags");
     let flags: Vec<&str> = flags.iter().map(|f| f.as_str().expect("a flag")).collect();
-    // What is looked at counts, and what looks does not. Around it lies other code: counters at both ends may be left out.
+    // The reader has counters, and the program that reads them does not. Other code surrounds the reader, since
+    // counters at both ends may be left out.
     let read = r#"
         macro_rules! other {
             ($name:ident) => {

@@ -1,4 +1,4 @@
-//! Gaussians before a camera, every number of which is drawn log-uniformly, and the same as rounding in single precision might have them.
+//! Random Gaussians in front of a camera, and variants with rounding errors.
 
 use super::signed;
 use crate::scenes::Rng;
@@ -6,12 +6,12 @@ use glam::{DMat3, DVec2, DVec3};
 use proptest::prelude::*;
 use sgs_passes::reference::project::{Camera, Gaussians};
 
-/// A number of 32 bits, of either sign, log-uniform between two powers of ten.
+/// Draws a 32-bit float of either sign, log-uniform between powers of ten.
 fn single(low: f64, high: f64) -> impl Strategy<Value = f64> {
     signed(low, high).prop_map(|x| f64::from(x as f32))
 }
 
-/// A Gaussian by where the camera sees it.
+/// Gaussian with its position relative to the camera.
 #[derive(Clone, Debug)]
 struct One {
     depth: f64,
@@ -23,7 +23,7 @@ struct One {
 }
 
 prop_compose! {
-    /// Anywhere in the view or a little beside it, of any shape and opacity.
+    /// Draws a Gaussian of any shape and opacity, in the view or a little beside it.
     fn gaussian()(
         depth in -2.5..5.0_f64,
         across in [-1.2..1.2_f64, -1.2..1.2_f64],
@@ -37,7 +37,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    /// Some Gaussians in an image of some size.
+    /// Draws up to 11 Gaussians and a camera of up to 39 x 39 pixels.
     pub fn scene()(
         all in prop::collection::vec(gaussian(), 1..12),
         size in [1..40_u32, 1..40_u32],
@@ -50,7 +50,7 @@ prop_compose! {
 }
 
 prop_compose! {
-    /// As [`scene`], of a few Gaussians in small images, with more bands of harmonics.
+    /// Draws up to 3 Gaussians in small images, with higher spherical harmonics bands.
     pub fn few()(
         all in prop::collection::vec(gaussian(), 1..4),
         size in [1..20_u32, 1..20_u32],
@@ -69,12 +69,12 @@ prop_compose! {
     }
 }
 
-/// A camera somewhere, turned somehow, and the Gaussians before it.
+/// Creates a camera with a pose, and the Gaussians in front of it.
 fn place(all: &[One], size: [u32; 2], width: f64, turn: [f64; 3], away: [f64; 3]) -> (Gaussians, Camera) {
     let single = |v: f64| f64::from(v as f32);
     let focal = single(0.5 * f64::from(size[0]) / (0.5 * width.to_radians()).tan());
     let rotation = DMat3::from_euler(glam::EulerRot::XYZ, turn[0], turn[1], turn[2]);
-    // As the GPU has it.
+    // Rounded to single precision like the GPU's rotation.
     let rotation = DMat3::from_cols_array(&rotation.to_cols_array().map(single));
     let half = 0.5 * f64::from(size[0].max(size[1])) / focal;
     let camera = Camera {
@@ -98,8 +98,9 @@ fn place(all: &[One], size: [u32; 2], width: f64, turn: [f64; 3], away: [f64; 3]
     (g, camera)
 }
 
-/// Whether positions in single precision move a center by more than a thousandth of a pixel: then only double precision
-/// knows where it is.
+/// Returns true if single precision moves a center by more than 1/1000 pixel.
+///
+/// Only double precision gives the position of such a center.
 pub fn blurred(g: &Gaussians, camera: &Camera) -> bool {
     g.means.chunks_exact(3).any(|m| {
         let mean = DVec3::from_slice(m);
@@ -109,7 +110,9 @@ pub fn blurred(g: &Gaussians, camera: &Camera) -> bool {
     })
 }
 
-/// Gaussians as they might be after rounding in single precision: every number by some units of the last place, one way or the other.
+/// Returns Gaussians with rounding errors of single precision.
+///
+/// Every number moves by a few units in the last place, up or down, by random numbers of the seed `way`.
 pub fn rounded(g: &Gaussians, camera: &Camera, way: u64) -> Gaussians {
     let mut other = g.clone();
     let mut random = Rng::new(way);

@@ -1,15 +1,17 @@
-//! Drawing a recipe: passes one after the other, with a record of which words hold something.
+//! Drawing of a recipe: random passes, and a record of the words with defined contents.
 
 use super::{Groups, Kind, Op, Recipe, Span};
-use sgs_engine::graph::{CompileOptions, Queues};
+use sgs_engine::graph::CompileOptions;
 use sgs_passes::reference::rng::Pcg;
 
-/// A recipe from a seed. `alignment`: bytes that the device wants offsets of bindings to be multiples of.
+/// Draws a recipe from a seed.
+///
+/// `alignment`: required multiple of the offsets of bindings, in bytes; values below 16 count as 16.
 pub fn draw(seed: u32, alignment: u64) -> Recipe {
     let mut d = Draw::new(seed, alignment);
     let passes = 4 + d.below(28);
     let mut ops = Vec::new();
-    // What was drawn may not fit what there is; then it is drawn again.
+    // A drawn pass may not fit the buffers; then another pass is drawn.
     for _ in 0..20 * passes {
         if ops.len() == passes {
             break;
@@ -28,8 +30,6 @@ pub fn draw(seed: u32, alignment: u64) -> Recipe {
             alias: odds(&mut d, 6),
             reorder: odds(&mut d, 6),
             verify: true,
-            // Both lanes, on whatever queues there are.
-            queues: if seed % 4 == 3 { Queues::Forced } else { Queues::One },
         },
         replays: 1 + d.below(4) as u32,
         frames: 1 + d.below(3),
@@ -40,12 +40,12 @@ pub fn draw(seed: u32, alignment: u64) -> Recipe {
 
 struct Draw {
     rng: Pcg,
-    /// Words that starts of bound spans are multiples of.
+    /// Alignment of the starts of bound spans, in words.
     step: usize,
     buffers: Vec<(Kind, usize)>,
-    /// By buffer and word: whether it holds something that is known.
+    /// Whether each word of each buffer has defined contents.
     defined: Vec<Vec<bool>>,
-    /// Buffers and words where group counts stand.
+    /// Group counts: pairs of a buffer and the first of three words.
     counts: Vec<(usize, usize)>,
 }
 
@@ -56,7 +56,7 @@ impl Draw {
         d.buffers = vec![(Kind::External, 40 * step), (Kind::Input, 16 * step), (Kind::Uniform, 4)];
         for _ in 0..4 + d.below(10) {
             let kind = [Kind::External, Kind::Kept, Kind::Transient, Kind::Transient, Kind::Transient][d.below(5)];
-            // Some end in the middle of a step.
+            // Some buffers end in the middle of a step.
             let words = step * (1 + d.below(12)) + d.below(step);
             d.buffers.push((kind, words));
         }
@@ -68,7 +68,9 @@ impl Draw {
         self.rng.next_u32() as usize % count.max(1)
     }
 
-    /// Some words of some buffer; the start suits bindings, or anything for transfers.
+    /// Draws words of a random buffer.
+    ///
+    /// `bound`: whether the start is aligned for bindings; transfers take any word.
     fn span(&mut self, bound: bool) -> Span {
         let buffer = self.below(self.buffers.len());
         let words = self.buffers[buffer].1;
@@ -87,12 +89,12 @@ impl Draw {
         self.find(bound, |draw, s| draw.buffers[s.buffer].0 != Kind::Uniform && draw.holds(s))
     }
 
-    /// `whole`: whether it must hold something already.
+    /// Draws a writable span; `whole` requires defined contents.
     fn writable(&mut self, bound: bool, whole: bool) -> Option<Span> {
         self.find(bound, |draw, s| draw.buffers[s.buffer].0.writable() && (!whole || draw.holds(s)))
     }
 
-    /// A span that suits, unless it takes too many attempts.
+    /// Draws spans until one suits, at most 12 times.
     fn find(&mut self, bound: bool, suits: impl Fn(&Draw, &Span) -> bool) -> Option<Span> {
         for _ in 0..12 {
             let span = self.span(bound);
@@ -123,7 +125,7 @@ impl Draw {
                 self.run("counts", vec![("from", from, false), ("groups", to, false)], seed, false)
             }
             kind => {
-                // Groups that the device counts may be none: then nothing is written, and nothing may be counted on.
+                // The device may count zero groups. Then the pass writes nothing, so the target must be defined before.
                 let indirect = !self.counts.is_empty() && (kind == 5 || self.below(4) == 0);
                 let (kernel, target) = [
                     ("grid", "to"),
@@ -140,7 +142,7 @@ impl Draw {
                 ][kind - 5];
                 let partial = indirect || matches!(kernel, "grid" | "part" | "change" | "sum");
                 let to = self.writable(true, partial)?;
-                // Who reads and writes has to say so where there is nothing to read.
+                // A read-write binding of a target without defined contents has to be declared as discarded.
                 let must = kernel == "twice" && !self.holds(&to);
                 let discard = must || !partial && self.below(3) == 0;
                 let mut bound = match kernel {
@@ -182,7 +184,7 @@ impl Draw {
         Some(Op::Run { kernel, bound, seed, groups })
     }
 
-    /// What holds something after a pass, and where group counts stand.
+    /// Records the words that the pass defines and its group counts.
     fn record(&mut self, op: &Op) {
         let (written, sure) = match op {
             Op::Fill(target, _) | Op::Copy(_, target) => (*target, target.words),
@@ -190,7 +192,7 @@ impl Draw {
             Op::Run { bound, .. } => (bound[bound.len() - 1].1, bound[bound.len() - 1].1.words),
         };
         self.counts.retain(|&(buffer, word)| !Span { buffer, start: word, words: 3 }.overlaps(&written));
-        // Passes that may leave words as they are only get targets that hold something everywhere.
+        // Passes that may leave words unchanged get only targets that are defined everywhere.
         self.defined[written.buffer][written.start..written.start + sure].fill(true);
         if matches!(op, Op::Run { kernel: "counts", .. }) {
             self.counts.push((written.buffer, written.start));

@@ -1,20 +1,20 @@
-//! What a recipe computes: its passes one after the other, in declared order, on the CPU.
+//! Reference of a recipe: executes its passes on the CPU in declared order.
 
 use super::{Groups, Kind, Op, Recipe, Span};
 use crate::kernels::mixed;
 
-/// Invocations of a group, as the kernels have them.
+/// Invocations per workgroup of the kernels.
 const GROUP: usize = 32;
 
-/// The contents of every buffer.
+/// Contents of every buffer.
 pub struct Machine<'r> {
     recipe: &'r Recipe,
-    /// By buffer. Words of transients that nothing wrote are absent.
+    /// Words of each buffer. Words of transients are `None` until a pass writes them.
     pub words: Vec<Vec<Option<u32>>>,
 }
 
 impl<'r> Machine<'r> {
-    /// Before the first replay.
+    /// Returns the state before the first replay.
     pub fn new(recipe: &'r Recipe) -> Machine<'r> {
         let words =
             recipe.buffers.iter().enumerate().map(|(index, &(_, words))| {
@@ -23,12 +23,12 @@ impl<'r> Machine<'r> {
         Machine { recipe, words: words.collect() }
     }
 
-    /// What a word of a buffer holds at first.
+    /// Returns the initial value of a word of a buffer.
     pub fn initial(recipe: &Recipe, buffer: usize, word: usize) -> u32 {
         mixed(recipe.seed ^ (buffer as u32) << 16, word as u32)
     }
 
-    /// What the uniform holds in a replay.
+    /// Returns the contents of the uniform in a replay.
     pub fn uniform(recipe: &Recipe, replay: u32) -> [u32; 4] {
         [0, 1, 2, 3].map(|word| mixed(recipe.seed.wrapping_add(word), replay + 1))
     }
@@ -71,7 +71,7 @@ impl<'r> Machine<'r> {
         }
     }
 
-    /// New values by position in the span and old value; none leaves the old one.
+    /// Writes a span from each word's position and old value; `None` keeps the old value.
     fn write(&mut self, span: &Span, value: impl Fn(usize, Option<u32>) -> Option<u32>) {
         for (i, word) in self.words[span.buffer][span.range()].iter_mut().enumerate() {
             *word = value(i, *word).or(*word);

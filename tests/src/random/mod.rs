@@ -1,7 +1,7 @@
-//! Random graphs of integer kernels: how they are drawn and declared, and what they must compute.
+//! Random graphs of integer kernels: drawing, declaration and reference results.
 //!
-//! Promises: a seed gives one recipe; every recipe is a declaration that the builder accepts and whose result is defined,
-//! word for word: nothing reads what nobody wrote. Leaves running them to the test.
+//! Guarantees: a seed gives one recipe. The builder accepts every recipe. Every word of the result is defined, since no
+//! pass reads a word that no pass wrote. Does not run the graphs; the test does.
 
 mod draw;
 mod machine;
@@ -12,114 +12,114 @@ pub use machine::Machine;
 use crate::kernels::kernel;
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, GraphError, Slice};
 
-/// Whose memory a buffer of a recipe is.
+/// Ownership and lifetime of a buffer of a recipe.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Kept by the caller, and written.
+    /// Memory of the caller that passes read and write.
     External,
-    /// Given by the caller, only read.
+    /// Memory of the caller that passes only read.
     Input,
-    /// Inside a replay.
+    /// Memory that lives within a replay.
     Transient,
-    /// Inside a replay, and wanted afterwards.
+    /// Memory that lives within a replay and stays readable after the replay.
     Kept,
     /// Four words that change with every replay.
     Uniform,
 }
 
 impl Kind {
-    /// Whether passes may write it.
+    /// Returns true if passes may write the buffer.
     pub fn writable(self) -> bool {
         matches!(self, Kind::External | Kind::Transient | Kind::Kept)
     }
 
-    /// Whether it holds nothing when a replay begins.
+    /// Returns true if the contents are undefined at the start of a replay.
     pub fn transient(self) -> bool {
         matches!(self, Kind::Transient | Kind::Kept)
     }
 }
 
-/// Words of a buffer.
+/// Range of words of a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Span {
-    /// Which buffer.
+    /// Index of the buffer.
     pub buffer: usize,
     /// First word.
     pub start: usize,
-    /// How many.
+    /// Number of words.
     pub words: usize,
 }
 
 impl Span {
-    /// Its words in their buffer.
+    /// Returns the range of its words in the buffer.
     pub fn range(&self) -> std::ops::Range<usize> {
         self.start..self.start + self.words
     }
 
-    /// Whether two have a word in common.
+    /// Returns true if two spans share a word.
     pub fn overlaps(&self, other: &Span) -> bool {
         self.buffer == other.buffer && self.start < other.start + other.words && other.start < self.start + self.words
     }
 }
 
-/// How many groups run.
+/// Number of workgroups of a dispatch.
 #[derive(Clone, Copy, Debug)]
 pub enum Groups {
-    /// So many.
+    /// Constant number.
     Fixed(u32),
-    /// As many as are found in a buffer at a word.
+    /// Number that an indirect dispatch reads from a buffer and a word in it.
     At(usize, usize),
 }
 
 /// One pass.
 #[derive(Clone, Debug)]
 pub enum Op {
-    /// Writes one word everywhere.
+    /// Fills a span with one word.
     Fill(Span, u32),
-    /// Copies.
+    /// Copies the first span to the second.
     Copy(Span, Span),
     /// Runs a kernel.
     Run {
-        /// Which.
+        /// Name of the kernel.
         kernel: &'static str,
-        /// What is bound to each name, and whether its contents are discarded.
+        /// Name of each binding, its span, and whether the previous contents are discarded.
         bound: Vec<(&'static str, Span, bool)>,
-        /// Its push constant.
+        /// Push constant.
         seed: u32,
-        /// How much of it.
+        /// Number of workgroups.
         groups: Groups,
     },
 }
 
-/// A graph to be, and how it is run.
+/// Random graph and how to run it.
 #[derive(Clone, Debug)]
 pub struct Recipe {
-    /// What it was drawn from.
+    /// Seed that the recipe was drawn from.
     pub seed: u32,
-    /// Kinds and words.
+    /// Kind and number of words of each buffer.
     pub buffers: Vec<(Kind, usize)>,
     /// Passes in declared order.
     pub ops: Vec<Op>,
-    /// How the graph is compiled.
+    /// Compile options of the graph.
     pub options: CompileOptions,
-    /// How often it is replayed.
+    /// Number of replays.
     pub replays: u32,
-    /// How many replays are in flight.
+    /// Number of replays in flight.
     pub frames: usize,
     /// Whether the arena is filled with ones before each replay.
     pub poison: bool,
 }
 
 impl Recipe {
-    /// The first passes of the recipe.
+    /// Returns a recipe with only the first passes.
     pub fn prefix(&self, passes: usize) -> Recipe {
         Recipe { ops: self.ops[..passes].to_vec(), ..self.clone() }
     }
 
-    /// The declaration, with its buffers in order.
+    /// Declares the graph and its buffers, in order.
     ///
     /// # Errors
-    /// None, if the recipe was drawn as promised.
+    /// Never fails for a recipe from [`draw()`].
     pub fn declare(&self) -> Result<(Graph, Vec<Buffer>), GraphError> {
         let mut graph = Graph::new(format!("random {}", self.seed));
         let mut buffers = Vec::new();

@@ -62,40 +62,40 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // Stage of training: materials, lights and visibility on fixed geometry.
 #define SGS_STAGE_INTRINSIC 2
 
-// Of relightings: all light, over the background.
+// Relighting: all light, over the background.
 #define SGS_LAYER_SHADED 16
 
-// Of relightings: linear albedo.
+// Relighting: linear albedo.
 #define SGS_LAYER_ALBEDO 17
 
-// Of relightings: roughness.
+// Relighting: roughness.
 #define SGS_LAYER_ROUGHNESS 18
 
-// Of relightings: metallic.
+// Relighting: metallic.
 #define SGS_LAYER_METALLIC 19
 
-// Of relightings: diffuse light, over black.
+// Relighting: diffuse light, over black.
 #define SGS_LAYER_DIFFUSE 20
 
-// Of relightings: specular light, over black.
+// Relighting: specular light, over black.
 #define SGS_LAYER_SPECULAR 21
 
-// Of relightings: how much of the lights is seen, mean over all of them.
+// Relighting: visible share of the lights, mean over all lights.
 #define SGS_LAYER_VISIBILITY 22
 
-// Of relightings: light of the surroundings, over the surroundings themselves.
+// Relighting: light of the environment map, over the environment map itself.
 #define SGS_LAYER_ENVIRONMENT 23
 
-// Of relightings: light of lamps, over black.
+// Relighting: light of the point lights, over black.
 #define SGS_LAYER_DIRECT 24
 
-// Colors as blended, that is sRGB-encoded.
+// Colors as blended, which is sRGB-encoded.
 #define SGS_ENCODING_DISPLAY 0
 
-// Colors in linear light. Images whose format decodes sRGB hold encoded values either way.
+// Colors in linear light. Images whose format decodes sRGB hold encoded values with either encoding.
 #define SGS_ENCODING_LINEAR 1
 
-// How a call ended.
+// Result of a call.
 enum SgsResult
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -103,29 +103,29 @@ enum SgsResult
  {
   // Done.
   SGS_OK = 0,
-  // A pointer that is needed is null.
+  // A required pointer is null.
   SGS_ERROR_NULL = -1,
-  // A value is not one of those that are possible.
+  // A value is outside its valid range.
   SGS_ERROR_ARGUMENT = -2,
-  // A struct's size is none that this library knows.
+  // The size of a struct is unknown to this library.
   SGS_ERROR_STRUCT_SIZE = -3,
-  // No such object, or not any more, or an object of another kind or context.
+  // The object does not exist, or belongs to another kind or context.
   SGS_ERROR_HANDLE = -4,
   // A file cannot be read or written.
   SGS_ERROR_FILE = -5,
-  // There is no such device, or it lacks something.
+  // No device matches, or the device lacks a requirement.
   SGS_ERROR_DEVICE = -6,
   // The device was lost.
   SGS_ERROR_LOST = -7,
   // Memory ran out.
   SGS_ERROR_MEMORY = -8,
-  // Earlier recordings are not done, or work did not finish in time; try again later.
+  // Earlier recordings are not done, or work did not finish in time. Try again later.
   SGS_ERROR_BUSY = -9,
-  // Training cannot go on.
+  // Training cannot continue.
   SGS_ERROR_TRAINING = -10,
-  // A buffer of the caller's is too small.
+  // A buffer of the caller is too small.
   SGS_ERROR_SPACE = -11,
-  // A defect of this library. The context can only be destroyed.
+  // The library has a defect. The context can only be destroyed.
   SGS_ERROR_INTERNAL = -12,
 };
 #ifndef __cplusplus
@@ -136,136 +136,136 @@ typedef int32_t SgsResult;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// A device, and everything made on it.
+// Device, and everything made on it.
 typedef struct SgsContext SgsContext;
 
-// What one device needs to have enabled.
+// Requirements of one device.
 typedef struct SgsRequirements SgsRequirements;
 
-// A device of the library's own.
+// Device that the library opens.
 typedef struct {
   // sizeof(SgsDeviceInfo)
   uint32_t struct_size;
-  // Not 0: with validation, whose messages sgs_context_get counts.
+  // Not 0 enables validation. sgs_context_get counts its messages.
   uint32_t validation;
-  // Index or part of the name; null for the best one.
+  // Index or part of the name; null selects the best device.
   const char *device;
-  // A folder for compiled pipelines; null for none.
+  // Directory of compiled pipelines; null for none.
   const char *pipeline_cache;
-  // After how long a wait gives up; 0 for five minutes.
+  // Seconds after which a wait fails; 0 for 300.
   double timeout_seconds;
 } SgsDeviceInfo;
 
-// What is known of a context.
+// State of a context.
 typedef struct {
   // sizeof(SgsContextInfo)
   uint32_t struct_size;
-  // Not 0 if the device is the host's.
+  // Not 0 if the device belongs to the host.
   uint32_t adopted;
   // Bytes of device memory in use.
   uint64_t bytes_used;
-  // The most there were.
+  // Highest number of bytes that were in use.
   uint64_t bytes_peak;
-  // Messages of the validation layer since the last call; only for a device of the library's own.
+  // Validation messages since the last call. Only for a device that the library opened.
   uint32_t validation_messages;
-  // Objects that exist.
+  // Number of existing objects.
   uint32_t objects;
 } SgsContextInfo;
 
-// Any object of a context; 0 is none.
+// Handle of any object of a context; 0 is none.
 typedef uint64_t SgsHandle;
 
-// A host's instance, and the physical device that it has chosen.
+// Instance of a host, and the physical device that it has chosen.
 typedef struct {
   // sizeof(SgsInstance)
   uint32_t struct_size;
   // VkApplicationInfo::apiVersion of the instance.
   uint32_t api_version;
-  // Every other function is found through it.
+  // Loader of all other Vulkan functions.
   SgsGetInstanceProcAddr get_instance_proc_addr;
-  // The instance.
+  // Vulkan instance.
   VkInstance instance;
-  // The physical device.
+  // Physical device.
   VkPhysicalDevice physical_device;
-  // Not 0 if VK_EXT_debug_utils is enabled on the instance: objects then get names, passes labels.
+  // Not 0 if VK_EXT_debug_utils is enabled on the instance. Objects then get names, and passes get labels.
   uint32_t debug_utils;
 } SgsInstance;
 
-// What a device needs to have enabled. Pointers live as long as the SgsRequirements.
+// Requirements of a device. Pointers live as long as the SgsRequirements.
 typedef struct {
   // sizeof(SgsRequirementsInfo)
   uint32_t struct_size;
   // Lowest VkApplicationInfo::apiVersion.
   uint32_t api_version;
-  // The device's name.
+  // Name of the device.
   const char *device_name;
-  // What the device lacks; with any of these it cannot be used.
+  // Requirements that the device lacks. A device that lacks any of them cannot be used.
   const char *const *missing;
-  // How many.
+  // Number of missing requirements.
   uint32_t missing_count;
-  // A queue family that can compute.
+  // Queue family with compute support; 0xffffffff if there is none.
   uint32_t queue_family;
-  // Features to enable: first the required ones, then those that are used where they are enabled.
+  // Features to enable. The required ones come first, then those that are used if they are enabled.
   const char *const *features;
-  // How many, all together.
+  // Number of features, including optional ones.
   uint32_t feature_count;
-  // How many of them are required.
+  // Number of required features.
   uint32_t required_feature_count;
   // Device extensions to enable, the required ones first.
   const char *const *extensions;
-  // How many, all together.
+  // Number of extensions, including optional ones.
   uint32_t extension_count;
-  // How many of them are required.
+  // Number of required extensions.
   uint32_t required_extension_count;
-  // VkPhysicalDeviceFeatures2 with everything behind it that enables all of these features: for
-  // VkDeviceCreateInfo::pNext, with pEnabledFeatures null. A host may set further features in it.
+  // VkPhysicalDeviceFeatures2 whose chain enables all of these features. For VkDeviceCreateInfo::pNext, with
+  // pEnabledFeatures null. A host may set further features in it.
   void *device_create_next;
 } SgsRequirementsInfo;
 
-// A device of the host's, and what is enabled on it.
+// Device of the host, and what is enabled on it.
 typedef struct {
   // sizeof(SgsHostDevice)
   uint32_t struct_size;
-  // The queue family of the queue and of the command buffers.
+  // Queue family of the queue and of the command buffers.
   uint32_t queue_family;
-  // Where the device comes from.
+  // Instance that the device belongs to.
   const SgsInstance *instance;
-  // The device.
+  // Vulkan device.
   VkDevice device;
-  // A queue of that family; null if the host submits everything itself, which leaves only recording.
+  // Queue of that family. Null if the host submits everything itself; only recording is possible then.
   VkQueue queue;
-  // Called before the queue is used; null if nobody else uses it.
+  // Function that is called before the queue is used. Null if no other thread uses the queue.
   void (*lock_queue)(void *user);
-  // Called right after.
+  // Function that is called right after the queue is used.
   void (*unlock_queue)(void *user);
-  // Passed to both.
+  // Argument of both functions.
   void *user;
-  // Features that are enabled, of those that the requirements name.
+  // Enabled features, of those that the requirements name.
   const char *const *features;
-  // Device extensions that are enabled; optional ones that are not named are not used.
+  // Enabled device extensions. Optional extensions that are not named are not used.
   const char *const *extensions;
-  // How many features.
+  // Number of features.
   uint32_t feature_count;
-  // How many extensions.
+  // Number of extensions.
   uint32_t extension_count;
-  // A folder for compiled pipelines; null for none.
+  // Directory of compiled pipelines; null for none.
   const char *pipeline_cache;
-  // After how long a wait for the library's own work gives up; 0 for five minutes.
+  // Seconds after which a wait for the library's own work fails; 0 for 300.
   double timeout_seconds;
 } SgsHostDevice;
 
 // Gaussians on the device.
 typedef uint64_t SgsScene;
 
-// What is known of a scene.
+// Description of a scene.
 typedef struct {
   // sizeof(SgsSceneInfo)
   uint32_t struct_size;
-  // How many Gaussians.
+  // Number of Gaussians.
   uint32_t gaussians;
   // Highest band of spherical harmonics.
   uint32_t sh_degree;
-  // Not 0 if there are normals.
+  // Not 0 if the Gaussians have normals.
   uint32_t normals;
   // Bytes of device memory.
   uint64_t bytes;
@@ -274,43 +274,43 @@ typedef struct {
 // Cameras from a file.
 typedef uint64_t SgsCameras;
 
-// A pinhole camera: x right, y down, z forward; the middle of the first pixel is at (0.5, 0.5).
+// Pinhole camera. Axes: x right, y down, z forward. The center of the first pixel is at (0.5, 0.5).
 typedef struct {
   // sizeof(SgsCamera)
   uint32_t struct_size;
-  // Columns.
+  // Width in pixels.
   uint32_t width;
-  // Rows.
+  // Height in pixels.
   uint32_t height;
-  // Nothing nearer is seen; 0 for 0.01.
+  // Distance of the near plane; 0 for 0.01.
   float near_plane;
   // Focal lengths in pixels.
   float focal[2];
-  // The principal point in pixels.
+  // Principal point in pixels.
   float center[2];
-  // From the world to the camera, three rows of four: a rotation or a mirror, and a translation.
+  // Transform from world to camera, three rows of four: a rotation or a mirror, and a translation.
   float world_to_camera[12];
 } SgsCamera;
 
-// What is rendered to memory.
+// Parameters of rendering to memory.
 typedef struct {
   // sizeof(SgsRenderInfo)
   uint32_t struct_size;
-  // SGS_LAYER_...; three floats a pixel for colors and normals, one for depth and alpha.
+  // SGS_LAYER_...; three floats per pixel for colors and normals, one for depth and alpha.
   uint32_t layer;
-  // What lies behind colors, display-referred.
+  // Display-referred background of colors.
   float background[3];
   // Highest band of spherical harmonics to use, plus one; 0 for all.
   uint32_t sh_bands;
 } SgsRenderInfo;
 
-// What a view renders into.
+// Parameters of a view.
 typedef struct {
   // sizeof(SgsViewInfo)
   uint32_t struct_size;
-  // Columns of the images.
+  // Width of the images in pixels.
   uint32_t width;
-  // Rows.
+  // Height of the images in pixels.
   uint32_t height;
   // VkFormat: R8G8B8A8 or B8G8R8A8, UNORM or SRGB; R16G16B16A16 or R32G32B32A32, SFLOAT.
   uint32_t format;
@@ -320,149 +320,152 @@ typedef struct {
   uint32_t encoding;
   // Factor on depths; 0 for 1.
   float depth_scale;
-  // VkImageLayout in which the library finds an image; VK_IMAGE_LAYOUT_UNDEFINED will do.
+  // VkImageLayout of an image before rendering. VK_IMAGE_LAYOUT_UNDEFINED is allowed.
   uint32_t initial_layout;
-  // VkImageLayout in which the library leaves it.
+  // VkImageLayout of the image after rendering.
   uint32_t final_layout;
-  // Frames that may be in flight together; 0 for 2.
+  // Number of frames that may be in flight together; 0 for 2.
   uint32_t frames_in_flight;
 } SgsViewInfo;
 
-// A way of rendering into images.
+// Renderer into images of one size and format.
 typedef uint64_t SgsView;
 
-// One frame of a view.
+// Frame of a view.
 typedef struct {
   // sizeof(SgsFrame)
   uint32_t struct_size;
   // Highest band of spherical harmonics to use, plus one; 0 for all.
   uint32_t sh_bands;
-  // The host's image: of the view's size and format, two-dimensional, one sample, with transfer-destination usage.
+  // Image of the host. It has the view's size and format, two dimensions, one sample, and transfer-destination
+  // usage.
   VkImage image;
-  // From where, of the view's size.
+  // Camera, of the view's size.
   const SgsCamera *camera;
-  // What lies behind colors, display-referred.
+  // Display-referred background of colors.
   float background[3];
 } SgsFrame;
 
-// A frame in a host's command buffer.
+// Frame in a command buffer of the host.
 typedef uint64_t SgsRecording;
 
-// A semaphore to wait for or to signal.
+// Semaphore to wait for or to signal.
 typedef struct {
-  // The semaphore.
+  // Vulkan semaphore.
   VkSemaphore semaphore;
-  // The value of a timeline semaphore; of no meaning for a binary one.
+  // Value of a timeline semaphore. Ignored for a binary semaphore.
   uint64_t value;
 } SgsSemaphore;
 
-// What the device has said of a view's frames, some frames late.
+// Device report on the frames of a view, some frames late.
 typedef struct {
   // sizeof(SgsViewReport)
   uint32_t struct_size;
-  // Frames that are done.
+  // Number of frames that are done.
   uint32_t frames;
-  // Of these, the ones that lacked room and show the background alone; later ones have it.
+  // Of these, frames that lacked memory and show the background alone. Later frames have the memory.
   uint32_t incomplete;
-  // Recordings that are not done yet.
+  // Number of recordings that are not done yet.
   uint32_t recordings;
 } SgsViewReport;
 
-// How a run is opened to be relit.
+// Options for opening a run for relighting.
 typedef struct {
   // sizeof(SgsRelightInfo)
   uint32_t struct_size;
-  // Lights that there is room for before views make their plans anew; 0 for 16 more than the run has.
+  // Capacity for lights. Views rebuild their plans when it is exceeded. 0 for 16 more than the run has.
   uint32_t light_capacity;
 } SgsRelightInfo;
 
-// A run whose light changes.
+// Run whose light can be changed.
 typedef uint64_t SgsRelight;
 
-// What is known of a relighting.
+// State of a relighting.
 typedef struct {
   // sizeof(SgsRelightState)
   uint32_t struct_size;
-  // How many Gaussians, with those put in.
+  // Number of Gaussians, including inserted ones.
   uint32_t gaussians;
-  // How many lights.
+  // Number of lights.
   uint32_t lights;
-  // How many there is room for.
+  // Capacity for lights.
   uint32_t light_capacity;
-  // Not 0 if there is metallic.
+  // Not 0 if the run has metallic.
   uint32_t metallic;
-  // Not 0 if something is in the way of lights.
+  // Not 0 if the run models the occlusion of lights.
   uint32_t visibility;
-  // Not 0 if there are surroundings.
+  // Not 0 if the relighting has an environment map.
   uint32_t environment;
-  // Texels along an edge of the cube that surroundings become.
+  // Texels along an edge of the environment map's cube.
   uint32_t environment_size;
 } SgsRelightState;
 
-// A light. sgs_relight_light_set takes every field as it is: get it, change it, set it.
+// Light. sgs_relight_light_set applies every field: get a light, change it, set it.
 typedef struct {
   // sizeof(SgsLight)
   uint32_t struct_size;
-  // Not 0 if it shines.
+  // Not 0 if the light is on.
   uint32_t on;
-  // Where it is.
+  // Position of the light.
   float position[3];
-  // Factor of its light.
+  // Factor of the intensity.
   float gain;
-  // Factors of red, green and blue; 1 for as it was loaded.
+  // Factors of red, green and blue; 1 for the loaded color.
   float color[3];
 } SgsLight;
 
-// A new light.
+// Light to add.
 typedef struct {
   // sizeof(SgsNewLight)
   uint32_t struct_size;
-  // How narrow it shines around the axis; 0 for the same in all directions.
+  // Sharpness of the lobe around the axis; 0 for the same intensity in all directions.
   float sharpness;
-  // Where it is.
+  // Position of the light.
   float position[3];
-  // Radiant intensity along the axis, in the units of the pictures.
+  // Radiant intensity along the axis, in the units of the images.
   float intensity[3];
-  // From what is lit to the light; of no meaning without sharpness.
+  // Direction from the lit point to the light. Ignored if the sharpness is 0.
   float axis[3];
 } SgsNewLight;
 
-// What of a relighting is rendered to memory.
+// Parameters of rendering a relighting to memory.
 typedef struct {
   // sizeof(SgsRelitInfo)
   uint32_t struct_size;
-  // SGS_LAYER_SHADED and its like; one float a pixel for roughness, metallic and visibility, else three, linear.
+  // SGS_LAYER_SHADED and the layers after it. One float per pixel for roughness, metallic and visibility, else
+  // three, linear.
   uint32_t layer;
-  // What lies behind SGS_LAYER_SHADED, display-referred.
+  // Display-referred background of SGS_LAYER_SHADED.
   float background[3];
-  // Light is multiplied by two to the power of this.
+  // Exposure in stops. Light is multiplied by two to the power of this.
   float exposure;
 } SgsRelitInfo;
 
-// What is trained on.
+// Options for opening a trainer.
 typedef struct {
   // sizeof(SgsTrainerInfo)
   uint32_t struct_size;
   // Not 0: continue the run in `run` with its settings.
   uint32_t resume;
-  // The scene directory.
+  // Scene directory.
   const char *dataset;
-  // Settings as TOML text, as in config.toml of a run. Null for those of the run that is resumed or gets materials, else for the
-  // defaults.
+  // Settings as TOML text, as in config.toml of a run. Null for the settings of the run that is resumed or gets
+  // materials, else for the defaults.
   const char *settings;
-  // Run directory to train into, as `sgs train` does: checkpoints, log, rollback after divergence, results. Null trains in memory;
-  // divergence is then an error. Steps since the last checkpoint are lost unless they are saved.
+  // Run directory that receives checkpoints, log and results, as in `sgs train`. The trainer rolls back after
+  // divergence. Null trains in memory, where divergence is an error. Steps since the last checkpoint are lost unless
+  // they are saved.
   const char *run;
-  // Geometry for the intrinsic stage where the geometry stage is not trained: a PLY or glTF file. Null for scene.ply of the run.
+  // Geometry for the intrinsic stage without a geometry stage. A PLY or glTF file. Null for scene.ply of the run.
   const char *start;
   // Sum of SGS_STAGE_GEOMETRY and SGS_STAGE_INTRINSIC; 0 is SGS_STAGE_GEOMETRY.
   uint32_t stages;
 } SgsTrainerInfo;
 
-// A training under way.
+// Training in progress.
 typedef uint64_t SgsTrainer;
 
-// How far a training is.
+// Progress of a training.
 typedef struct {
   // sizeof(SgsTrainStatus)
   uint32_t struct_size;
@@ -472,11 +475,11 @@ typedef struct {
   uint32_t steps;
   // Not 0 once all stages are finished.
   uint32_t finished;
-  // Gaussians after the last step.
+  // Number of Gaussians after the last step.
   uint32_t gaussians;
-  // The loss of the last step, or 0 before the first.
+  // Loss of the last step, or 0 before the first.
   float loss;
-  // The stage: SGS_STAGE_GEOMETRY or SGS_STAGE_INTRINSIC.
+  // Stage: SGS_STAGE_GEOMETRY or SGS_STAGE_INTRINSIC.
   uint32_t stage;
   // Rollbacks of the stage after divergence.
   uint32_t roll_backs;
@@ -486,76 +489,77 @@ typedef struct {
 extern "C" {
 #endif // __cplusplus
 
-// The library's version: major * 1000000 + minor * 1000 + patch.
+// Returns the version of the library. Encoded as major * 1000000 + minor * 1000 + patch.
 uint32_t sgs_version(void);
 
-// The version as text.
+// Returns the version as text.
 const char *sgs_version_text(void);
 
-// What a result means, in a few words.
+// Returns the meaning of a result, in a few words.
 const char *sgs_result_text(int32_t result);
 
-// Opens a device of the library's own. `info` may be null. On failure `error`, if not null, holds why.
+// Opens a device for the library alone. `info` may be null. On failure `error`, if not null, holds the reason.
 SgsResult sgs_context_open(const SgsDeviceInfo *info, SgsContext **context, char *error, size_t error_size);
 
-// Destroys a context with everything on it, and sets the pointer to null. The host has waited for its submissions that
-// hold recordings; no other call on the context is under way, and none comes after.
+// Destroys a context with all its objects and sets the pointer to null. The host has waited for its submissions of
+// recordings. No other call on the context is in progress, and none follows.
 SgsResult sgs_context_destroy(SgsContext **context);
 
-// Copies the text of the context's last error, as much as fits. `needed`, if not null, gets the bytes that all of it
-// takes, with the zero at its end.
+// Copies the text of the context's last error, as much as fits. `needed`, if not null, receives the number of bytes of
+// the whole text, including the terminating zero.
 SgsResult sgs_last_error(const SgsContext *context,
                          char *text,
                          size_t size,
                          size_t *needed);
 
-// What is known of the context.
+// Returns the state of the context.
 SgsResult sgs_context_get(const SgsContext *context, SgsContextInfo *info);
 
-// Destroys an object of any kind. A recording can be destroyed only by sgs_recording_done and its like.
+// Destroys an object of any kind. A recording can only be ended by sgs_recording_timeline, sgs_recording_fence or
+// sgs_recording_done.
 SgsResult sgs_destroy(const SgsContext *context, SgsHandle object);
 
-// Asks what a physical device needs to have enabled. A device that lacks something is no error: see
-// SgsRequirementsInfo.missing. On failure `error`, if not null, holds why.
+// Queries the requirements of a physical device. A device that lacks a requirement is no error: see
+// SgsRequirementsInfo.missing. On failure `error`, if not null, holds the reason.
 SgsResult sgs_requirements_create(const SgsInstance *info,
                                   SgsRequirements **requirements,
                                   char *error,
                                   size_t error_size);
 
-// The answer. Its pointers live as long as the requirements.
+// Returns the requirements. Its pointers live as long as the requirements.
 SgsResult sgs_requirements_get(SgsRequirements *requirements, SgsRequirementsInfo *info);
 
 // Destroys the requirements and sets the pointer to null.
 SgsResult sgs_requirements_destroy(SgsRequirements **requirements);
 
-// Moves into a host's device. Instance, device and queue stay alive until the context is destroyed; the features and
-// extensions that are named are enabled; the host uses the queue only under the lock that it passes. On failure `error`,
-// if not null, holds why.
+// Adopts a device of the host. Instance, device and queue stay alive until the context is destroyed. The named
+// features and extensions are enabled. The host uses the queue only under the lock that it passes. On failure `error`,
+// if not null, holds the reason.
 SgsResult sgs_context_adopt(const SgsHostDevice *info,
                             SgsContext **context,
                             char *error,
                             size_t error_size);
 
-// Loads Gaussians: a PLY file, or the directory of a run.
+// Loads Gaussians from a PLY file or a run directory.
 SgsResult sgs_scene_load(const SgsContext *context, const char *path, SgsScene *scene);
 
-// What is known of a scene.
+// Returns the description of a scene.
 SgsResult sgs_scene_get(const SgsContext *context, SgsScene scene, SgsSceneInfo *info);
 
-// Writes the Gaussians as a PLY file that viewers understand.
+// Writes the Gaussians as a PLY file for viewers.
 SgsResult sgs_scene_export(const SgsContext *context, SgsScene scene, const char *path);
 
 // Loads the cameras of a transforms file.
 SgsResult sgs_cameras_load(const SgsContext *context, const char *path, SgsCameras *cameras);
 
-// How many cameras there are.
+// Returns the number of cameras.
 SgsResult sgs_cameras_count(const SgsContext *context, SgsCameras cameras, uint32_t *count);
 
-// One of the cameras.
+// Returns one of the cameras.
 SgsResult sgs_cameras_get(const SgsContext *context, SgsCameras cameras, uint32_t index, SgsCamera *camera);
 
-// Renders one layer into the caller's memory and waits: rows from the top, as many floats a pixel as the layer has.
-// `count` is how many floats there is room for.
+// Renders one layer into the caller's memory and waits. Rows start at the top. The layer determines the number of
+// floats per pixel. `count`: capacity of `pixels` in floats.
 SgsResult sgs_render(const SgsContext *context,
                      SgsScene scene,
                      const SgsCamera *camera,
@@ -563,38 +567,44 @@ SgsResult sgs_render(const SgsContext *context,
                      float *pixels,
                      size_t count);
 
-// Prepares rendering of a scene into images of one size and format. The scene may be destroyed before the view.
+// Creates a view of a scene for images of one size and format. The scene may be destroyed before the view.
 SgsResult sgs_view_create(const SgsContext *context, SgsScene scene, const SgsViewInfo *info, SgsView *view);
 
-// Records a frame into a host's command buffer, behind everything recorded before and before everything after. The
-// command buffer is being recorded outside a render pass, by this thread, from a pool of the context's queue family. It
-// is submitted at most once at a time, to the context's queue or ordered by the host against everything else that the
-// context does. The bound compute pipeline, its descriptor set 0 and push constants are changed. After an error the
-// command buffer must be recorded anew.
+// Records a frame into a command buffer of the host.
 //
-// The recording is held until one of sgs_recording_timeline, sgs_recording_fence and sgs_recording_done is called for
-// it. With as many held as there are frames in flight, SGS_ERROR_BUSY is returned.
+// The frame runs after everything recorded before it and before everything recorded after it. The command buffer is in
+// the recording state, outside a render pass, used by this thread, and from a pool of the context's queue family. It
+// is submitted at most once at a time: to the context's queue, or ordered by the host against all other work of the
+// context. The call changes the bound compute pipeline, its descriptor set 0 and push constants. After an error the
+// command buffer must be recorded again.
+//
+// The recording is held until sgs_recording_timeline, sgs_recording_fence or sgs_recording_done is called for it.
+// Returns SGS_ERROR_BUSY if as many recordings are held as frames may be in flight.
 SgsResult sgs_view_record(const SgsContext *context,
                           SgsView view,
                           const SgsFrame *frame,
                           VkCommandBuffer commands,
                           SgsRecording *recording);
 
-// The submission with this recording is done when a timeline semaphore of the device reaches a value. The semaphore lives
-// until sgs_view_report shows the recording done, or the view is destroyed. The handle ends.
+// Ends a recording whose submission signals a timeline semaphore. The submission is done when the semaphore reaches
+// `value`. The semaphore belongs to the device and lives until sgs_view_report shows the recording done, or the view
+// is destroyed. The handle becomes invalid.
 SgsResult sgs_recording_timeline(const SgsContext *context,
                                  SgsRecording recording,
                                  VkSemaphore semaphore,
                                  uint64_t value);
 
-// Likewise, when a fence is signaled; it is neither reset nor destroyed before.
-SgsResult sgs_recording_fence(const SgsContext *context, SgsRecording recording, VkFence fence);
+// Ends a recording whose submission is done when a fence is signaled. The fence is neither reset nor destroyed before
+// that. The handle becomes invalid.
+SgsResult sgs_recording_fence(const SgsContext *context,
+                              SgsRecording recording,
+                              VkFence fence);
 
-// The submission with this recording is done, or will never be made. The handle ends.
+// Ends a recording whose submission is done or will never be made. The handle becomes invalid.
 SgsResult sgs_recording_done(const SgsContext *context, SgsRecording recording);
 
-// Submits a frame to the context's queue, after some semaphores and before others. The semaphores are the device's; each
-// signal to be waited for has been submitted, and each value to be signaled is new.
+// Submits a frame to the context's queue. The frame waits for some semaphores and signals others. The semaphores
+// belong to the device. Each signal to wait for has been submitted, and each value to signal is new.
 SgsResult sgs_view_submit(const SgsContext *context,
                           SgsView view,
                           const SgsFrame *frame,
@@ -606,80 +616,77 @@ SgsResult sgs_view_submit(const SgsContext *context,
 // Waits for the frames that sgs_view_submit has submitted.
 SgsResult sgs_view_wait(const SgsContext *context, SgsView view);
 
-// What is known of the frames that are done. Waits for nothing.
+// Returns the report on frames that are done. Does not wait.
 SgsResult sgs_view_report(const SgsContext *context, SgsView view, SgsViewReport *report);
 
-// Opens a run directory whose materials were trained (scene.ply, lights.json, environment.exr, visibility.safetensors), or
-// a PLY file with materials, which has no light of its own. `info` may be null.
+// Opens a run directory with trained materials, or a PLY file with materials. A run directory has scene.ply,
+// lights.json, environment.exr and visibility.safetensors. A PLY file has no light of its own. `info` may be null.
 SgsResult sgs_relight_open(const SgsContext *context,
                            const char *run,
                            const SgsRelightInfo *info,
                            SgsRelight *relight);
 
-// What is known of a relighting.
+// Returns the state of a relighting.
 SgsResult sgs_relight_get(const SgsContext *context, SgsRelight relight, SgsRelightState *state);
 
-// Applies an edit, JSON text as `sgs relight --edit` takes it (docs/guide/relight.md), to the run as it is on disk: whatever was
-// changed before is gone. Paths in it are meant beside `folder`, or, if that is null, where the program runs. After an
-// error everything is as it was.
+// Applies an edit to the run as it is on disk. Earlier changes are discarded. `json`: text as for `sgs relight --edit`
+// (docs/guide/relight.md). Paths in it are relative to `folder`, or to the working directory if `folder` is null.
+// After an error the state is unchanged.
 SgsResult sgs_relight_edit(const SgsContext *context,
                            SgsRelight relight,
                            const char *json,
                            const char *folder);
 
-// Back to the run as it is on disk.
+// Restores the run as it is on disk.
 SgsResult sgs_relight_reset(const SgsContext *context, SgsRelight relight);
 
-// How many lights there are.
+// Returns the number of lights.
 SgsResult sgs_relight_light_count(const SgsContext *context, SgsRelight relight, uint32_t *count);
 
-// One of the lights, numbered from 0 as in lights.json.
+// Returns one of the lights, numbered from 0 as in lights.json.
 SgsResult sgs_relight_light_get(const SgsContext *context, SgsRelight relight, uint32_t index, SgsLight *light);
 
-// Changes a light. Frames that are recorded or submitted from now on have it; nothing is made or waited for.
+// Changes a light. Takes effect in frames that are recorded or submitted from now on. Neither allocates nor waits.
 SgsResult sgs_relight_light_set(const SgsContext *context,
                                 SgsRelight relight,
                                 uint32_t index,
                                 const SgsLight *light);
 
-// Adds a light behind the others. `index`, if not null, gets its number. Past the capacity there will be twice as much, and
-// views make their plans anew at their next frames.
+// Adds a light after the others. `index`, if not null, receives its number. Beyond the capacity, the capacity doubles
+// and views rebuild their plans at their next frames.
 SgsResult sgs_relight_light_add(const SgsContext *context,
                                 SgsRelight relight,
                                 const SgsNewLight *light,
                                 uint32_t *index);
 
-// Removes a light; the numbers of those behind it become one less.
+// Removes a light. The numbers of the lights after it decrease by one.
 SgsResult sgs_relight_light_remove(const SgsContext *context, SgsRelight relight, uint32_t index);
 
-// Puts other surroundings there: a latitude-longitude map, twice as wide as high, rows from the top, three floats a pixel,
-// linear. Takes memory and waits for the device, unlike sgs_relight_environment_gain.
+// Replaces the environment map. `rgb`: a latitude-longitude map, twice as wide as high, rows from the top, three
+// floats per pixel, linear. Allocates memory and waits for the device, unlike sgs_relight_environment_gain.
 SgsResult sgs_relight_environment_set(const SgsContext *context,
                                       SgsRelight relight,
                                       const float *rgb,
                                       uint32_t width,
                                       uint32_t height);
 
-// Sets the factors of red, green and blue of the surroundings' light; 1 after loading, an edit and a reset. Nothing is made
-// or waited for.
-SgsResult sgs_relight_environment_gain(const SgsContext *context,
-                                       SgsRelight relight,
-                                       const float *rgb);
+// Sets the factors of red, green and blue of the environment map. They are 1 after loading, an edit and a reset.
+// Neither allocates nor waits.
+SgsResult sgs_relight_environment_gain(const SgsContext *context, SgsRelight relight, const float *rgb);
 
-// Prepares rendering of a relighting into images of one size and format: SGS_LAYER_SHADED and its like. Frames are then
-// recorded and submitted as those of other views. The relighting may be destroyed before the view.
+// Creates a view of a relighting for images of one size and format. Layers: SGS_LAYER_SHADED and those after it.
+// Frames are recorded and submitted as those of other views. The relighting may be destroyed before the view.
 SgsResult sgs_relight_view_create(const SgsContext *context,
                                   SgsRelight relight,
                                   const SgsViewInfo *info,
                                   SgsView *view);
 
-// Sets the exposure of a relighting's view: light is multiplied by two to the power of `stops` from the next frame on.
-SgsResult sgs_view_exposure(const SgsContext *context,
-                            SgsView view,
-                            float stops);
+// Sets the exposure of a view of a relighting. From the next frame on, light is multiplied by two to the power of
+// `stops`.
+SgsResult sgs_view_exposure(const SgsContext *context, SgsView view, float stops);
 
-// Renders one layer into the caller's memory and waits: rows from the top, linear. Does what `sgs relight` does, by a way of
-// its own, and takes memory for it: for pictures and comparisons, not for frames.
+// Renders one layer into the caller's memory and waits. Rows start at the top; values are linear. Matches `sgs
+// relight`, with a renderer and memory of its own: for images and comparisons, not for frames of an application.
 SgsResult sgs_relight_render(const SgsContext *context,
                              SgsRelight relight,
                              const SgsCamera *camera,
@@ -687,28 +694,24 @@ SgsResult sgs_relight_render(const SgsContext *context,
                              float *pixels,
                              size_t count);
 
-// Opens a dataset for training. With a run directory it locks the directory until the trainer is destroyed and, unless it resumes, removes
-// what an unfinished training left there.
-SgsResult sgs_trainer_open(const SgsContext *context,
-                           const SgsTrainerInfo *info,
-                           SgsTrainer *trainer);
+// Opens a dataset for training. Locks the run directory, if any, until the trainer is destroyed. Unless it resumes,
+// removes the files of an unfinished training in that directory.
+SgsResult sgs_trainer_open(const SgsContext *context, const SgsTrainerInfo *info, SgsTrainer *trainer);
 
-// Trains for a time, and at least one step unless all are done; returns with no work left on the device. `status` may be
-// null.
+// Trains for a time, and at least one step unless all are finished. Returns with no work left on the device. `status`
+// may be null.
 SgsResult sgs_train_step(const SgsContext *context,
                          SgsTrainer trainer,
                          double budget_seconds,
                          SgsTrainStatus *status);
 
-// Writes settings, a checkpoint and the current state of the stage into a run directory, from which training can continue.
-SgsResult sgs_trainer_save(const SgsContext *context,
-                           SgsTrainer trainer,
-                           const char *run);
+// Writes settings, a checkpoint and the results of the stage into a run directory. Training can be resumed from it.
+SgsResult sgs_trainer_save(const SgsContext *context, SgsTrainer trainer, const char *run);
 
-// Writes the Gaussians as they are as a PLY file.
+// Writes the current Gaussians as a PLY file.
 SgsResult sgs_trainer_export(const SgsContext *context, SgsTrainer trainer, const char *path);
 
-// The Gaussians as they are, as a scene of its own.
+// Returns a copy of the current Gaussians as a scene.
 SgsResult sgs_trainer_scene(const SgsContext *context, SgsTrainer trainer, SgsScene *scene);
 
 #ifdef __cplusplus

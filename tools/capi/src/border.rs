@@ -1,26 +1,27 @@
-//! What crosses the border between C and Rust: structs by their size, strings, texts of errors, and no panic.
+//! Conversion between C and Rust: structs by their size, strings, error texts, and panics.
 //!
-//! Promises: a struct of an older program is completed with zeros, one of a newer program is taken if what we do not know
-//! of it is zero; nothing is read or written beyond the size that the caller states. Leaves meaning to the callers.
+//! Guarantees: missing fields of a struct of an older program are zero. A struct of a newer program is accepted if its
+//! unknown fields are zero. No byte beyond the size that the caller states is read or written. The callers interpret
+//! the values.
 
 use crate::types::SgsResult;
 use std::ffi::{CStr, c_char};
 use std::mem::MaybeUninit;
 
-/// Why a call fails: the code, and one sentence.
+/// Failure of a call: code and one sentence.
 #[derive(Debug, thiserror::Error)]
 #[error("{text}")]
 pub struct Failure {
-    /// For the program.
+    /// Result code for the program.
     pub code: SgsResult,
-    /// For people.
+    /// Sentence for people.
     pub text: String,
 }
 
-/// Result of everything behind the border.
+/// Result of all functions behind the C interface.
 pub type Outcome<T> = Result<T, Failure>;
 
-/// A failure with a sentence.
+/// Returns a failure with a sentence.
 pub fn fail<T>(code: SgsResult, text: impl Into<String>) -> Outcome<T> {
     Err(Failure { code, text: text.into() })
 }
@@ -63,7 +64,7 @@ impl From<sgs_train::TrainError> for Failure {
             E::Scene(error) => error.into(),
             E::Run(error) => error.into(),
             E::Config(error) => error.into(),
-            E::Setting(text) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text },
+            E::Requirement(e) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text: e.to_string() },
             E::File { .. } => Failure { code: SgsResult::SGS_ERROR_FILE, text: error.to_string() },
             _ => Failure { code: SgsResult::SGS_ERROR_TRAINING, text: error.to_string() },
         }
@@ -114,14 +115,14 @@ impl From<sgs_passes::pipeline::ViewError> for Failure {
     }
 }
 
-/// A struct of `sgs.h`: plain data that begins with `struct_size: u32` and is valid with all bits zero.
+/// Struct of `sgs.h`: plain data that begins with `struct_size: u32` and is valid with all bits zero.
 ///
 /// # Safety
-/// Both must be so.
+/// Both properties must hold.
 pub unsafe trait Struct: Copy {
-    /// Its name.
+    /// Name of the struct.
     const NAME: &'static str;
-    /// Its size in the first version of the interface.
+    /// Size in the first version of the interface.
     const FIRST: usize;
 }
 
@@ -157,7 +158,7 @@ structs!(
     SgsTrainStatus
 );
 
-/// The stated size of a struct, if it is believable.
+/// Returns the stated size of a struct, if it is plausible.
 ///
 /// # Safety
 /// `from` is null or points to a struct of which the first four bytes can be read.
@@ -165,7 +166,7 @@ unsafe fn stated<T: Struct>(from: *const T) -> Outcome<usize> {
     if from.is_null() {
         return fail(SgsResult::SGS_ERROR_NULL, format!("{} is null.", T::NAME));
     }
-    // SAFETY: not null, so that the size can be read by the caller's word; it need not be aligned.
+    // SAFETY: not null, so the size can be read by the caller's contract; it need not be aligned.
     let size = unsafe { from.cast::<u32>().read_unaligned() } as usize;
     if !(T::FIRST..=1 << 16).contains(&size) {
         let text = format!("{}.struct_size is {size}, but must be sizeof({}), {}.", T::NAME, T::NAME, size_of::<T>());
@@ -174,16 +175,16 @@ unsafe fn stated<T: Struct>(from: *const T) -> Outcome<usize> {
     Ok(size)
 }
 
-/// A copy of a caller's struct.
+/// Copies a caller's struct.
 ///
 /// # Safety
 /// `from` is null or points to as many readable bytes as its `struct_size` says, and to at least four.
 pub unsafe fn read<T: Struct>(from: *const T) -> Outcome<T> {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     let size = unsafe { stated(from) }?;
     let mut copy = MaybeUninit::<T>::zeroed();
     let known = size.min(size_of::<T>());
-    // SAFETY: `known` bytes can be read by the caller's word, and fit.
+    // SAFETY: `known` bytes can be read by the caller's contract, and fit.
     unsafe { std::ptr::copy_nonoverlapping(from.cast::<u8>(), copy.as_mut_ptr().cast::<u8>(), known) };
     for at in known..size {
         // SAFETY: inside the stated size.
@@ -201,11 +202,11 @@ pub unsafe fn read<T: Struct>(from: *const T) -> Outcome<T> {
 /// # Safety
 /// `into` is null or points to as many writable bytes as its `struct_size` says, and to at least four.
 pub unsafe fn write<T: Struct>(into: *mut T, value: &T) -> Outcome<()> {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     let size = unsafe { stated(into) }?;
     let known = size.min(size_of::<T>());
     let skip = size_of::<u32>();
-    // SAFETY: `known` bytes can be written by the caller's word; the first four stay.
+    // SAFETY: `known` bytes can be written by the caller's contract; the first four stay.
     unsafe {
         let from = std::ptr::from_ref(value).cast::<u8>().add(skip);
         std::ptr::copy_nonoverlapping(from, into.cast::<u8>().add(skip), known - skip);
@@ -213,19 +214,19 @@ pub unsafe fn write<T: Struct>(into: *mut T, value: &T) -> Outcome<()> {
     Ok(())
 }
 
-/// A string that must be there.
+/// Copies a required string.
 ///
 /// # Safety
 /// `from` is null or a string that ends with a zero.
 pub unsafe fn string(from: *const c_char, what: &str) -> Outcome<String> {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     match unsafe { optional_string(from, what) }? {
         Some(text) => Ok(text),
         None => fail(SgsResult::SGS_ERROR_NULL, format!("{what} is null.")),
     }
 }
 
-/// A string that may be null.
+/// Copies a string that may be null.
 ///
 /// # Safety
 /// As for [`string`].
@@ -233,14 +234,14 @@ pub unsafe fn optional_string(from: *const c_char, what: &str) -> Outcome<Option
     if from.is_null() {
         return Ok(None);
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     match unsafe { CStr::from_ptr(from) }.to_str() {
         Ok(text) => Ok(Some(text.to_owned())),
         Err(_) => fail(SgsResult::SGS_ERROR_ARGUMENT, format!("{what} is not UTF-8.")),
     }
 }
 
-/// As many strings as stated.
+/// Borrows an array of strings. `count`: number of strings.
 ///
 /// # Safety
 /// `from` points to `count` strings that end with zeros, or `count` is 0.
@@ -253,21 +254,21 @@ pub unsafe fn strings<'a>(from: *const *const c_char, count: u32, what: &str) ->
     }
     let mut all = Vec::with_capacity(count as usize);
     for i in 0..count as usize {
-        // SAFETY: inside the array by the caller's word.
+        // SAFETY: inside the array by the caller's contract.
         let one = unsafe { from.add(i).read() };
         if one.is_null() {
             return fail(SgsResult::SGS_ERROR_NULL, format!("{what}[{i}] is null."));
         }
-        // SAFETY: a string by the caller's word.
+        // SAFETY: a string by the caller's contract.
         all.push(unsafe { CStr::from_ptr(one) });
     }
     Ok(all)
 }
 
-/// Writes as much of a text as fits, with a zero at the end.
+/// Writes as much of a text as fits, with a terminating zero.
 ///
 /// # Safety
-/// `into` is null or has room for `size` bytes.
+/// `into` is null or has space for `size` bytes.
 pub unsafe fn put_text(into: *mut c_char, size: usize, text: &str) {
     if into.is_null() || size == 0 {
         return;
@@ -283,7 +284,7 @@ pub unsafe fn put_text(into: *mut c_char, size: usize, text: &str) {
     }
 }
 
-/// Runs something that may fail or panic; nothing unwinds out of it.
+/// Runs a function that may fail or panic. A panic becomes a failure; nothing unwinds out of it.
 pub fn guarded<T>(run: impl FnOnce() -> Outcome<T>) -> Outcome<T> {
     match std::panic::catch_unwind(std::panic::AssertUnwindSafe(run)) {
         Ok(outcome) => outcome,

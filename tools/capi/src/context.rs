@@ -1,4 +1,4 @@
-//! Contexts: a device with the objects made on it, and the last error.
+//! Contexts: a device, the objects made on it, and the last error.
 
 use crate::border::{Failure, Outcome, fail, guarded, optional_string, put_text, read, write};
 use crate::relight::RelightObject;
@@ -14,22 +14,22 @@ use std::ffi::{CStr, c_char};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 
-/// A device, and everything made on it.
+/// Device, and everything made on it.
 pub struct SgsContext {
     inner: Mutex<Inner>,
     error: Mutex<String>,
 }
 
-/// What a context guards.
+/// State that a context guards.
 pub(crate) struct Inner {
     pub device: Device,
     pub tuning: Tuning,
     pub table: Table<Thing>,
-    /// A call has panicked half way: nothing here can be trusted any more.
+    /// Whether a call has panicked. The state cannot be trusted any more.
     broken: bool,
 }
 
-/// Objects of a context.
+/// Object of a context.
 pub(crate) enum Thing {
     Scene(Arc<SceneObject>),
     Cameras(Vec<sgs_scene::Camera>),
@@ -79,12 +79,12 @@ fn unpoisoned<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
     lock.lock().unwrap_or_else(|e| e.into_inner())
 }
 
-/// Runs a call on a context: one at a time, and its failure becomes the context's last error.
+/// Runs a call on a context, one at a time. A failure becomes the context's last error.
 ///
 /// # Safety
 /// `context` is null or a context that is not destroyed before the call ends.
 pub(crate) unsafe fn with(context: *const SgsContext, run: impl FnOnce(&mut Inner) -> Outcome<()>) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     let Some(context) = (unsafe { context.as_ref() }) else { return SgsResult::SGS_ERROR_NULL };
     let mut inner = unpoisoned(&context.inner);
     let outcome = if inner.broken {
@@ -98,51 +98,51 @@ pub(crate) unsafe fn with(context: *const SgsContext, run: impl FnOnce(&mut Inne
     failure.code
 }
 
-/// Runs something that makes an object for which there is no context yet; the error's text goes to the caller.
+/// Runs a function that makes an object without a context. The error text is written to the caller's buffer.
 ///
 /// # Safety
-/// `out` is null or can be written; `error` is null or has room for `size` bytes.
+/// `out` is null or can be written; `error` is null or has space for `size` bytes.
 pub(crate) unsafe fn make<T>(
     out: *mut *mut T,
     error: *mut c_char,
     size: usize,
     run: impl FnOnce() -> Outcome<T>,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { put_text(error, size, "") };
     let made = if out.is_null() {
         fail(SgsResult::SGS_ERROR_NULL, "The place for the new object is null.")
     } else {
-        // SAFETY: as the caller promises.
+        // SAFETY: by the caller's contract.
         unsafe { out.write(std::ptr::null_mut()) };
         guarded(run)
     };
     match made {
         Ok(object) => {
-            // SAFETY: as the caller promises.
+            // SAFETY: by the caller's contract.
             unsafe { out.write(Box::into_raw(Box::new(object))) };
             SgsResult::SGS_OK
         }
         Err(failure) => {
-            // SAFETY: as the caller promises.
+            // SAFETY: by the caller's contract.
             unsafe { put_text(error, size, &failure.text) };
             failure.code
         }
     }
 }
 
-/// Writes a new object's handle.
+/// Writes the handle of a new object.
 ///
 /// # Safety
 /// `out` can be written, if it is not null.
 pub(crate) unsafe fn hand_over(inner: &mut Inner, out: *mut SgsHandle, thing: Thing) -> Outcome<()> {
     let handle = inner.table.add(thing)?;
-    // SAFETY: as the caller promises; `claim` has found it not to be null.
+    // SAFETY: by the caller's contract; `claim` has found it not to be null.
     unsafe { out.write(handle) };
     Ok(())
 }
 
-/// Checks the place for a handle, and puts "none" there.
+/// Checks the destination of a handle and writes 0 to it.
 ///
 /// # Safety
 /// `out` can be written, if it is not null.
@@ -150,7 +150,7 @@ pub(crate) unsafe fn claim(out: *mut SgsHandle) -> Outcome<()> {
     if out.is_null() {
         return fail(SgsResult::SGS_ERROR_NULL, "The place for the handle is null.");
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { out.write(0) };
     Ok(())
 }
@@ -158,7 +158,7 @@ pub(crate) unsafe fn claim(out: *mut SgsHandle) -> Outcome<()> {
 impl SgsContext {
     pub(crate) fn new(device: Device) -> SgsContext {
         let tuning = Tuning::for_device(device.info());
-        // Contexts are told apart by where their devices lie: handles of one are no handles of another.
+        // The device's address distinguishes contexts: handles of one are no handles of another.
         let address = device.address() as u64;
         let salt = address >> 4 ^ address >> 24;
         let inner = Inner { device, tuning, table: Table::new(salt), broken: false };
@@ -166,7 +166,7 @@ impl SgsContext {
     }
 }
 
-/// The library's version: major * 1000000 + minor * 1000 + patch.
+/// Returns the version of the library. Encoded as major * 1000000 + minor * 1000 + patch.
 #[unsafe(no_mangle)]
 pub extern "C" fn sgs_version() -> u32 {
     let number = |text: &str| text.parse::<u32>().unwrap_or(0);
@@ -175,14 +175,14 @@ pub extern "C" fn sgs_version() -> u32 {
         + number(env!("CARGO_PKG_VERSION_PATCH"))
 }
 
-/// The version as text.
+/// Returns the version as text.
 #[unsafe(no_mangle)]
 pub extern "C" fn sgs_version_text() -> *const c_char {
     const TEXT: &str = concat!(env!("CARGO_PKG_VERSION"), "\0");
     TEXT.as_ptr().cast()
 }
 
-/// What a result means, in a few words.
+/// Returns the meaning of a result, in a few words.
 #[unsafe(no_mangle)]
 pub extern "C" fn sgs_result_text(result: i32) -> *const c_char {
     let text: &CStr = match result {
@@ -204,7 +204,7 @@ pub extern "C" fn sgs_result_text(result: i32) -> *const c_char {
     text.as_ptr()
 }
 
-/// Opens a device of the library's own. `info` may be null. On failure `error`, if not null, holds why.
+/// Opens a device for the library alone. `info` may be null. On failure `error`, if not null, holds the reason.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_context_open(
     info: *const SgsDeviceInfo,
@@ -215,9 +215,9 @@ pub unsafe extern "C" fn sgs_context_open(
     let run = || {
         let mut options = DeviceOptions::default();
         if !info.is_null() {
-            // SAFETY: not null, and a struct by the caller's word.
+            // SAFETY: not null, and a struct by the caller's contract.
             let info = unsafe { read(info) }?;
-            // SAFETY: strings by the caller's word.
+            // SAFETY: strings by the caller's contract.
             unsafe {
                 options.select = optional_string(info.device, "SgsDeviceInfo.device")?;
                 options.pipeline_cache =
@@ -228,7 +228,7 @@ pub unsafe extern "C" fn sgs_context_open(
         }
         Ok(SgsContext::new(Device::open(&options)?))
     };
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { make(context, error, error_size, run) }
 }
 
@@ -243,11 +243,11 @@ pub(crate) fn timeout(seconds: f64, default: Duration) -> Outcome<Duration> {
     })
 }
 
-/// Destroys a context with everything on it, and sets the pointer to null. The host has waited for its submissions that
-/// hold recordings; no other call on the context is under way, and none comes after.
+/// Destroys a context with all its objects and sets the pointer to null. The host has waited for its submissions of
+/// recordings. No other call on the context is in progress, and none follows.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_context_destroy(context: *mut *mut SgsContext) -> SgsResult {
-    // SAFETY: null or a place for a pointer by the caller's word.
+    // SAFETY: null or a place for a pointer by the caller's contract.
     let Some(place) = (unsafe { context.as_mut() }) else { return SgsResult::SGS_ERROR_NULL };
     let raw = std::mem::replace(place, std::ptr::null_mut());
     if raw.is_null() {
@@ -268,8 +268,8 @@ pub unsafe extern "C" fn sgs_context_destroy(context: *mut *mut SgsContext) -> S
     outcome.map_or_else(|failure| failure.code, |()| SgsResult::SGS_OK)
 }
 
-/// Copies the text of the context's last error, as much as fits. `needed`, if not null, gets the bytes that all of it
-/// takes, with the zero at its end.
+/// Copies the text of the context's last error, as much as fits. `needed`, if not null, receives the number of bytes of
+/// the whole text, including the terminating zero.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_last_error(
     context: *const SgsContext,
@@ -277,10 +277,10 @@ pub unsafe extern "C" fn sgs_last_error(
     size: usize,
     needed: *mut usize,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     let Some(context) = (unsafe { context.as_ref() }) else { return SgsResult::SGS_ERROR_NULL };
     let last = unpoisoned(&context.error).clone();
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         put_text(text, size, &last);
         if let Some(needed) = needed.as_mut() {
@@ -290,10 +290,10 @@ pub unsafe extern "C" fn sgs_last_error(
     if !text.is_null() && size <= last.len() { SgsResult::SGS_ERROR_SPACE } else { SgsResult::SGS_OK }
 }
 
-/// What is known of the context.
+/// Returns the state of the context.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_context_get(context: *const SgsContext, info: *mut SgsContextInfo) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let (used, peak) = inner.device.memory_use();
@@ -305,7 +305,7 @@ pub unsafe extern "C" fn sgs_context_get(context: *const SgsContext, info: *mut 
                 validation_messages: 0,
                 objects: inner.table.len() as u32,
             };
-            // The size is checked before the messages are taken.
+            // The size of the struct is checked before the messages are removed.
             write(info, &value)?;
             let validation_messages = inner.device.messages().take().len() as u32;
             write(info, &SgsContextInfo { validation_messages, ..value })
@@ -313,10 +313,11 @@ pub unsafe extern "C" fn sgs_context_get(context: *const SgsContext, info: *mut 
     }
 }
 
-/// Destroys an object of any kind. A recording can be destroyed only by sgs_recording_done and its like.
+/// Destroys an object of any kind. A recording can only be ended by sgs_recording_timeline, sgs_recording_fence or
+/// sgs_recording_done.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_destroy(context: *const SgsContext, object: SgsHandle) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             if inner.table.get(object, 4).is_ok() {

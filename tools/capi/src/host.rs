@@ -1,4 +1,4 @@
-//! A host's device: what it needs, and moving in.
+//! Device of a host: its requirements, and its adoption.
 
 use crate::border::{Outcome, fail, optional_string, read, strings, write};
 use crate::context::{SgsContext, make, timeout};
@@ -8,7 +8,7 @@ use sgs_engine::vk::{self, Handle};
 use std::ffi::{CString, c_char, c_void};
 use std::time::Duration;
 
-/// What one device needs to have enabled.
+/// Requirements of one device.
 pub struct SgsRequirements {
     needs: Requirements,
     name: CString,
@@ -38,8 +38,8 @@ fn instance(info: &SgsInstance) -> Outcome<HostInstance> {
     })
 }
 
-/// Asks what a physical device needs to have enabled. A device that lacks something is no error: see
-/// SgsRequirementsInfo.missing. On failure `error`, if not null, holds why.
+/// Queries the requirements of a physical device. A device that lacks a requirement is no error: see
+/// SgsRequirementsInfo.missing. On failure `error`, if not null, holds the reason.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_requirements_create(
     info: *const SgsInstance,
@@ -48,7 +48,7 @@ pub unsafe extern "C" fn sgs_requirements_create(
     error_size: usize,
 ) -> SgsResult {
     let run = || {
-        // SAFETY: a struct by the caller's word, with a real entry point and instance.
+        // SAFETY: a struct by the caller's contract, with a real entry point and instance.
         let needs = unsafe { sgs_engine::device::requirements(&instance(&read(info)?)?) }?;
         let text = |s: &str| CString::new(s.replace('\0', " ")).unwrap_or_default();
         let texts: Vec<CString> = needs.info.missing.iter().map(|m| text(m)).collect();
@@ -70,17 +70,17 @@ pub unsafe extern "C" fn sgs_requirements_create(
         chain.head.p_next = (&raw mut chain.structs.v12).cast();
         Ok(SgsRequirements { needs, name, _texts: texts, missing, features, extensions, chain })
     };
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { make(requirements, error, error_size, run) }
 }
 
-/// The answer. Its pointers live as long as the requirements.
+/// Returns the requirements. Its pointers live as long as the requirements.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_requirements_get(
     requirements: *mut SgsRequirements,
     info: *mut SgsRequirementsInfo,
 ) -> SgsResult {
-    // SAFETY: null or alive by the caller's word.
+    // SAFETY: null or alive by the caller's contract.
     let Some(r) = (unsafe { requirements.as_mut() }) else { return SgsResult::SGS_ERROR_NULL };
     let value = SgsRequirementsInfo {
         struct_size: 0,
@@ -97,14 +97,14 @@ pub unsafe extern "C" fn sgs_requirements_get(
         required_extension_count: r.needs.required_extensions.len() as u32,
         device_create_next: (&raw mut r.chain.head).cast::<c_void>(),
     };
-    // SAFETY: null or a struct by the caller's word.
+    // SAFETY: null or a struct by the caller's contract.
     unsafe { write(info, &value) }.map_or_else(|failure| failure.code, |()| SgsResult::SGS_OK)
 }
 
 /// Destroys the requirements and sets the pointer to null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_requirements_destroy(requirements: *mut *mut SgsRequirements) -> SgsResult {
-    // SAFETY: null or a place for a pointer by the caller's word.
+    // SAFETY: null or a place for a pointer by the caller's contract.
     let Some(place) = (unsafe { requirements.as_mut() }) else { return SgsResult::SGS_ERROR_NULL };
     let raw = std::mem::replace(place, std::ptr::null_mut());
     if raw.is_null() {
@@ -115,7 +115,7 @@ pub unsafe extern "C" fn sgs_requirements_destroy(requirements: *mut *mut SgsReq
     SgsResult::SGS_OK
 }
 
-/// The host's lock behind its two functions.
+/// Queue lock of the host, as its two functions.
 struct Callbacks {
     lock: Option<unsafe extern "C" fn(*mut c_void)>,
     unlock: Option<unsafe extern "C" fn(*mut c_void)>,
@@ -143,9 +143,9 @@ impl QueueLock for Callbacks {
     }
 }
 
-/// Moves into a host's device. Instance, device and queue stay alive until the context is destroyed; the features and
-/// extensions that are named are enabled; the host uses the queue only under the lock that it passes. On failure `error`,
-/// if not null, holds why.
+/// Adopts a device of the host. Instance, device and queue stay alive until the context is destroyed. The named
+/// features and extensions are enabled. The host uses the queue only under the lock that it passes. On failure `error`,
+/// if not null, holds the reason.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_context_adopt(
     info: *const SgsHostDevice,
@@ -154,7 +154,7 @@ pub unsafe extern "C" fn sgs_context_adopt(
     error_size: usize,
 ) -> SgsResult {
     let run = || {
-        // SAFETY: structs by the caller's word.
+        // SAFETY: structs by the caller's contract.
         let (info, at) = unsafe {
             let info = read(info)?;
             (info, read(info.instance)?)
@@ -163,7 +163,7 @@ pub unsafe extern "C" fn sgs_context_adopt(
             let text = "SgsHostDevice.lock_queue and unlock_queue must both be given, or neither.";
             return fail(SgsResult::SGS_ERROR_NULL, text);
         }
-        // SAFETY: strings by the caller's word.
+        // SAFETY: strings by the caller's contract.
         let (names, extensions, cache) = unsafe {
             (
                 strings(info.features, info.feature_count, "SgsHostDevice.features")?,
@@ -171,7 +171,7 @@ pub unsafe extern "C" fn sgs_context_adopt(
                 optional_string(info.pipeline_cache, "SgsHostDevice.pipeline_cache")?,
             )
         };
-        // Other features are the host's own business.
+        // Features that the library does not know are the host's own.
         let features: Vec<Feature> =
             names.iter().filter_map(|n| n.to_str().ok()).filter_map(Feature::from_name).collect();
         let queue = vk::Queue::from_raw(info.queue as u64);
@@ -193,6 +193,6 @@ pub unsafe extern "C" fn sgs_context_adopt(
         // SAFETY: the host's promises are those of this function.
         Ok(SgsContext::new(unsafe { sgs_engine::Device::adopt(host) }?))
     };
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { make(context, error, error_size, run) }
 }

@@ -1,11 +1,12 @@
-//! The interface for C and C++: `libsgs` and `sgs.h`.
+//! Interface for C and C++: `libsgs` and `sgs.h`. The interface is a thin layer over the crates of the command line.
 //!
-//! A thin border around the same crates that the command line uses. Promises: every function returns a result code; no
-//! panic crosses the border; there is no global state; null, stale and foreign handles are answered with an error. What a
-//! caller must promise is written at the functions and in docs/guide/embed.md: the pointers it passes, the Vulkan handles,
-//! and when its submissions are done. Reasons are in docs/adr/0013-c-interface.md.
+//! Guarantees: every function returns a result code, except those that return the version or a text. No panic crosses
+//! the interface. The library has no global state. Null, stale and foreign handles return an error.
+//!
+//! The functions and docs/guide/embed.md state the obligations of the caller: valid pointers and Vulkan handles, and
+//! when submissions are complete. docs/adr/0013-c-interface.md has the reasons.
 
-#![allow(clippy::missing_safety_doc)] // The contracts are those of the header: pointers are null or what they are called.
+#![allow(clippy::missing_safety_doc)] // The header states the contracts: pointers are null or what they are called.
 
 mod border;
 mod context;

@@ -1,4 +1,4 @@
-//! Runs whose light changes: lights and surroundings from frame to frame, edits, and views of what they shade.
+//! Relighting of runs: lights and environment map per frame, edits, and views.
 
 use crate::border::{Failure, Outcome, fail, optional_string, read, string, write};
 use crate::context::{SgsContext, Thing, claim, hand_over, with};
@@ -6,18 +6,18 @@ use crate::scene::camera;
 use crate::types::*;
 use crate::view::{Shows, Target, ViewObject, target};
 use sgs_passes::pipeline::{LitLayer, LitOptions, LitView};
-use sgs_relight::{Edit, Lamp, NewLight, Relighter};
+use sgs_relight::{Edit, LightParameters, NewLight, Relighter};
 use sgs_run::{LobeRow, ShadedView, Shading};
 use std::ffi::c_char;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard};
 
-/// A relighting, which its views hold too.
+/// Relighting that its views share.
 #[derive(Clone)]
 pub(crate) struct RelightObject(Arc<Mutex<Relighter>>);
 
 impl RelightObject {
-    /// Nobody else has it: calls of a context follow one another.
+    /// Locks the relighting. Never waits: calls of a context are serialized.
     pub fn hold(&self) -> MutexGuard<'_, Relighter> {
         self.0.lock().unwrap_or_else(|e| e.into_inner())
     }
@@ -38,7 +38,7 @@ fn layer(number: u32) -> Outcome<LitLayer> {
     })
 }
 
-/// What a relighting must have for a layer.
+/// Refuses a layer that the relighting lacks the inputs of.
 fn check_layer(relight: &Relighter, layer: LitLayer) -> Outcome<()> {
     let scene = &relight.scene().scene;
     let lacks = match layer {
@@ -64,8 +64,8 @@ fn exposure(stops: f32) -> Outcome<f32> {
     Ok(factor)
 }
 
-/// Opens a run directory whose materials were trained (scene.ply, lights.json, environment.exr, visibility.safetensors), or
-/// a PLY file with materials, which has no light of its own. `info` may be null.
+/// Opens a run directory with trained materials, or a PLY file with materials. A run directory has scene.ply,
+/// lights.json, environment.exr and visibility.safetensors. A PLY file has no light of its own. `info` may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_open(
     context: *const SgsContext,
@@ -73,7 +73,7 @@ pub unsafe extern "C" fn sgs_relight_open(
     info: *const SgsRelightInfo,
     relight: *mut SgsRelight,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             claim(relight)?;
@@ -89,14 +89,14 @@ pub unsafe extern "C" fn sgs_relight_open(
     }
 }
 
-/// What is known of a relighting.
+/// Returns the state of a relighting.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_get(
     context: *const SgsContext,
     relight: SgsRelight,
     state: *mut SgsRelightState,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let relight = inner.relight(relight)?.hold();
@@ -116,9 +116,9 @@ pub unsafe extern "C" fn sgs_relight_get(
     }
 }
 
-/// Applies an edit, JSON text as `sgs relight --edit` takes it (docs/guide/relight.md), to the run as it is on disk: whatever was
-/// changed before is gone. Paths in it are meant beside `folder`, or, if that is null, where the program runs. After an
-/// error everything is as it was.
+/// Applies an edit to the run as it is on disk. Earlier changes are discarded. `json`: text as for `sgs relight --edit`
+/// (docs/guide/relight.md). Paths in it are relative to `folder`, or to the working directory if `folder` is null.
+/// After an error the state is unchanged.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_edit(
     context: *const SgsContext,
@@ -126,7 +126,7 @@ pub unsafe extern "C" fn sgs_relight_edit(
     json: *const c_char,
     folder: *const c_char,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let mut relight = inner.relight(relight)?.hold();
@@ -141,21 +141,21 @@ pub unsafe extern "C" fn sgs_relight_edit(
     }
 }
 
-/// Back to the run as it is on disk.
+/// Restores the run as it is on disk.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_reset(context: *const SgsContext, relight: SgsRelight) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { with(context, |inner| Ok(inner.relight(relight)?.hold().reset()?)) }
 }
 
-/// How many lights there are.
+/// Returns the number of lights.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_count(
     context: *const SgsContext,
     relight: SgsRelight,
     count: *mut u32,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let all = inner.relight(relight)?.hold().lights() as u32;
@@ -168,7 +168,7 @@ pub unsafe extern "C" fn sgs_relight_light_count(
     }
 }
 
-/// One of the lights, numbered from 0 as in lights.json.
+/// Returns one of the lights, numbered from 0 as in lights.json.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_get(
     context: *const SgsContext,
@@ -176,16 +176,16 @@ pub unsafe extern "C" fn sgs_relight_light_get(
     index: u32,
     light: *mut SgsLight,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
-            let Lamp { on, position, gain, color } = inner.relight(relight)?.hold().light(index as usize)?;
+            let LightParameters { on, position, gain, color } = inner.relight(relight)?.hold().light(index as usize)?;
             write(light, &SgsLight { struct_size: 0, on: on.into(), position, gain, color })
         })
     }
 }
 
-/// Changes a light. Frames that are recorded or submitted from now on have it; nothing is made or waited for.
+/// Changes a light. Takes effect in frames that are recorded or submitted from now on. Neither allocates nor waits.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_set(
     context: *const SgsContext,
@@ -193,18 +193,18 @@ pub unsafe extern "C" fn sgs_relight_light_set(
     index: u32,
     light: *const SgsLight,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let mut relight = inner.relight(relight)?.hold();
             let SgsLight { on, position, gain, color, .. } = read(light)?;
-            Ok(relight.set_light(index as usize, Lamp { on: on != 0, position, gain, color })?)
+            Ok(relight.set_light(index as usize, LightParameters { on: on != 0, position, gain, color })?)
         })
     }
 }
 
-/// Adds a light behind the others. `index`, if not null, gets its number. Past the capacity there will be twice as much, and
-/// views make their plans anew at their next frames.
+/// Adds a light after the others. `index`, if not null, receives its number. Beyond the capacity, the capacity doubles
+/// and views rebuild their plans at their next frames.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_add(
     context: *const SgsContext,
@@ -212,7 +212,7 @@ pub unsafe extern "C" fn sgs_relight_light_add(
     light: *const SgsNewLight,
     index: *mut u32,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let mut relight = inner.relight(relight)?.hold();
@@ -234,19 +234,19 @@ pub unsafe extern "C" fn sgs_relight_light_add(
     }
 }
 
-/// Removes a light; the numbers of those behind it become one less.
+/// Removes a light. The numbers of the lights after it decrease by one.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_remove(
     context: *const SgsContext,
     relight: SgsRelight,
     index: u32,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { with(context, |inner| Ok(inner.relight(relight)?.hold().remove_light(index as usize)?)) }
 }
 
-/// Puts other surroundings there: a latitude-longitude map, twice as wide as high, rows from the top, three floats a pixel,
-/// linear. Takes memory and waits for the device, unlike sgs_relight_environment_gain.
+/// Replaces the environment map. `rgb`: a latitude-longitude map, twice as wide as high, rows from the top, three
+/// floats per pixel, linear. Allocates memory and waits for the device, unlike sgs_relight_environment_gain.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_environment_set(
     context: *const SgsContext,
@@ -255,14 +255,14 @@ pub unsafe extern "C" fn sgs_relight_environment_set(
     width: u32,
     height: u32,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let mut relight = inner.relight(relight)?.hold();
             if rgb.is_null() {
                 return fail(SgsResult::SGS_ERROR_NULL, "The environment is null.");
             }
-            // Checked before anything is read.
+            // The size is checked before the map is read.
             if width > 1 << 14 || height == 0 || width != height.saturating_mul(2) {
                 let text = format!(
                     "An environment must be twice as wide as high, up to 16384, but this is {width} x {height}."
@@ -275,15 +275,15 @@ pub unsafe extern "C" fn sgs_relight_environment_set(
     }
 }
 
-/// Sets the factors of red, green and blue of the surroundings' light; 1 after loading, an edit and a reset. Nothing is made
-/// or waited for.
+/// Sets the factors of red, green and blue of the environment map. They are 1 after loading, an edit and a reset.
+/// Neither allocates nor waits.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_environment_gain(
     context: *const SgsContext,
     relight: SgsRelight,
     rgb: *const f32,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let mut relight = inner.relight(relight)?.hold();
@@ -295,8 +295,8 @@ pub unsafe extern "C" fn sgs_relight_environment_gain(
     }
 }
 
-/// Prepares rendering of a relighting into images of one size and format: SGS_LAYER_SHADED and its like. Frames are then
-/// recorded and submitted as those of other views. The relighting may be destroyed before the view.
+/// Creates a view of a relighting for images of one size and format. Layers: SGS_LAYER_SHADED and those after it.
+/// Frames are recorded and submitted as those of other views. The relighting may be destroyed before the view.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_view_create(
     context: *const SgsContext,
@@ -304,7 +304,7 @@ pub unsafe extern "C" fn sgs_relight_view_create(
     info: *const SgsViewInfo,
     view: *mut SgsView,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             claim(view)?;
@@ -324,10 +324,11 @@ pub unsafe extern "C" fn sgs_relight_view_create(
     }
 }
 
-/// Sets the exposure of a relighting's view: light is multiplied by two to the power of `stops` from the next frame on.
+/// Sets the exposure of a view of a relighting. From the next frame on, light is multiplied by two to the power of
+/// `stops`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_view_exposure(context: *const SgsContext, view: SgsView, stops: f32) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let Shows::Relight(_, _, factor) = &mut inner.view(view)?.shows else {
@@ -342,8 +343,8 @@ pub unsafe extern "C" fn sgs_view_exposure(context: *const SgsContext, view: Sgs
     }
 }
 
-/// Renders one layer into the caller's memory and waits: rows from the top, linear. Does what `sgs relight` does, by a way of
-/// its own, and takes memory for it: for pictures and comparisons, not for frames.
+/// Renders one layer into the caller's memory and waits. Rows start at the top; values are linear. Matches `sgs
+/// relight`, with a renderer and memory of its own: for images and comparisons, not for frames of an application.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_render(
     context: *const SgsContext,
@@ -353,7 +354,7 @@ pub unsafe extern "C" fn sgs_relight_render(
     pixels: *mut f32,
     count: usize,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let relight = inner.relight(relight)?.clone();
@@ -371,19 +372,19 @@ pub unsafe extern "C" fn sgs_relight_render(
             let floats = if layer.is_value() { 1 } else { 3 };
             let needed = view.size[0] as usize * view.size[1] as usize * floats;
             if count < needed {
-                let text = format!("The picture takes {needed} floats, but there is room for {count}.");
+                let text = format!("The image takes {needed} floats, but there is room for {count}.");
                 return fail(SgsResult::SGS_ERROR_SPACE, text);
             }
             let scene = held.relit().upload(&inner.device)?;
             let shaded = Shading::new(&inner.device, scene)?.shade_from(&view)?;
-            let picture = picture(&shaded, layer, info.background, factor);
-            std::ptr::copy_nonoverlapping(picture.as_ptr(), pixels, needed);
+            let rendered = rendered(&shaded, layer, info.background, factor);
+            std::ptr::copy_nonoverlapping(rendered.as_ptr(), pixels, needed);
             Ok(())
         })
     }
 }
 
-fn picture(view: &ShadedView, layer: LitLayer, background: [f32; 3], factor: f32) -> Vec<f32> {
+fn rendered(view: &ShadedView, layer: LitLayer, background: [f32; 3], factor: f32) -> Vec<f32> {
     let light = |image: sgs_scene::Image| image.data.iter().map(|v| v * factor).collect();
     match layer {
         LitLayer::Shaded => {
@@ -398,7 +399,7 @@ fn picture(view: &ShadedView, layer: LitLayer, background: [f32; 3], factor: f32
         LitLayer::Diffuse => light(view.diffuse()),
         LitLayer::Specular => light(view.specular()),
         LitLayer::Visibility => view.visibility().map(|v| v.data).unwrap_or_default(),
-        LitLayer::Environment => light(view.surroundings()),
+        LitLayer::Environment => light(view.environment_map()),
         LitLayer::Direct => light(view.direct()),
     }
 }

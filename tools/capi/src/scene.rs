@@ -11,7 +11,7 @@ use std::ffi::c_char;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-/// Gaussians on the device, with what has been made to render them into memory.
+/// Gaussians on the device, with the renderer that renders them into memory.
 pub(crate) struct SceneObject {
     pub gaussians: Gaussians,
     renderer: Mutex<Option<(Channels, Renderer)>>,
@@ -26,14 +26,14 @@ impl SceneObject {
         Ok(SceneObject { gaussians, renderer: Mutex::new(None) })
     }
 
-    /// The highest band that `bands` (plus one; 0 for all) lets through.
+    /// Returns the highest band for `bands`, which is the requested band plus one; 0 for all bands.
     pub fn degree(&self, bands: u32) -> u32 {
         let most = self.gaussians.model.sh_degree;
         if bands == 0 { most } else { (bands - 1).min(most) }
     }
 }
 
-/// A camera as kernels take it.
+/// Converts a camera to that of the kernels.
 pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
     let wrong = |text: &str| fail(SgsResult::SGS_ERROR_ARGUMENT, text);
     let m = &c.world_to_camera;
@@ -53,7 +53,7 @@ pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
     }
     let row = |i: usize| [m[4 * i], m[4 * i + 1], m[4 * i + 2], m[4 * i + 3]];
     let (rows, near) = ([row(0), row(1), row(2)], if c.near_plane > 0.0 { c.near_plane } else { 0.01 });
-    // A rotation, or a mirror, has unit rows at right angles; anything else would put the splats' colors and shapes wrong without a word.
+    // A rotation or a mirror has orthonormal rows. Any other matrix would silently distort colors and shapes of splats.
     let dot = |i: usize, j: usize| (0..3).map(|k| rows[i][k] * rows[j][k]).sum::<f32>();
     if (0..3).any(|i| (dot(i, i) - 1.0).abs() > 1e-2 || dot(i, (i + 1) % 3).abs() > 1e-2) {
         return wrong("SgsCamera.world_to_camera has no rotation in its first three columns.");
@@ -70,14 +70,14 @@ pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
     })
 }
 
-/// Loads Gaussians: a PLY file, or the directory of a run.
+/// Loads Gaussians from a PLY file or a run directory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_scene_load(
     context: *const SgsContext,
     path: *const c_char,
     scene: *mut SgsScene,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             claim(scene)?;
@@ -91,14 +91,14 @@ pub unsafe extern "C" fn sgs_scene_load(
     }
 }
 
-/// What is known of a scene.
+/// Returns the description of a scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_scene_get(
     context: *const SgsContext,
     scene: SgsScene,
     info: *mut SgsSceneInfo,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let gaussians = &inner.scene(scene)?.gaussians;
@@ -114,14 +114,14 @@ pub unsafe extern "C" fn sgs_scene_get(
     }
 }
 
-/// Writes the Gaussians as a PLY file that viewers understand.
+/// Writes the Gaussians as a PLY file for viewers.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_scene_export(
     context: *const SgsContext,
     scene: SgsScene,
     path: *const c_char,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let path = string(path, "path")?;
@@ -139,7 +139,7 @@ pub unsafe extern "C" fn sgs_cameras_load(
     path: *const c_char,
     cameras: *mut SgsCameras,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             claim(cameras)?;
@@ -150,14 +150,14 @@ pub unsafe extern "C" fn sgs_cameras_load(
     }
 }
 
-/// How many cameras there are.
+/// Returns the number of cameras.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_cameras_count(
     context: *const SgsContext,
     cameras: SgsCameras,
     count: *mut u32,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let all = inner.cameras(cameras)?.len() as u32;
@@ -170,7 +170,7 @@ pub unsafe extern "C" fn sgs_cameras_count(
     }
 }
 
-/// One of the cameras.
+/// Returns one of the cameras.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_cameras_get(
     context: *const SgsContext,
@@ -178,7 +178,7 @@ pub unsafe extern "C" fn sgs_cameras_get(
     index: u32,
     camera: *mut SgsCamera,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let all = inner.cameras(cameras)?;
@@ -203,8 +203,8 @@ pub unsafe extern "C" fn sgs_cameras_get(
     }
 }
 
-/// Renders one layer into the caller's memory and waits: rows from the top, as many floats a pixel as the layer has.
-/// `count` is how many floats there is room for.
+/// Renders one layer into the caller's memory and waits. Rows start at the top. The layer determines the number of
+/// floats per pixel. `count`: capacity of `pixels` in floats.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_render(
     context: *const SgsContext,
@@ -214,7 +214,7 @@ pub unsafe extern "C" fn sgs_render(
     pixels: *mut f32,
     count: usize,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let scene = inner.scene(scene)?.clone();
@@ -232,11 +232,11 @@ pub unsafe extern "C" fn sgs_render(
             let floats = if info.layer == SGS_LAYER_COLOR || info.layer == SGS_LAYER_NORMAL { 3 } else { 1 };
             let needed = view.size[0] as usize * view.size[1] as usize * floats;
             if count < needed {
-                let text = format!("The picture takes {needed} floats, but there is room for {count}.");
+                let text = format!("The image takes {needed} floats, but there is room for {count}.");
                 return fail(SgsResult::SGS_ERROR_SPACE, text);
             }
-            let picture = render(inner, &scene, &view, &info)?;
-            std::ptr::copy_nonoverlapping(picture.as_ptr(), pixels, needed);
+            let rendered = render(inner, &scene, &view, &info)?;
+            std::ptr::copy_nonoverlapping(rendered.as_ptr(), pixels, needed);
             Ok(())
         })
     }
@@ -246,21 +246,21 @@ fn render(inner: &Inner, scene: &SceneObject, camera: &Camera, info: &SgsRenderI
     let channels =
         Channels { colors: true, normals: info.layer == SGS_LAYER_NORMAL, depth: info.layer == SGS_LAYER_DEPTH };
     let mut kept = scene.renderer.lock().unwrap_or_else(|e| e.into_inner());
-    // Taken out, so that a failure leaves nothing half made.
+    // Removed first, so that a failure leaves no renderer in an undefined state.
     let mut renderer = match kept.take() {
         Some((had, renderer)) if had == channels => renderer,
         _ => Renderer::new(&inner.device, inner.tuning, &scene.gaussians, camera.size, channels)?,
     };
-    let picture = renderer.render(&scene.gaussians, camera, scene.degree(info.sh_bands), info.background)?;
+    let rendered = renderer.render(&scene.gaussians, camera, scene.degree(info.sh_bands), info.background)?;
     *kept = Some((channels, renderer));
-    let c = picture.channels as usize;
+    let c = rendered.channels as usize;
     let pick = |from: usize, count: usize| -> Vec<f32> {
-        picture.image.chunks_exact(c).flat_map(|p| p[from..from + count].iter().copied()).collect()
+        rendered.image.chunks_exact(c).flat_map(|p| p[from..from + count].iter().copied()).collect()
     };
     Ok(match info.layer {
         SGS_LAYER_DEPTH => pick(3, 1),
         SGS_LAYER_NORMAL => pick(3, 3),
-        SGS_LAYER_ALPHA => picture.transmittance.iter().map(|t| 1.0 - t).collect(),
+        SGS_LAYER_ALPHA => rendered.transmittance.iter().map(|t| 1.0 - t).collect(),
         _ => pick(0, 3),
     })
 }

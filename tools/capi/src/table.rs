@@ -1,28 +1,28 @@
-//! Objects behind numbers.
+//! Objects behind handles.
 //!
-//! Promises: a number is answered by the object it was made for and by nothing else, for as long as that exists. It tells
-//! its kind, its context, and which use of its place it is, so that stale numbers, numbers of another kind and numbers of
-//! another context are refused instead of believed.
+//! Guarantees: a handle returns the object that it was made for and no other, as long as that object exists. The handle
+//! encodes the kind, the context, and the generation of its slot. Stale handles, handles of another kind and handles of
+//! another context are therefore refused.
 
 use crate::border::{Outcome, fail};
 use crate::types::{SgsHandle, SgsResult};
 
-/// What a number can stand for.
+/// Object that a handle can stand for.
 pub trait Object: Sized {
-    /// What the kinds are called, by number less one.
+    /// Names of the kinds; the index is the kind minus one.
     const KINDS: &'static [&'static str];
 
-    /// Its kind, from 1 to 15.
+    /// Returns the kind, from 1 to 15.
     fn kind(&self) -> u64;
 }
 
 struct Place<T> {
-    /// Which use this is; numbers of earlier uses are stale.
+    /// Generation of the slot. Handles of earlier generations are stale.
     generation: u64,
     object: Option<T>,
 }
 
-/// The objects of one context.
+/// Objects of one context.
 pub struct Table<T> {
     places: Vec<Place<T>>,
     free: Vec<usize>,
@@ -38,17 +38,17 @@ const fn bits(count: u64) -> u64 {
 }
 
 impl<T: Object> Table<T> {
-    /// An empty one. `salt` tells contexts apart.
+    /// Creates an empty table. `salt` distinguishes contexts.
     pub fn new(salt: u64) -> Table<T> {
         Table { places: Vec::new(), free: Vec::new(), salt: salt & bits(SALT) }
     }
 
-    /// How many objects there are.
+    /// Returns the number of objects.
     pub fn len(&self) -> usize {
         self.places.len() - self.free.len()
     }
 
-    /// A number for a new object.
+    /// Adds an object and returns its handle.
     pub fn add(&mut self, object: T) -> Outcome<SgsHandle> {
         let index = match self.free.pop() {
             Some(index) => index,
@@ -69,7 +69,7 @@ impl<T: Object> Table<T> {
             | kind << (INDEX + GENERATION + SALT))
     }
 
-    /// The place of a number.
+    /// Returns the slot of a handle.
     fn find(&self, handle: SgsHandle, kind: Option<u64>) -> Outcome<usize> {
         let (index, generation) = (handle & bits(INDEX), handle >> INDEX & bits(GENERATION));
         let (salt, stated) = (handle >> (INDEX + GENERATION) & bits(SALT), handle >> (INDEX + GENERATION + SALT));
@@ -91,7 +91,7 @@ impl<T: Object> Table<T> {
         }
     }
 
-    /// The object of a number, which must be of a kind.
+    /// Returns the object of a handle, which must be of the kind.
     pub fn get(&mut self, handle: SgsHandle, kind: u64) -> Outcome<&mut T> {
         let index = self.find(handle, Some(kind))?;
         match self.places[index].object.as_mut() {
@@ -100,7 +100,7 @@ impl<T: Object> Table<T> {
         }
     }
 
-    /// Takes an object out; of any kind if `kind` is absent. Its number is stale from now on.
+    /// Removes and returns an object. Accepts any kind if `kind` is absent. The handle is stale from now on.
     pub fn take(&mut self, handle: SgsHandle, kind: Option<u64>) -> Outcome<T> {
         let index = self.find(handle, kind)?;
         let place = &mut self.places[index];
@@ -108,14 +108,14 @@ impl<T: Object> Table<T> {
             return fail(SgsResult::SGS_ERROR_HANDLE, "The object is gone.");
         };
         place.generation += 1;
-        // A place whose generations are used up is never used again.
+        // A slot whose generations are exhausted is never used again.
         if place.generation <= bits(GENERATION) {
             self.free.push(index);
         }
         Ok(object)
     }
 
-    /// Takes everything out.
+    /// Removes and returns all objects.
     pub fn drain(&mut self) -> Vec<T> {
         let all = self.places.iter_mut().filter_map(|p| p.object.take()).collect();
         self.places.clear();
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_is_answered_by_its_own_object_alone() {
+    fn handle_returns_only_its_own_object() {
         let mut table = Table::new(7);
         let mut other = Table::new(8);
         let (apple, pear) = (table.add(Thing(1)).unwrap(), table.add(Thing(2)).unwrap());

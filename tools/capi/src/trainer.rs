@@ -1,4 +1,4 @@
-//! Training step by step, between whatever else a program does.
+//! Training in slices of time, between other work of a program.
 
 use crate::border::{Outcome, fail, optional_string, read, string, write};
 use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
@@ -13,16 +13,16 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A training under way.
+/// Training in progress.
 pub(crate) struct TrainerObject {
     trainer: Trainer,
     loss: f32,
     gaussians: u32,
-    /// Of the run directory.
+    /// Lock of the run directory.
     _lock: Option<DirectoryLock>,
 }
 
-/// What `SgsTrainerInfo` says, in Rust's types.
+/// Fields of `SgsTrainerInfo` as Rust types.
 struct Request<'a> {
     dataset: &'a str,
     settings: Option<&'a str>,
@@ -44,7 +44,7 @@ fn settings(text: Option<&str>, dataset: &str) -> Outcome<Settings> {
         },
     };
     let mut settings = Settings::from_table(table)?;
-    // Whoever opens a run may stand in another directory.
+    // A program that opens the run may have another working directory.
     settings.scene = std::path::absolute(dataset).unwrap_or_else(|_| dataset.into());
     settings.check()?;
     Ok(settings)
@@ -69,7 +69,7 @@ fn check_new(run: &Path, materials_only: bool) -> Outcome<()> {
     match Contents::of(run) {
         Contents::Nothing => Ok(()),
         Contents::Run(there) if !there.is_trained() => Ok(()),
-        // Materials on the geometry that the run holds.
+        // Materials are added to the geometry of the run.
         Contents::Run(there) if materials_only && !there.materials => Ok(()),
         Contents::Run(_) => fail(
             SgsResult::SGS_ERROR_FILE,
@@ -97,7 +97,7 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
         (Some(began), None) => began,
         (_, text) => settings(text, request.dataset)?,
     };
-    // Whoever opens a run may stand in another directory.
+    // A program that opens the run may have another working directory.
     settings.scene = std::path::absolute(request.dataset).unwrap_or_else(|_| request.dataset.into());
     let scene = Scene::open(&settings.scene, &settings.scene_options())?;
     let lock = match request.run {
@@ -108,7 +108,7 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
             };
             check()?;
             let lock = DirectoryLock::acquire(run)?;
-            // Another training may have ended since.
+            // Another training may have ended in the meantime.
             check()?;
             Some(lock)
         }
@@ -126,15 +126,15 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
     Ok(TrainerObject { trainer, loss: 0.0, gaussians, _lock: lock })
 }
 
-/// Opens a dataset for training. With a run directory it locks the directory until the trainer is destroyed and, unless it resumes, removes
-/// what an unfinished training left there.
+/// Opens a dataset for training. Locks the run directory, if any, until the trainer is destroyed. Unless it resumes,
+/// removes the files of an unfinished training in that directory.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_trainer_open(
     context: *const SgsContext,
     info: *const SgsTrainerInfo,
     trainer: *mut SgsTrainer,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             claim(trainer)?;
@@ -160,8 +160,8 @@ pub unsafe extern "C" fn sgs_trainer_open(
     }
 }
 
-/// Trains for a time, and at least one step unless all are done; returns with no work left on the device. `status` may be
-/// null.
+/// Trains for a time, and at least one step unless all are finished. Returns with no work left on the device. `status`
+/// may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_train_step(
     context: *const SgsContext,
@@ -169,7 +169,7 @@ pub unsafe extern "C" fn sgs_train_step(
     budget_seconds: f64,
     status: *mut SgsTrainStatus,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let object = inner.trainer(trainer)?;
@@ -178,7 +178,7 @@ pub unsafe extern "C" fn sgs_train_step(
                 return fail(SgsResult::SGS_ERROR_ARGUMENT, text);
             };
             if !status.is_null() {
-                // Before anything is trained.
+                // An invalid struct is refused before anything is trained.
                 write(status, &object.status())?;
             }
             object.train(budget)?;
@@ -187,11 +187,11 @@ pub unsafe extern "C" fn sgs_train_step(
     }
 }
 
-/// Trains for a time, and at least one step.
+/// Observer that pauses after a time, but not before the first step.
 struct Budget {
     began: Instant,
     seconds: Duration,
-    /// Whether a step was begun.
+    /// Whether a step has started.
     begun: bool,
     loss: f32,
     gaussians: u32,
@@ -214,7 +214,7 @@ impl Observer for Budget {
 
     fn should_pause(&mut self) -> bool {
         let spent = self.is_spent();
-        // The first question comes before the first step.
+        // The first poll precedes the first step.
         self.begun = true;
         spent
     }
@@ -250,14 +250,14 @@ impl TrainerObject {
     }
 }
 
-/// Writes settings, a checkpoint and the current state of the stage into a run directory, from which training can continue.
+/// Writes settings, a checkpoint and the results of the stage into a run directory. Training can be resumed from it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_trainer_save(
     context: *const SgsContext,
     trainer: SgsTrainer,
     run: *const c_char,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let run = string(run, "run")?;
@@ -266,14 +266,14 @@ pub unsafe extern "C" fn sgs_trainer_save(
     }
 }
 
-/// Writes the Gaussians as they are as a PLY file.
+/// Writes the current Gaussians as a PLY file.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_trainer_export(
     context: *const SgsContext,
     trainer: SgsTrainer,
     path: *const c_char,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let path = string(path, "path")?;
@@ -282,14 +282,14 @@ pub unsafe extern "C" fn sgs_trainer_export(
     }
 }
 
-/// The Gaussians as they are, as a scene of its own.
+/// Returns a copy of the current Gaussians as a scene.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_trainer_scene(
     context: *const SgsContext,
     trainer: SgsTrainer,
     scene: *mut SgsScene,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             claim(scene)?;

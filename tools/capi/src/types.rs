@@ -1,7 +1,7 @@
-//! The types of `sgs.h`: results, constants, structs that begin with their size.
+//! Types of `sgs.h`: results, constants, and structs that begin with their size.
 //!
-//! Promises that every struct is valid with all bits zero, and that fields are only ever added at the end. Leaves reading
-//! and writing them across the border to `border`.
+//! Guarantees: every struct is valid with all bits zero. New fields are only added at the end. The module `border`
+//! reads and writes structs of callers.
 
 use std::ffi::{c_char, c_void};
 
@@ -24,52 +24,52 @@ pub type VkFence = u64;
 /// `PFN_vkGetInstanceProcAddr`
 pub type SgsGetInstanceProcAddr = Option<sgs_engine::vk::PFN_vkGetInstanceProcAddr>;
 
-/// How a call ended.
+/// Result of a call.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[allow(non_camel_case_types, clippy::upper_case_acronyms)]
 pub enum SgsResult {
     /// Done.
     SGS_OK = 0,
-    /// A pointer that is needed is null.
+    /// A required pointer is null.
     SGS_ERROR_NULL = -1,
-    /// A value is not one of those that are possible.
+    /// A value is outside its valid range.
     SGS_ERROR_ARGUMENT = -2,
-    /// A struct's size is none that this library knows.
+    /// The size of a struct is unknown to this library.
     SGS_ERROR_STRUCT_SIZE = -3,
-    /// No such object, or not any more, or an object of another kind or context.
+    /// The object does not exist, or belongs to another kind or context.
     SGS_ERROR_HANDLE = -4,
     /// A file cannot be read or written.
     SGS_ERROR_FILE = -5,
-    /// There is no such device, or it lacks something.
+    /// No device matches, or the device lacks a requirement.
     SGS_ERROR_DEVICE = -6,
     /// The device was lost.
     SGS_ERROR_LOST = -7,
     /// Memory ran out.
     SGS_ERROR_MEMORY = -8,
-    /// Earlier recordings are not done, or work did not finish in time; try again later.
+    /// Earlier recordings are not done, or work did not finish in time. Try again later.
     SGS_ERROR_BUSY = -9,
-    /// Training cannot go on.
+    /// Training cannot continue.
     SGS_ERROR_TRAINING = -10,
-    /// A buffer of the caller's is too small.
+    /// A buffer of the caller is too small.
     SGS_ERROR_SPACE = -11,
-    /// A defect of this library. The context can only be destroyed.
+    /// The library has a defect. The context can only be destroyed.
     SGS_ERROR_INTERNAL = -12,
 }
 
-/// Any object of a context; 0 is none.
+/// Handle of any object of a context; 0 is none.
 pub type SgsHandle = u64;
 /// Gaussians on the device.
 pub type SgsScene = u64;
 /// Cameras from a file.
 pub type SgsCameras = u64;
-/// A way of rendering into images.
+/// Renderer into images of one size and format.
 pub type SgsView = u64;
-/// A frame in a host's command buffer.
+/// Frame in a command buffer of the host.
 pub type SgsRecording = u64;
-/// A training under way.
+/// Training in progress.
 pub type SgsTrainer = u64;
-/// A run whose light changes.
+/// Run whose light can be changed.
 pub type SgsRelight = u64;
 
 /// Red, green and blue over the background, display-referred.
@@ -86,31 +86,31 @@ pub const SGS_STAGE_GEOMETRY: u32 = 1;
 /// Stage of training: materials, lights and visibility on fixed geometry.
 pub const SGS_STAGE_INTRINSIC: u32 = 2;
 
-/// Of relightings: all light, over the background.
+/// Relighting: all light, over the background.
 pub const SGS_LAYER_SHADED: u32 = 16;
-/// Of relightings: linear albedo.
+/// Relighting: linear albedo.
 pub const SGS_LAYER_ALBEDO: u32 = 17;
-/// Of relightings: roughness.
+/// Relighting: roughness.
 pub const SGS_LAYER_ROUGHNESS: u32 = 18;
-/// Of relightings: metallic.
+/// Relighting: metallic.
 pub const SGS_LAYER_METALLIC: u32 = 19;
-/// Of relightings: diffuse light, over black.
+/// Relighting: diffuse light, over black.
 pub const SGS_LAYER_DIFFUSE: u32 = 20;
-/// Of relightings: specular light, over black.
+/// Relighting: specular light, over black.
 pub const SGS_LAYER_SPECULAR: u32 = 21;
-/// Of relightings: how much of the lights is seen, mean over all of them.
+/// Relighting: visible share of the lights, mean over all lights.
 pub const SGS_LAYER_VISIBILITY: u32 = 22;
-/// Of relightings: light of the surroundings, over the surroundings themselves.
+/// Relighting: light of the environment map, over the environment map itself.
 pub const SGS_LAYER_ENVIRONMENT: u32 = 23;
-/// Of relightings: light of lamps, over black.
+/// Relighting: light of the point lights, over black.
 pub const SGS_LAYER_DIRECT: u32 = 24;
 
-/// Colors as blended, that is sRGB-encoded.
+/// Colors as blended, which is sRGB-encoded.
 pub const SGS_ENCODING_DISPLAY: u32 = 0;
-/// Colors in linear light. Images whose format decodes sRGB hold encoded values either way.
+/// Colors in linear light. Images whose format decodes sRGB hold encoded values with either encoding.
 pub const SGS_ENCODING_LINEAR: u32 = 1;
 
-/// A host's instance, and the physical device that it has chosen.
+/// Instance of a host, and the physical device that it has chosen.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsInstance {
@@ -118,17 +118,17 @@ pub struct SgsInstance {
     pub struct_size: u32,
     /// VkApplicationInfo::apiVersion of the instance.
     pub api_version: u32,
-    /// Every other function is found through it.
+    /// Loader of all other Vulkan functions.
     pub get_instance_proc_addr: SgsGetInstanceProcAddr,
-    /// The instance.
+    /// Vulkan instance.
     pub instance: VkInstance,
-    /// The physical device.
+    /// Physical device.
     pub physical_device: VkPhysicalDevice,
-    /// Not 0 if VK_EXT_debug_utils is enabled on the instance: objects then get names, passes labels.
+    /// Not 0 if VK_EXT_debug_utils is enabled on the instance. Objects then get names, and passes get labels.
     pub debug_utils: u32,
 }
 
-/// What a device needs to have enabled. Pointers live as long as the SgsRequirements.
+/// Requirements of a device. Pointers live as long as the SgsRequirements.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsRequirementsInfo {
@@ -136,158 +136,158 @@ pub struct SgsRequirementsInfo {
     pub struct_size: u32,
     /// Lowest VkApplicationInfo::apiVersion.
     pub api_version: u32,
-    /// The device's name.
+    /// Name of the device.
     pub device_name: *const c_char,
-    /// What the device lacks; with any of these it cannot be used.
+    /// Requirements that the device lacks. A device that lacks any of them cannot be used.
     pub missing: *const *const c_char,
-    /// How many.
+    /// Number of missing requirements.
     pub missing_count: u32,
-    /// A queue family that can compute.
+    /// Queue family with compute support; 0xffffffff if there is none.
     pub queue_family: u32,
-    /// Features to enable: first the required ones, then those that are used where they are enabled.
+    /// Features to enable. The required ones come first, then those that are used if they are enabled.
     pub features: *const *const c_char,
-    /// How many, all together.
+    /// Number of features, including optional ones.
     pub feature_count: u32,
-    /// How many of them are required.
+    /// Number of required features.
     pub required_feature_count: u32,
     /// Device extensions to enable, the required ones first.
     pub extensions: *const *const c_char,
-    /// How many, all together.
+    /// Number of extensions, including optional ones.
     pub extension_count: u32,
-    /// How many of them are required.
+    /// Number of required extensions.
     pub required_extension_count: u32,
-    /// VkPhysicalDeviceFeatures2 with everything behind it that enables all of these features: for
-    /// VkDeviceCreateInfo::pNext, with pEnabledFeatures null. A host may set further features in it.
+    /// VkPhysicalDeviceFeatures2 whose chain enables all of these features. For VkDeviceCreateInfo::pNext, with
+    /// pEnabledFeatures null. A host may set further features in it.
     pub device_create_next: *mut c_void,
 }
 
-/// A device of the library's own.
+/// Device that the library opens.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsDeviceInfo {
     /// sizeof(SgsDeviceInfo)
     pub struct_size: u32,
-    /// Not 0: with validation, whose messages sgs_context_get counts.
+    /// Not 0 enables validation. sgs_context_get counts its messages.
     pub validation: u32,
-    /// Index or part of the name; null for the best one.
+    /// Index or part of the name; null selects the best device.
     pub device: *const c_char,
-    /// A folder for compiled pipelines; null for none.
+    /// Directory of compiled pipelines; null for none.
     pub pipeline_cache: *const c_char,
-    /// After how long a wait gives up; 0 for five minutes.
+    /// Seconds after which a wait fails; 0 for 300.
     pub timeout_seconds: f64,
 }
 
-/// A device of the host's, and what is enabled on it.
+/// Device of the host, and what is enabled on it.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsHostDevice {
     /// sizeof(SgsHostDevice)
     pub struct_size: u32,
-    /// The queue family of the queue and of the command buffers.
+    /// Queue family of the queue and of the command buffers.
     pub queue_family: u32,
-    /// Where the device comes from.
+    /// Instance that the device belongs to.
     pub instance: *const SgsInstance,
-    /// The device.
+    /// Vulkan device.
     pub device: VkDevice,
-    /// A queue of that family; null if the host submits everything itself, which leaves only recording.
+    /// Queue of that family. Null if the host submits everything itself; only recording is possible then.
     pub queue: VkQueue,
-    /// Called before the queue is used; null if nobody else uses it.
+    /// Function that is called before the queue is used. Null if no other thread uses the queue.
     pub lock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
-    /// Called right after.
+    /// Function that is called right after the queue is used.
     pub unlock_queue: Option<unsafe extern "C" fn(user: *mut c_void)>,
-    /// Passed to both.
+    /// Argument of both functions.
     pub user: *mut c_void,
-    /// Features that are enabled, of those that the requirements name.
+    /// Enabled features, of those that the requirements name.
     pub features: *const *const c_char,
-    /// Device extensions that are enabled; optional ones that are not named are not used.
+    /// Enabled device extensions. Optional extensions that are not named are not used.
     pub extensions: *const *const c_char,
-    /// How many features.
+    /// Number of features.
     pub feature_count: u32,
-    /// How many extensions.
+    /// Number of extensions.
     pub extension_count: u32,
-    /// A folder for compiled pipelines; null for none.
+    /// Directory of compiled pipelines; null for none.
     pub pipeline_cache: *const c_char,
-    /// After how long a wait for the library's own work gives up; 0 for five minutes.
+    /// Seconds after which a wait for the library's own work fails; 0 for 300.
     pub timeout_seconds: f64,
 }
 
-/// What is known of a context.
+/// State of a context.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsContextInfo {
     /// sizeof(SgsContextInfo)
     pub struct_size: u32,
-    /// Not 0 if the device is the host's.
+    /// Not 0 if the device belongs to the host.
     pub adopted: u32,
     /// Bytes of device memory in use.
     pub bytes_used: u64,
-    /// The most there were.
+    /// Highest number of bytes that were in use.
     pub bytes_peak: u64,
-    /// Messages of the validation layer since the last call; only for a device of the library's own.
+    /// Validation messages since the last call. Only for a device that the library opened.
     pub validation_messages: u32,
-    /// Objects that exist.
+    /// Number of existing objects.
     pub objects: u32,
 }
 
-/// What is known of a scene.
+/// Description of a scene.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsSceneInfo {
     /// sizeof(SgsSceneInfo)
     pub struct_size: u32,
-    /// How many Gaussians.
+    /// Number of Gaussians.
     pub gaussians: u32,
     /// Highest band of spherical harmonics.
     pub sh_degree: u32,
-    /// Not 0 if there are normals.
+    /// Not 0 if the Gaussians have normals.
     pub normals: u32,
     /// Bytes of device memory.
     pub bytes: u64,
 }
 
-/// A pinhole camera: x right, y down, z forward; the middle of the first pixel is at (0.5, 0.5).
+/// Pinhole camera. Axes: x right, y down, z forward. The center of the first pixel is at (0.5, 0.5).
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsCamera {
     /// sizeof(SgsCamera)
     pub struct_size: u32,
-    /// Columns.
+    /// Width in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height in pixels.
     pub height: u32,
-    /// Nothing nearer is seen; 0 for 0.01.
+    /// Distance of the near plane; 0 for 0.01.
     pub near_plane: f32,
     /// Focal lengths in pixels.
     pub focal: [f32; 2],
-    /// The principal point in pixels.
+    /// Principal point in pixels.
     pub center: [f32; 2],
-    /// From the world to the camera, three rows of four: a rotation or a mirror, and a translation.
+    /// Transform from world to camera, three rows of four: a rotation or a mirror, and a translation.
     pub world_to_camera: [f32; 12],
 }
 
-/// What is rendered to memory.
+/// Parameters of rendering to memory.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsRenderInfo {
     /// sizeof(SgsRenderInfo)
     pub struct_size: u32,
-    /// SGS_LAYER_...; three floats a pixel for colors and normals, one for depth and alpha.
+    /// SGS_LAYER_...; three floats per pixel for colors and normals, one for depth and alpha.
     pub layer: u32,
-    /// What lies behind colors, display-referred.
+    /// Display-referred background of colors.
     pub background: [f32; 3],
     /// Highest band of spherical harmonics to use, plus one; 0 for all.
     pub sh_bands: u32,
 }
 
-/// What a view renders into.
+/// Parameters of a view.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsViewInfo {
     /// sizeof(SgsViewInfo)
     pub struct_size: u32,
-    /// Columns of the images.
+    /// Width of the images in pixels.
     pub width: u32,
-    /// Rows.
+    /// Height of the images in pixels.
     pub height: u32,
     /// VkFormat: R8G8B8A8 or B8G8R8A8, UNORM or SRGB; R16G16B16A16 or R32G32B32A32, SFLOAT.
     pub format: u32,
@@ -297,15 +297,15 @@ pub struct SgsViewInfo {
     pub encoding: u32,
     /// Factor on depths; 0 for 1.
     pub depth_scale: f32,
-    /// VkImageLayout in which the library finds an image; VK_IMAGE_LAYOUT_UNDEFINED will do.
+    /// VkImageLayout of an image before rendering. VK_IMAGE_LAYOUT_UNDEFINED is allowed.
     pub initial_layout: u32,
-    /// VkImageLayout in which the library leaves it.
+    /// VkImageLayout of the image after rendering.
     pub final_layout: u32,
-    /// Frames that may be in flight together; 0 for 2.
+    /// Number of frames that may be in flight together; 0 for 2.
     pub frames_in_flight: u32,
 }
 
-/// One frame of a view.
+/// Frame of a view.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsFrame {
@@ -313,117 +313,119 @@ pub struct SgsFrame {
     pub struct_size: u32,
     /// Highest band of spherical harmonics to use, plus one; 0 for all.
     pub sh_bands: u32,
-    /// The host's image: of the view's size and format, two-dimensional, one sample, with transfer-destination usage.
+    /// Image of the host. It has the view's size and format, two dimensions, one sample, and transfer-destination
+    /// usage.
     pub image: VkImage,
-    /// From where, of the view's size.
+    /// Camera, of the view's size.
     pub camera: *const SgsCamera,
-    /// What lies behind colors, display-referred.
+    /// Display-referred background of colors.
     pub background: [f32; 3],
 }
 
-/// A semaphore to wait for or to signal.
+/// Semaphore to wait for or to signal.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsSemaphore {
-    /// The semaphore.
+    /// Vulkan semaphore.
     pub semaphore: VkSemaphore,
-    /// The value of a timeline semaphore; of no meaning for a binary one.
+    /// Value of a timeline semaphore. Ignored for a binary semaphore.
     pub value: u64,
 }
 
-/// What the device has said of a view's frames, some frames late.
+/// Device report on the frames of a view, some frames late.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsViewReport {
     /// sizeof(SgsViewReport)
     pub struct_size: u32,
-    /// Frames that are done.
+    /// Number of frames that are done.
     pub frames: u32,
-    /// Of these, the ones that lacked room and show the background alone; later ones have it.
+    /// Of these, frames that lacked memory and show the background alone. Later frames have the memory.
     pub incomplete: u32,
-    /// Recordings that are not done yet.
+    /// Number of recordings that are not done yet.
     pub recordings: u32,
 }
 
-/// How a run is opened to be relit.
+/// Options for opening a run for relighting.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsRelightInfo {
     /// sizeof(SgsRelightInfo)
     pub struct_size: u32,
-    /// Lights that there is room for before views make their plans anew; 0 for 16 more than the run has.
+    /// Capacity for lights. Views rebuild their plans when it is exceeded. 0 for 16 more than the run has.
     pub light_capacity: u32,
 }
 
-/// What is known of a relighting.
+/// State of a relighting.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsRelightState {
     /// sizeof(SgsRelightState)
     pub struct_size: u32,
-    /// How many Gaussians, with those put in.
+    /// Number of Gaussians, including inserted ones.
     pub gaussians: u32,
-    /// How many lights.
+    /// Number of lights.
     pub lights: u32,
-    /// How many there is room for.
+    /// Capacity for lights.
     pub light_capacity: u32,
-    /// Not 0 if there is metallic.
+    /// Not 0 if the run has metallic.
     pub metallic: u32,
-    /// Not 0 if something is in the way of lights.
+    /// Not 0 if the run models the occlusion of lights.
     pub visibility: u32,
-    /// Not 0 if there are surroundings.
+    /// Not 0 if the relighting has an environment map.
     pub environment: u32,
-    /// Texels along an edge of the cube that surroundings become.
+    /// Texels along an edge of the environment map's cube.
     pub environment_size: u32,
 }
 
-/// A light. sgs_relight_light_set takes every field as it is: get it, change it, set it.
+/// Light. sgs_relight_light_set applies every field: get a light, change it, set it.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsLight {
     /// sizeof(SgsLight)
     pub struct_size: u32,
-    /// Not 0 if it shines.
+    /// Not 0 if the light is on.
     pub on: u32,
-    /// Where it is.
+    /// Position of the light.
     pub position: [f32; 3],
-    /// Factor of its light.
+    /// Factor of the intensity.
     pub gain: f32,
-    /// Factors of red, green and blue; 1 for as it was loaded.
+    /// Factors of red, green and blue; 1 for the loaded color.
     pub color: [f32; 3],
 }
 
-/// A new light.
+/// Light to add.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsNewLight {
     /// sizeof(SgsNewLight)
     pub struct_size: u32,
-    /// How narrow it shines around the axis; 0 for the same in all directions.
+    /// Sharpness of the lobe around the axis; 0 for the same intensity in all directions.
     pub sharpness: f32,
-    /// Where it is.
+    /// Position of the light.
     pub position: [f32; 3],
-    /// Radiant intensity along the axis, in the units of the pictures.
+    /// Radiant intensity along the axis, in the units of the images.
     pub intensity: [f32; 3],
-    /// From what is lit to the light; of no meaning without sharpness.
+    /// Direction from the lit point to the light. Ignored if the sharpness is 0.
     pub axis: [f32; 3],
 }
 
-/// What of a relighting is rendered to memory.
+/// Parameters of rendering a relighting to memory.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsRelitInfo {
     /// sizeof(SgsRelitInfo)
     pub struct_size: u32,
-    /// SGS_LAYER_SHADED and its like; one float a pixel for roughness, metallic and visibility, else three, linear.
+    /// SGS_LAYER_SHADED and the layers after it. One float per pixel for roughness, metallic and visibility, else
+    /// three, linear.
     pub layer: u32,
-    /// What lies behind SGS_LAYER_SHADED, display-referred.
+    /// Display-referred background of SGS_LAYER_SHADED.
     pub background: [f32; 3],
-    /// Light is multiplied by two to the power of this.
+    /// Exposure in stops. Light is multiplied by two to the power of this.
     pub exposure: f32,
 }
 
-/// What is trained on.
+/// Options for opening a trainer.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsTrainerInfo {
@@ -431,21 +433,22 @@ pub struct SgsTrainerInfo {
     pub struct_size: u32,
     /// Not 0: continue the run in `run` with its settings.
     pub resume: u32,
-    /// The scene directory.
+    /// Scene directory.
     pub dataset: *const c_char,
-    /// Settings as TOML text, as in config.toml of a run. Null for those of the run that is resumed or gets materials, else for the
-    /// defaults.
+    /// Settings as TOML text, as in config.toml of a run. Null for the settings of the run that is resumed or gets
+    /// materials, else for the defaults.
     pub settings: *const c_char,
-    /// Run directory to train into, as `sgs train` does: checkpoints, log, rollback after divergence, results. Null trains in memory;
-    /// divergence is then an error. Steps since the last checkpoint are lost unless they are saved.
+    /// Run directory that receives checkpoints, log and results, as in `sgs train`. The trainer rolls back after
+    /// divergence. Null trains in memory, where divergence is an error. Steps since the last checkpoint are lost unless
+    /// they are saved.
     pub run: *const c_char,
-    /// Geometry for the intrinsic stage where the geometry stage is not trained: a PLY or glTF file. Null for scene.ply of the run.
+    /// Geometry for the intrinsic stage without a geometry stage. A PLY or glTF file. Null for scene.ply of the run.
     pub start: *const c_char,
     /// Sum of SGS_STAGE_GEOMETRY and SGS_STAGE_INTRINSIC; 0 is SGS_STAGE_GEOMETRY.
     pub stages: u32,
 }
 
-/// How far a training is.
+/// Progress of a training.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsTrainStatus {
@@ -457,11 +460,11 @@ pub struct SgsTrainStatus {
     pub steps: u32,
     /// Not 0 once all stages are finished.
     pub finished: u32,
-    /// Gaussians after the last step.
+    /// Number of Gaussians after the last step.
     pub gaussians: u32,
-    /// The loss of the last step, or 0 before the first.
+    /// Loss of the last step, or 0 before the first.
     pub loss: f32,
-    /// The stage: SGS_STAGE_GEOMETRY or SGS_STAGE_INTRINSIC.
+    /// Stage: SGS_STAGE_GEOMETRY or SGS_STAGE_INTRINSIC.
     pub stage: u32,
     /// Rollbacks of the stage after divergence.
     pub roll_backs: u32,

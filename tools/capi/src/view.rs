@@ -1,4 +1,4 @@
-//! Rendering into a host's images: recorded into its command buffers, or submitted between its semaphores.
+//! Rendering into images of a host. Frames are recorded into its command buffers, or submitted between its semaphores.
 
 use crate::border::{Outcome, fail, read, write};
 use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
@@ -14,21 +14,21 @@ use sgs_passes::splat::{Encoding, Layer, Presented, TexelFormat};
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// A view, what it shows, and the images that it has seen.
+/// View, its content, and the host's images that it has wrapped.
 pub(crate) struct ViewObject {
     pub shows: Shows,
     images: HashMap<u64, DeviceImage>,
 }
 
-/// What a view shows.
+/// Content of a view.
 #[allow(clippy::large_enum_variant, reason = "views are boxed, and there are few")]
 pub(crate) enum Shows {
     Scene(Arc<SceneObject>, View),
-    /// With the exposure, a factor.
+    /// Relighting with its view and exposure, a factor.
     Relight(RelightObject, LitView, f32),
 }
 
-/// Images that are remembered; a host has as many as its swapchain.
+/// Number of wrapped images that are cached. A host has as many as its swapchain.
 const IMAGES: usize = 16;
 
 impl ViewObject {
@@ -36,7 +36,7 @@ impl ViewObject {
         ViewObject { shows, images: HashMap::new() }
     }
 
-    /// Recordings that are not done.
+    /// Returns the number of recordings that are not done.
     pub fn open(&self) -> Outcome<usize> {
         Ok(match &self.shows {
             Shows::Scene(_, view) => view.recordings()?,
@@ -68,7 +68,7 @@ fn state(layout: u32, what: &str) -> Outcome<ImageState> {
     })
 }
 
-/// What all views have in common.
+/// Parameters that all views have.
 pub(crate) struct Target {
     pub format: TexelFormat,
     pub encoding: Encoding,
@@ -133,7 +133,7 @@ fn options(info: &SgsViewInfo) -> Outcome<ViewOptions> {
     })
 }
 
-/// Prepares rendering of a scene into images of one size and format. The scene may be destroyed before the view.
+/// Creates a view of a scene for images of one size and format. The scene may be destroyed before the view.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_view_create(
     context: *const SgsContext,
@@ -141,7 +141,7 @@ pub unsafe extern "C" fn sgs_view_create(
     info: *const SgsViewInfo,
     view: *mut SgsView,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             claim(view)?;
@@ -154,10 +154,10 @@ pub unsafe extern "C" fn sgs_view_create(
     }
 }
 
-/// Prepares a frame and does with it what `how` says.
+/// Prepares a frame and passes it to `how`.
 ///
 /// # Safety
-/// As for the functions of the header: `frame` is null or a struct, and its image is what the header asks for.
+/// As for the functions of the header: `frame` is null or a struct, and its image is what the header requires.
 unsafe fn frame<R>(
     inner: &mut Inner,
     view: SgsView,
@@ -166,7 +166,7 @@ unsafe fn frame<R>(
 ) -> Outcome<R> {
     let device = inner.device.clone();
     let object = inner.view(view)?;
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     let (info, place) = unsafe {
         let info = read(frame)?;
         (info, read(info.camera)?)
@@ -207,14 +207,16 @@ unsafe fn frame<R>(
     }
 }
 
-/// Records a frame into a host's command buffer, behind everything recorded before and before everything after. The
-/// command buffer is being recorded outside a render pass, by this thread, from a pool of the context's queue family. It
-/// is submitted at most once at a time, to the context's queue or ordered by the host against everything else that the
-/// context does. The bound compute pipeline, its descriptor set 0 and push constants are changed. After an error the
-/// command buffer must be recorded anew.
+/// Records a frame into a command buffer of the host.
 ///
-/// The recording is held until one of sgs_recording_timeline, sgs_recording_fence and sgs_recording_done is called for
-/// it. With as many held as there are frames in flight, SGS_ERROR_BUSY is returned.
+/// The frame runs after everything recorded before it and before everything recorded after it. The command buffer is in
+/// the recording state, outside a render pass, used by this thread, and from a pool of the context's queue family. It
+/// is submitted at most once at a time: to the context's queue, or ordered by the host against all other work of the
+/// context. The call changes the bound compute pipeline, its descriptor set 0 and push constants. After an error the
+/// command buffer must be recorded again.
+///
+/// The recording is held until sgs_recording_timeline, sgs_recording_fence or sgs_recording_done is called for it.
+/// Returns SGS_ERROR_BUSY if as many recordings are held as frames may be in flight.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_view_record(
     context: *const SgsContext,
@@ -223,7 +225,7 @@ pub unsafe extern "C" fn sgs_view_record(
     commands: VkCommandBuffer,
     recording: *mut SgsRecording,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             claim(recording)?;
@@ -238,9 +240,9 @@ pub unsafe extern "C" fn sgs_view_record(
 }
 
 /// # Safety
-/// What the host says of its submission is so.
+/// The host's statement about its submission is true.
 unsafe fn end(context: *const SgsContext, recording: SgsRecording, until: Option<Completion>) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let Thing::Recording(recorded) = inner.table.take(recording, Some(4))? else {
@@ -255,8 +257,9 @@ unsafe fn end(context: *const SgsContext, recording: SgsRecording, until: Option
     }
 }
 
-/// The submission with this recording is done when a timeline semaphore of the device reaches a value. The semaphore lives
-/// until sgs_view_report shows the recording done, or the view is destroyed. The handle ends.
+/// Ends a recording whose submission signals a timeline semaphore. The submission is done when the semaphore reaches
+/// `value`. The semaphore belongs to the device and lives until sgs_view_report shows the recording done, or the view
+/// is destroyed. The handle becomes invalid.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_recording_timeline(
     context: *const SgsContext,
@@ -265,15 +268,16 @@ pub unsafe extern "C" fn sgs_recording_timeline(
     value: u64,
 ) -> SgsResult {
     if semaphore == 0 {
-        // SAFETY: as the caller promises.
+        // SAFETY: by the caller's contract.
         return unsafe { with(context, |_| fail(SgsResult::SGS_ERROR_NULL, "The semaphore is null.")) };
     }
     let until = Completion::Timeline(vk::Semaphore::from_raw(semaphore), value);
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { end(context, recording, Some(until)) }
 }
 
-/// Likewise, when a fence is signaled; it is neither reset nor destroyed before.
+/// Ends a recording whose submission is done when a fence is signaled. The fence is neither reset nor destroyed before
+/// that. The handle becomes invalid.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_recording_fence(
     context: *const SgsContext,
@@ -281,21 +285,21 @@ pub unsafe extern "C" fn sgs_recording_fence(
     fence: VkFence,
 ) -> SgsResult {
     if fence == 0 {
-        // SAFETY: as the caller promises.
+        // SAFETY: by the caller's contract.
         return unsafe { with(context, |_| fail(SgsResult::SGS_ERROR_NULL, "The fence is null.")) };
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { end(context, recording, Some(Completion::Fence(vk::Fence::from_raw(fence)))) }
 }
 
-/// The submission with this recording is done, or will never be made. The handle ends.
+/// Ends a recording whose submission is done or will never be made. The handle becomes invalid.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_recording_done(context: *const SgsContext, recording: SgsRecording) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe { end(context, recording, None) }
 }
 
-/// Semaphores of the host.
+/// Converts semaphores of the host.
 ///
 /// # Safety
 /// `from` points to `count` structs, or `count` is 0.
@@ -306,7 +310,7 @@ unsafe fn semaphores(from: *const SgsSemaphore, count: u32, what: &str) -> Outco
     if from.is_null() || count > 256 {
         return fail(SgsResult::SGS_ERROR_NULL, format!("{what} is null, or {count} is too many."));
     }
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     let all = unsafe { std::slice::from_raw_parts(from, count as usize) };
     if all.iter().any(|s| s.semaphore == 0) {
         return fail(SgsResult::SGS_ERROR_NULL, format!("One of {what} is null."));
@@ -314,8 +318,8 @@ unsafe fn semaphores(from: *const SgsSemaphore, count: u32, what: &str) -> Outco
     Ok(all.iter().map(|s| SemaphorePoint::timeline(vk::Semaphore::from_raw(s.semaphore), s.value)).collect())
 }
 
-/// Submits a frame to the context's queue, after some semaphores and before others. The semaphores are the device's; each
-/// signal to be waited for has been submitted, and each value to be signaled is new.
+/// Submits a frame to the context's queue. The frame waits for some semaphores and signals others. The semaphores
+/// belong to the device. Each signal to wait for has been submitted, and each value to signal is new.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_view_submit(
     context: *const SgsContext,
@@ -326,7 +330,7 @@ pub unsafe extern "C" fn sgs_view_submit(
     signals: *const SgsSemaphore,
     signal_count: u32,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let waits = semaphores(waits, wait_count, "waits")?;
@@ -339,7 +343,7 @@ pub unsafe extern "C" fn sgs_view_submit(
 /// Waits for the frames that sgs_view_submit has submitted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_view_wait(context: *const SgsContext, view: SgsView) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             match &mut inner.view(view)?.shows {
@@ -351,14 +355,14 @@ pub unsafe extern "C" fn sgs_view_wait(context: *const SgsContext, view: SgsView
     }
 }
 
-/// What is known of the frames that are done. Waits for nothing.
+/// Returns the report on frames that are done. Does not wait.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_view_report(
     context: *const SgsContext,
     view: SgsView,
     report: *mut SgsViewReport,
 ) -> SgsResult {
-    // SAFETY: as the caller promises.
+    // SAFETY: by the caller's contract.
     unsafe {
         with(context, |inner| {
             let object = inner.view(view)?;

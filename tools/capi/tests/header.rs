@@ -1,4 +1,4 @@
-//! `sgs.h` is what cbindgen makes of the sources. `SGS_WRITE_HEADER=1 cargo test -p sgs-capi --test header` renews it.
+//! Test that `sgs.h` matches the sources. `SGS_WRITE_HEADER=1 cargo test -p sgs-capi --test header` updates the file.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ fn generated() -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let config = cbindgen::Config::from_file(root.join("cbindgen.toml")).expect("cbindgen.toml");
     let mut builder = cbindgen::Builder::new().with_config(config);
-    // File by file, so that neither cargo nor the network is asked.
+    // File by file, so that cbindgen runs neither cargo nor a download.
     for file in ["types", "context", "host", "scene", "view", "relight", "trainer"] {
         builder = builder.with_src(root.join("src").join(file).with_extension("rs"));
     }
@@ -16,7 +16,7 @@ fn generated() -> String {
 }
 
 #[test]
-fn the_header_is_current() {
+fn header_matches_sources() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("include/sgs.h");
     let generated = generated();
     if std::env::var_os("SGS_WRITE_HEADER").is_some() {

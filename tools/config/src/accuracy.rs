@@ -1,10 +1,10 @@
-//! What is traded for speed, as settings.
+//! Accuracy that is traded for speed, as settings.
 
 use super::distance;
 use crate::error::ConfigError;
 use sgs_passes::Accuracy;
 
-/// A named choice of everything that is traded for speed without changing what is learned.
+/// Named accuracy level. Does not change the size of the model.
 struct Level {
     name: &'static str,
     accuracy: Accuracy,
@@ -14,17 +14,19 @@ struct Level {
     sample: u32,
 }
 
-/// All of them.
+/// All accuracy levels.
 const LEVELS: [Level; 3] = [
     Level { name: "exact", accuracy: Accuracy::EXACT, every: 1, sample: 1 },
     Level { name: "balanced", accuracy: Accuracy::BALANCED, every: 4, sample: 4 },
     Level { name: "fast", accuracy: Accuracy::FAST, every: 4, sample: 4 },
 ];
 
-/// `exact`, `balanced` or `fast`, as settings: `[accuracy]`, and how often surroundings move and visibility is taught.
+/// Returns the settings of an accuracy level: `exact`, `balanced` or `fast`.
+///
+/// Sets `[accuracy]`, the update interval of the environment map, and the sampling of visibility pairs.
 ///
 /// # Errors
-/// If it is none of these.
+/// If the level does not exist.
 pub fn accuracy_named(name: &str) -> crate::Result<toml::Table> {
     if let Some(level) = LEVELS.iter().find(|level| level.name == name) {
         let &Level { accuracy, every, sample, .. } = level;
@@ -40,7 +42,7 @@ pub fn accuracy_named(name: &str) -> crate::Result<toml::Table> {
     Err(ConfigError::new(format!("\"{name}\" is no accuracy; {hint}there are exact, balanced, fast.")))
 }
 
-/// What cannot be meant.
+/// Refuses values that kernels do not support.
 pub(super) fn check(a: &Accuracy) -> crate::Result<()> {
     let fail = |what: String| Err(ConfigError::new(what));
     if ![16, 24, 31].contains(&a.depth_bits) {
@@ -57,7 +59,6 @@ pub(super) fn check(a: &Accuracy) -> crate::Result<()> {
         ("color_bits", a.color_bits),
         ("table_bits", a.table_bits),
         ("weight_bits", a.weight_bits),
-        ("feature_bits", a.feature_bits),
     ] {
         if ![16, 32].contains(&bits) {
             return fail(format!("accuracy.{name} is {bits}, but must be 16 or 32."));
@@ -72,25 +73,25 @@ mod tests {
     use crate::Settings;
 
     #[test]
-    fn names_are_known_or_hinted_at() {
+    fn unknown_accuracy_levels_get_a_suggestion() {
         let of = |name: &str| Settings::from_table(accuracy_named(name).unwrap()).unwrap();
         assert_eq!(of("exact"), Settings::default());
         let (balanced, fast) = (of("balanced"), of("fast"));
         assert_eq!((balanced.accuracy, fast.accuracy), (Accuracy::BALANCED, Accuracy::FAST));
         assert_eq!((fast.intrinsic.environment.every, fast.intrinsic.visibility.sample), (4, 4));
-        // What is learned is of the same sizes.
+        // The size of the model does not depend on the level.
         let same = |mut s: Settings| {
             (s.accuracy, s.intrinsic.environment.every, s.intrinsic.visibility.sample) = (Accuracy::EXACT, 1, 1);
             s == Settings::default()
         };
         assert!(same(balanced) && same(fast));
-        // All levels say the same settings, so that one goes over another whole.
+        // All levels have the same keys, so that one level overrides another completely.
         let keys = |name: &str| {
             let t = accuracy_named(name).unwrap();
             let inner = |k: &str| t["accuracy"].get(k).is_some();
-            (t["accuracy"].as_table().unwrap().len(), inner("feature_bits"), t["intrinsic"].as_table().unwrap().len())
+            (t["accuracy"].as_table().unwrap().len(), inner("weight_bits"), t["intrinsic"].as_table().unwrap().len())
         };
-        assert!(keys("exact") == keys("balanced") && keys("exact") == keys("fast") && keys("exact") == (10, true, 2));
+        assert!(keys("exact") == keys("balanced") && keys("exact") == keys("fast") && keys("exact") == (8, true, 2));
         let message = |n: &str| accuracy_named(n).unwrap_err().to_string();
         assert_eq!(
             message("exat"),
@@ -100,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn what_kernels_cannot_do_is_refused() {
+    fn unsupported_accuracy_values_are_refused() {
         let good = Accuracy::default();
         check(&good).unwrap();
         for bad in [
@@ -112,7 +113,6 @@ mod tests {
             Accuracy { color_bits: 24, ..good },
             Accuracy { table_bits: 8, ..good },
             Accuracy { weight_bits: 0, ..good },
-            Accuracy { feature_bits: 64, ..good },
         ] {
             assert!(check(&bad).unwrap_err().to_string().starts_with("accuracy."));
         }

@@ -1,24 +1,24 @@
-//! How many bands of spherical harmonics: a number, or as many as the pictures ask for.
+//! Degree of spherical harmonics: a number, or `auto` to measure it.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// The word for as many as are worth it.
+/// Word for a measured degree.
 pub(super) const AUTO: &str = "auto";
 
-/// The most bands beside the first.
+/// Maximum number of bands besides band 0.
 pub const MOST_BANDS: u32 = 3;
 
-/// The degree of spherical harmonics, in files a number or the word `auto`.
+/// Degree of spherical harmonics; in files a number or the word `auto`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ShDegree {
-    /// This one, from the first step on.
+    /// Fixed degree from the first step on.
     Fixed(u32),
-    /// It begins at 0, and a band comes if it is worth it.
+    /// Starts at degree 0. Keeps a band if its measured PSNR gain is large enough.
     Auto,
 }
 
 impl ShDegree {
-    /// The one to begin with.
+    /// Returns the initial degree.
     pub fn start(self) -> u32 {
         match self {
             ShDegree::Fixed(degree) => degree,
@@ -26,7 +26,7 @@ impl ShDegree {
         }
     }
 
-    /// The highest that it may come to.
+    /// Returns the maximum degree.
     pub fn most(self) -> u32 {
         match self {
             ShDegree::Fixed(degree) => degree,
@@ -86,7 +86,7 @@ mod tests {
     use crate::Settings;
 
     #[test]
-    fn a_number_or_the_word() {
+    fn sh_degree_is_a_number_or_auto() {
         let of = |text: &str| Settings::from_table(text.parse().unwrap()).and_then(|s| s.check().map(|()| s));
         let degree = |text: &str| of(&format!("[geometry]\nsh_degree = {text}")).map(|s| s.geometry.sh_degree);
         assert_eq!(degree("2").unwrap(), ShDegree::Fixed(2));

@@ -10,14 +10,16 @@ use sgs_passes::splat::Statistic;
 pub enum DensifyStatistic {
     /// Screen gradients of the photometric loss.
     Photometric,
-    /// Screen gradients of the losses of normals and depth, or gradients by raw normals: the published statistic.
+    /// Screen gradients of normal and depth losses, or gradients by raw normals.
+    ///
+    /// This is the published statistic.
     Geometric,
     /// Screen gradients of every loss, semantic losses included if they move geometry.
     Total,
 }
 
 impl DensifyStatistic {
-    /// What kernels gather.
+    /// Returns the statistic that the kernels accumulate.
     pub fn gathered(self) -> Statistic {
         match self {
             DensifyStatistic::Photometric => Statistic::Photometric,
@@ -43,25 +45,22 @@ pub struct DensifyOptions {
     pub statistic: DensifyStatistic,
     /// Mean screen gradient (NDC) from which a Gaussian is refined. Published for `geometric`: 1e-4.
     pub grad_threshold: f32,
-    /// Mean gradient by the raw normal from which a Gaussian is refined; `geometric` only. 0 disables it.
+    /// Mean gradient by the raw normal from which a Gaussian is refined; `geometric` only. 0 disables it. Not a setting.
+    #[serde(skip)]
     pub normal_threshold: f32,
     /// Largest scale that is cloned instead of split, as a fraction of the extent.
     pub split_size: f64,
-    /// Opacity below which a Gaussian is pruned.
+    /// Opacity below which a Gaussian is pruned. Not a setting.
+    #[serde(skip)]
     pub prune_opacity: f32,
-    /// Blending weight per interval below which a Gaussian is pruned, if the interval showed all views.
+    /// Blending weight per interval below which a Gaussian is pruned. Applies only if the interval showed all views.
     pub prune_weight: f32,
-    /// Summed blending weight over all views, in gray levels of 255, below which the last densification prunes; 0 disables
-    /// it.
-    pub final_prune: f32,
-    /// Scale above which a Gaussian is pruned after the first opacity reset, as a fraction of the extent.
+    /// Scale above which a Gaussian is pruned, as a fraction of the extent. Applies after the first opacity reset.
     pub prune_size: f64,
     /// Steps between opacity resets; 0 disables them.
     pub reset_interval: u32,
     /// Number of Gaussians at most.
     pub max_gaussians: u32,
-    /// Device memory of training in MiB at most; 0 uses the limit of the device.
-    pub max_mib: u64,
 }
 
 impl Default for DensifyOptions {
@@ -77,17 +76,15 @@ impl Default for DensifyOptions {
             split_size: 0.01,
             prune_opacity: 0.005,
             prune_weight: 1e-4,
-            final_prune: 0.0,
             prune_size: 0.5,
             reset_interval: 3000,
             max_gaussians: 2_000_000,
-            max_mib: 0,
         }
     }
 }
 
 impl DensifyOptions {
-    /// Checks what types cannot.
+    /// Checks values that the types do not constrain.
     pub(super) fn check(&self) -> Result<()> {
         let fail = |what: String| Err(ConfigError::new(what));
         for (name, value) in [
@@ -96,7 +93,6 @@ impl DensifyOptions {
             ("split_size", self.split_size),
             ("prune_opacity", f64::from(self.prune_opacity)),
             ("prune_weight", f64::from(self.prune_weight)),
-            ("final_prune", f64::from(self.final_prune)),
             ("prune_size", self.prune_size),
         ] {
             if !(value >= 0.0 && value.is_finite()) {

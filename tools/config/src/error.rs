@@ -1,12 +1,14 @@
 //! Errors of settings.
 
-/// A setting that does not exist, or whose value is not allowed. The sentence names the setting, the value and what is allowed.
+/// Setting that does not exist or has an invalid value.
+///
+/// The sentence names the setting, its value and the allowed values.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct ConfigError(String);
 
 impl ConfigError {
-    /// Makes an error from its sentence.
+    /// Creates an error from its sentence.
     pub fn new(sentence: impl Into<String>) -> ConfigError {
         ConfigError(sentence.into())
     }

@@ -33,9 +33,7 @@ pub struct IntrinsicSettings {
     pub losses: IntrinsicLosses,
     /// Diffuse radiance that culled lights may lack at a pixel, with white as 1; 0 disables culling.
     pub cull_error: f32,
-    /// Keeps gradients that darken pixels above white.
-    pub returning: bool,
-    /// Of this many steps one compares albedo with pseudo-views, and the next one under other lights.
+    /// Steps between comparisons of albedo with pseudo-views. The step after each compares albedo under other lights.
     pub consistency_interval: u32,
     /// First step that compares albedo with pseudo-views.
     pub cross_view_from: u32,
@@ -45,8 +43,6 @@ pub struct IntrinsicSettings {
     pub relight: RelightSettings,
     /// Bytes at most for stored blending weights; beyond that each step recomputes them. 0 stores what fits.
     pub surface_bytes: u64,
-    /// Steps between checkpoints; 0 writes only the last.
-    pub checkpoint_interval: u32,
 }
 
 impl Default for IntrinsicSettings {
@@ -64,13 +60,11 @@ impl Default for IntrinsicSettings {
             rates: IntrinsicRates::default(),
             losses: IntrinsicLosses::default(),
             cull_error: 0.0,
-            returning: false,
             consistency_interval: 3,
             cross_view_from: 1,
             relight_from: 1000,
             relight: RelightSettings::default(),
             surface_bytes: 0,
-            checkpoint_interval: 500,
         }
     }
 }
@@ -90,7 +84,7 @@ pub struct RelightSettings {
 }
 
 impl RelightSettings {
-    /// The provider's command line, if there is to be one.
+    /// Returns the provider's command line; `None` for `own`.
     pub fn command(&self) -> Option<&str> {
         let command = self.provider.trim();
         (command != "own").then_some(command)
@@ -103,25 +97,25 @@ impl Default for RelightSettings {
     }
 }
 
-/// Whether metals are told from other materials.
+/// Whether a metallic value is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Metallic {
-    /// Where there are priors of it.
+    /// If metallic priors exist.
     Auto,
     /// Always.
     On,
-    /// Never: everything is a dielectric.
+    /// Never: all materials are dielectric.
     Off,
 }
 
-/// Where materials begin that the splats do not bring.
+/// Initial materials of splats that have none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MaterialStart {
-    /// With the mean of what the priors of all views say.
+    /// Mean of the priors of all views.
     Priors,
-    /// Gray and half rough, as published.
+    /// Gray with roughness 0.5, as published.
     Gray,
 }
 
@@ -137,9 +131,11 @@ pub struct LightSettings {
     pub lobes: u32,
     /// Initial directions of lobes: `free` or `grid`.
     pub layout: LobeLayout,
-    /// Fraction of the brightest light's largest amplitude below which a light is switched off; 0 keeps all.
+    /// Relative amplitude below which a light is switched off; 0 keeps all. Relative to the brightest light's largest
+    /// amplitude.
     pub prune: f32,
-    /// Factor on the published initial brightness, which depends on the size of the scene's box.
+    /// Factor on the published initial brightness. The published value depends on the size of the scene's box. Not a setting.
+    #[serde(skip)]
     pub start: f32,
 }
 
@@ -149,13 +145,13 @@ impl Default for LightSettings {
     }
 }
 
-/// How the twelve lobes of a light are laid out.
+/// Initial layout of the lobes of a light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum LobeLayout {
-    /// Two rows of six around the vertical, each in its cell, as published.
+    /// Two rows around the vertical, each lobe limited to its cell, as published.
     Grid,
-    /// Spread over the sphere, free to turn anywhere.
+    /// Distributed over the sphere, with free directions.
     Free,
 }
 
@@ -195,12 +191,14 @@ pub struct VisibilitySettings {
     pub finest: u32,
     /// Supervises one in this many (pixel, light) pairs. Larger is faster and noisier, with the same mean.
     pub sample: u32,
-    /// Distance of a ray's start above the surface, in units of the median largest standard deviation of the Gaussians.
+    /// Distance of a ray's start above the surface. The unit is the median over Gaussians of the largest standard
+    /// deviation. Not a setting.
+    #[serde(skip)]
     pub offset: f32,
-    /// Distance of a ray's end before the light, in the same unit, so that a lamp's own Gaussians do not hide it.
+    /// Distance of a ray's end before the light, in the unit of `offset`. Keeps the Gaussians of a lamp from occluding
+    /// its light. Not a setting.
+    #[serde(skip)]
     pub clearance: f32,
-    /// Standard deviation of the jitter of the smoothness loss, as a fraction of half the scene's box.
-    pub jitter: f32,
 }
 
 impl Default for VisibilitySettings {
@@ -214,28 +212,27 @@ impl Default for VisibilitySettings {
             sample: 1,
             offset: 2.0,
             clearance: 4.0,
-            jitter: 0.01 / 1.5,
         }
     }
 }
 
 impl VisibilitySettings {
-    /// The field, if it is learned.
+    /// Returns the configuration of the visibility field if it is learned.
     pub fn config(&self) -> Option<FieldConfig> {
         let &VisibilitySettings { kind, levels, log2_table, coarsest, finest, .. } = self;
         (kind == VisibilityKind::Field).then_some(FieldConfig::new(levels, log2_table, coarsest, finest))
     }
 }
 
-/// How shadows are found.
+/// Method of computing shadows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum VisibilityKind {
     /// Learned: a hash grid and a small network.
     Field,
-    /// Nothing is learned: rays go through the Gaussians as they are, for each pixel and light.
+    /// Ray-traced through the current Gaussians for each pixel and light. Nothing is learned.
     Traced,
-    /// Nothing is in the way of any light.
+    /// No shadows.
     None,
 }
 
@@ -243,12 +240,8 @@ pub enum VisibilityKind {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IntrinsicRates {
-    /// Rate of albedo.
-    pub albedo: f32,
-    /// Rate of roughness.
-    pub roughness: f32,
-    /// Rate of metallic.
-    pub metallic: f32,
+    /// Rate of albedo, roughness and metallic.
+    pub materials: f32,
     /// Rate of lights.
     pub lights: f32,
     /// Rate of the environment map's texels.
@@ -265,9 +258,7 @@ pub struct IntrinsicRates {
 impl Default for IntrinsicRates {
     fn default() -> Self {
         IntrinsicRates {
-            albedo: 0.01,
-            roughness: 0.01,
-            metallic: 0.01,
+            materials: 0.01,
             lights: 0.05,
             environment: 0.05,
             visibility: 4e-3,
@@ -291,7 +282,8 @@ pub struct IntrinsicLosses {
     pub roughness: f32,
     /// Metallic prior: L1 and SSIM.
     pub metallic: f32,
-    /// Gradients at four scales, within the weights of the priors.
+    /// Gradients at four scales, within the weights of the priors. Not a setting.
+    #[serde(skip)]
     pub gradients: f32,
     /// Edge-aware smoothness of albedo. Published: 1, which removes texture.
     pub albedo_smooth: f32,
@@ -299,9 +291,11 @@ pub struct IntrinsicLosses {
     pub roughness_smooth: f32,
     /// Smoothness of the environment map.
     pub environment_smooth: f32,
-    /// Distance of lights from surfaces.
+    /// Distance of lights from surfaces. Not a setting.
+    #[serde(skip)]
     pub light_position: f32,
-    /// Amplitudes of lights.
+    /// Amplitudes of lights. Not a setting.
+    #[serde(skip)]
     pub light_value: f32,
     /// Smoothness of visibility under a jitter of points and lights.
     pub visibility_jitter: f32,
@@ -337,12 +331,12 @@ impl Default for IntrinsicLosses {
 }
 
 impl IntrinsicSettings {
-    /// The weight of L_relight, 0 where no provider of materials is asked.
+    /// Returns the weight of L_relight; 0 without a provider of materials.
     pub fn relight_weight(&self) -> f32 {
         if self.relight.command().is_some() { self.losses.relight } else { 0.0 }
     }
 
-    /// The weight of comparing albedo with the view's own prior.
+    /// Returns the weight of the loss of albedo against the view's own prior.
     pub fn own_prior_weight(&self) -> f32 {
         match self.losses.own_prior {
             OwnPrior::Weight(weight) => weight,
@@ -351,7 +345,7 @@ impl IntrinsicSettings {
         }
     }
 
-    /// Checks what types cannot.
+    /// Checks values that the types do not constrain.
     pub(super) fn check(&self, table: &toml::Table) -> crate::Result<()> {
         if let Some((name, value)) = wrong_number("intrinsic", table) {
             let what = format!("{name} is {value}, but must be a finite number of at least 0.");
@@ -414,7 +408,7 @@ impl IntrinsicSettings {
     }
 }
 
-/// The first number below zero, or none at all.
+/// Returns name and value of the first number that is negative or not finite.
 fn wrong_number(prefix: &str, table: &toml::Table) -> Option<(String, String)> {
     table.iter().find_map(|(key, value)| {
         let name = format!("{prefix}.{key}");

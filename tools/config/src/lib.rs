@@ -1,4 +1,4 @@
-//! Every setting, with its default and what it does. `config.toml` of a run holds them all, resolved.
+//! Settings with their defaults and descriptions. `config.toml` of a run contains all of them, resolved.
 
 mod accuracy;
 mod automatic;
@@ -16,7 +16,7 @@ mod pseudo;
 mod train;
 
 pub use accuracy::accuracy_named;
-pub use automatic::AutomaticSettings;
+pub use automatic::{AutomaticSettings, Parts};
 pub use degree::{MOST_BANDS, ShDegree};
 pub use densify::{DensifyOptions, DensifyStatistic};
 pub use error::{ConfigError, Result};
@@ -104,8 +104,6 @@ pub struct GeometrySettings {
     pub steps: u32,
     /// Highest band of spherical harmonics: 0 to 3, or "auto" to measure which bands gain `sh_gain`.
     pub sh_degree: ShDegree,
-    /// Steps between bands of spherical harmonics; 0 starts with all. Unused with "auto".
-    pub sh_interval: u32,
     /// PSNR gain in dB that keeps a band with "auto", at held-back training views.
     pub sh_gain: f64,
     /// Background color, display-referred.
@@ -138,8 +136,6 @@ pub struct GeometrySettings {
     pub densify: DensifyOptions,
     /// Kernel of the gradients of blending: `auto`, `pixel`, `splat`, or `atomic`, which is not deterministic.
     pub backward: Backward,
-    /// Steps between checkpoints; 0 writes only the last.
-    pub checkpoint_interval: u32,
     /// Initial capacity of tile entries; 0 estimates it. The capacity grows as needed, with the same results.
     pub entry_capacity: u32,
 }
@@ -149,7 +145,6 @@ impl Default for GeometrySettings {
         GeometrySettings {
             steps: 7000,
             sh_degree: ShDegree::Fixed(3),
-            sh_interval: 0,
             sh_gain: 0.02,
             background: [0.0; 3],
             normals: true,
@@ -166,27 +161,26 @@ impl Default for GeometrySettings {
             losses: LossWeights::default(),
             densify: DensifyOptions::default(),
             backward: Backward::Auto,
-            checkpoint_interval: 1000,
             entry_capacity: 0,
         }
     }
 }
 
-/// The backward kernel of blending; all give the same gradients up to rounding.
+/// Backward kernel of blending. All give the same gradients up to rounding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Backward {
-    /// Measured on the device after a few steps; the outcome is written into the run's settings.
+    /// Selected by measurement after a few steps. The run's settings record the result.
     Auto,
     /// Lanes are pixels.
     Pixel,
     /// Lanes are splats.
     Splat,
-    /// Lanes are pixels, and tiles' sums are added by atomics: less memory, and not the same bits from run to run.
+    /// Lanes are pixels; sums over tiles use atomics. Needs less memory, but results vary from run to run.
     Atomic,
 }
 
-/// Learning rates of Adam by group (Kerbl et al. 2023).
+/// Learning rates of Adam by group (Kerbl et al. 2023). Rates of other groups are fixed, apart from `factor`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Rates {
@@ -196,17 +190,23 @@ pub struct Rates {
     pub means: f64,
     /// Rate of means at the last step, times the extent; log-linear between.
     pub means_final: f64,
-    /// Rate of log scales.
+    /// Rate of log scales. Not a setting.
+    #[serde(skip)]
     pub scales: f64,
-    /// Rate of quaternions.
+    /// Rate of quaternions. Not a setting.
+    #[serde(skip)]
     pub rotations: f64,
-    /// Rate of opacity logits.
+    /// Rate of opacity logits. Not a setting.
+    #[serde(skip)]
     pub opacities: f64,
-    /// Rate of band 0.
+    /// Rate of band 0. Not a setting.
+    #[serde(skip)]
     pub sh0: f64,
-    /// Rate of the other bands.
+    /// Rate of the other bands. Not a setting.
+    #[serde(skip)]
     pub sh_rest: f64,
-    /// Rate of normals.
+    /// Rate of normals. Not a setting.
+    #[serde(skip)]
     pub normals: f64,
     /// Rate of semantic features.
     pub semantics: f64,
@@ -277,23 +277,24 @@ impl Default for LossWeights {
 }
 
 impl GeometrySettings {
-    /// Weight of depth smoothness; 0 if it is switched off.
+    /// Returns the weight of depth smoothness; 0 if it is disabled.
     pub fn depth_smooth_weight(&self) -> f32 {
         if self.depth_smooth { self.losses.depth_smooth } else { 0.0 }
     }
 
-    /// Weight of depth variance at step 0; 0 if it is switched off.
+    /// Returns the weight of depth variance at step 0; 0 if it is disabled.
     pub fn depth_variance_weight(&self) -> f32 {
         if self.depth_variance { self.losses.depth_variance } else { 0.0 }
     }
 
-    /// Whether a depth term has a weight.
+    /// Returns whether a depth term has a weight.
     pub fn depth_terms(&self) -> bool {
         self.depth_smooth_weight() > 0.0 || self.depth_variance_weight() > 0.0
     }
 
-    /// The factor on the learning rates: the given one, or one that grows as runs get shorter than the 7000 steps that
-    /// the rates are made for.
+    /// Returns the factor on the learning rates.
+    ///
+    /// By default it grows for runs shorter than the 7000 steps for which the rates are tuned, up to 3.
     pub fn rate_factor(&self) -> f64 {
         if self.rates.factor > 0.0 {
             return self.rates.factor;
@@ -303,7 +304,7 @@ impl GeometrySettings {
 }
 
 impl Settings {
-    /// How these settings open the scene.
+    /// Returns the options with which these settings open the scene.
     pub fn scene_options(&self) -> sgs_scene::SceneOptions {
         sgs_scene::SceneOptions {
             split: self.split.clone(),
@@ -317,7 +318,7 @@ impl Settings {
         }
     }
 
-    /// Settings from a table in which any of them may be absent.
+    /// Parses settings from a table. Absent settings have their defaults.
     ///
     /// # Errors
     /// A sentence that names the setting that does not exist, or whose value is of another kind.
@@ -331,7 +332,7 @@ impl Settings {
         toml::Value::Table(table.clone()).try_into().map_err(wrong)
     }
 
-    /// All settings as a table.
+    /// Returns all settings as a table.
     ///
     /// # Errors
     /// If a value cannot be written as TOML.
@@ -339,10 +340,10 @@ impl Settings {
         toml::Table::try_from(self).map_err(|e| ConfigError::new(format!("The settings cannot be written: {e}.")))
     }
 
-    /// Checks what types cannot.
+    /// Checks values that the types do not constrain.
     ///
     /// # Errors
-    /// A sentence that names the setting, its value and what it may be.
+    /// A sentence that names the setting, its value and the allowed values.
     pub fn check(&self) -> crate::Result<()> {
         let fail = |what: String| Err(ConfigError::new(what));
         let g = &self.geometry;
@@ -376,12 +377,6 @@ impl Settings {
         for (name, value) in [
             ("rates.means", r.means),
             ("rates.means_final", r.means_final),
-            ("rates.scales", r.scales),
-            ("rates.rotations", r.rotations),
-            ("rates.opacities", r.opacities),
-            ("rates.sh0", r.sh0),
-            ("rates.sh_rest", r.sh_rest),
-            ("rates.normals", r.normals),
             ("rates.semantics", r.semantics),
             ("rates.decoder", r.decoder),
             ("losses.l1", f64::from(l.l1)),
@@ -420,14 +415,14 @@ mod tests {
     #[test]
     fn all_settings_round_trip() {
         let mut s = Settings { seed: 7, ..Settings::default() };
-        s.geometry.rates.scales = 0.1;
+        s.geometry.rates.means = 0.1;
         s.geometry.background = [0.1, 0.2, 0.3];
         assert_eq!(Settings::from_table(s.to_table().unwrap()).unwrap(), s);
         assert_eq!(Settings::from_table(toml::Table::new()).unwrap(), Settings::default());
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_fault_has_its_own_message() {
         assert_eq!(
             fail("[geometry]\nstep = 1"),
             "\"geometry.step\" is not a setting; did you mean \"geometry.steps\"?"
@@ -457,7 +452,7 @@ mod tests {
     }
 
     #[test]
-    fn distances() {
+    fn edit_distances_are_correct() {
         assert_eq!((distance("", "abc"), distance("abc", "abc"), distance("kitten", "sitting")), (3, 0, 3));
     }
 }

@@ -1,4 +1,4 @@
-//! How much of the device training may take.
+//! Limit on the device memory of training.
 
 use serde::{Deserialize, Serialize};
 
@@ -10,10 +10,12 @@ pub struct MemorySettings {
     pub budget: u64,
 }
 
-/// Bytes from text such as `500000000`, `512M`, `4G` or `1.5GiB`: powers of 1024.
+/// Parses a size such as `500000000`, `512M`, `4G` or `1.5GiB` to bytes.
+///
+/// Units are powers of 1024.
 ///
 /// # Errors
-/// A sentence that says what it should look like.
+/// A sentence that describes the expected format.
 pub fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
     let wrong = || format!("\"{text}\" is no size; write bytes or a number with K, M or G, as 4G");
     let upper = text.trim().to_ascii_uppercase();
@@ -24,7 +26,7 @@ pub fn parse_bytes(text: &str) -> std::result::Result<u64, String> {
     };
     let value: f64 = number.trim().parse().map_err(|_| wrong())?;
     let bytes = value * (1_u64 << unit) as f64;
-    // From here on, TOML has no numbers: the cast rounds up to 2^63.
+    // TOML integers end below 2^63; the cast rounds `i64::MAX` up to 2^63.
     if !(bytes >= 1.0 && bytes < i64::MAX as f64) {
         return Err(wrong());
     }
@@ -36,7 +38,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_are_read() {
+    fn sizes_with_units_are_parsed() {
         for (text, bytes) in [
             ("500", 500),
             ("4G", 4 << 30),

@@ -1,22 +1,22 @@
-//! Names of settings in tables: every one must be known, and what was meant is said where one is not.
+//! Validation of names in tables of settings. Unknown names get a suggestion.
 
 use crate::error::ConfigError;
 
-/// A parser's message without line breaks and a full stop.
+/// Returns a parser's message on one line without a final period.
 pub fn one_line(message: &str) -> String {
     message.trim().trim_end_matches('.').replace('\n', " ")
 }
 
-/// Settings that are a number or this word.
+/// Settings that are a number or this word, with the allowed numbers.
 const OR_WORD: [(&str, &str, &str); 2] = [
     ("geometry.sh_degree", super::degree::AUTO, "0 to 3"),
     (OWN_PRIOR, super::own_prior::AUTO, "a number of at least 0"),
 ];
 
-/// The one of these that may be a fraction.
+/// Setting among these that may be a fraction.
 const OWN_PRIOR: &str = "intrinsic.losses.own_prior";
 
-/// Every key of `given` must be known, with a value of the same kind.
+/// Checks that every key of `given` is known and has a value of the same kind.
 pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, all: &toml::Table) -> crate::Result<()> {
     use toml::Value::{Array, Float, Integer, Table};
     let fail = |what: String| Err(ConfigError::new(what));
@@ -44,6 +44,13 @@ pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, al
         match (value, expected) {
             (Table(value), Table(expected)) => compare(&format!("{name}."), value, expected, all)?,
             (Integer(n), Integer(_)) if *n < 0 => return fail(format!("{name} is {n}, but must be at least 0.")),
+            // A list of words: its default holds all of them.
+            (Array(values), Array(all)) if matches!(all.first(), Some(toml::Value::String(_))) => {
+                if let Some(wrong) = values.iter().find(|value| !all.contains(value)) {
+                    let words: Vec<&str> = all.iter().filter_map(toml::Value::as_str).collect();
+                    return fail(format!("{name} has {wrong}, but must be a list of {}.", words.join(", ")));
+                }
+            }
             (Array(values), Array(expected)) => {
                 let numbers = values.iter().all(|v| matches!(v, Integer(_) | Float(_)));
                 if values.len() != expected.len() || !numbers {
@@ -58,6 +65,11 @@ pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, al
                     Integer(_) => "a whole number",
                     Float(_) => "a number",
                     toml::Value::Boolean(_) => "true or false",
+                    Array(all) if matches!(all.first(), Some(toml::Value::String(_))) => {
+                        let words: Vec<&str> = all.iter().filter_map(toml::Value::as_str).collect();
+                        return fail(format!("{name} is {value}, but must be a list of {}.", words.join(", ")));
+                    }
+                    Array(all) => return fail(format!("{name} is {value}, but must be {} numbers.", all.len())),
                     _ => "text",
                 };
                 return fail(format!("{name} is {value}, but must be {kind}."));
@@ -67,12 +79,14 @@ pub(super) fn compare(prefix: &str, given: &toml::Table, known: &toml::Table, al
     Ok(())
 }
 
-/// Names that are longer are not compared.
+/// Maximum length of names that are compared.
 const MOST_LETTERS: usize = 100;
 
-/// The setting whose name, or its last part, is closest to what was written, if any is close.
+/// Returns the setting whose name, or last component, is closest to `name`.
+///
+/// Returns `None` if no name is close.
 fn nearest(name: &str, all: &toml::Table) -> Option<String> {
-    // Longer than any setting, and long to compare.
+    // Longer than any setting, and slow to compare.
     if name.len() > MOST_LETTERS {
         return None;
     }
@@ -92,8 +106,10 @@ fn nearest(name: &str, all: &toml::Table) -> Option<String> {
     (far <= 3).then_some(near)
 }
 
-/// What is wrong with a word that is none of those that a setting may be, if that is the matter: each is tried by itself,
-/// because parsers do not say where they are.
+/// Describes the first word that is not an allowed value of its setting.
+///
+/// Tries each word separately, because the parser's errors do not name the setting. `refuse` parses a table and
+/// returns the error.
 pub(super) fn word(table: &toml::Table, refuse: impl Fn(toml::Table) -> Option<toml::de::Error>) -> Option<String> {
     fn words(path: &[String], table: &toml::Table, found: &mut Vec<(Vec<String>, String)>) {
         for (key, value) in table {
@@ -114,7 +130,7 @@ pub(super) fn word(table: &toml::Table, refuse: impl Fn(toml::Table) -> Option<t
         }
         let toml::Value::Table(alone) = alone else { return None };
         let error = refuse(alone)?;
-        // "unknown variant `a`, expected `b` or `c`", or "... expected one of `b`, `c`".
+        // Format of serde: "unknown variant `a`, expected `b` or `c`", or "... expected one of `b`, `c`".
         let known: Vec<&str> = error.message().split('`').skip(1).step_by(2).skip(1).collect();
         let name = path.join(".");
         if known.is_empty() {
@@ -129,7 +145,7 @@ pub(super) fn word(table: &toml::Table, refuse: impl Fn(toml::Table) -> Option<t
     })
 }
 
-/// How many letters must be changed, added or left out (Levenshtein).
+/// Returns the Levenshtein distance in characters.
 pub fn distance(a: &str, b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut row: Vec<usize> = (0..=b.len()).collect();

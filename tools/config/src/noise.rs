@@ -1,4 +1,4 @@
-//! Noise on what training begins with.
+//! Noise on the inputs of training.
 
 use crate::error::ConfigError;
 use serde::{Deserialize, Serialize};
@@ -8,27 +8,28 @@ use sgs_scene::{Noise, Scene};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseSettings {
-    /// Standard deviation of each coordinate of the initial points, as a fraction of the extent.
+    /// Standard deviation of each coordinate of the initial points. The unit is the extent.
     pub positions: f64,
-    /// Standard deviation of the rotation of normal priors about each axis, in degrees; smooth over neighboring pixels.
+    /// Standard deviation in degrees of the rotation of normal priors about each axis. The rotation is smooth over
+    /// neighboring pixels.
     pub normals: f64,
     /// Fraction of the cells of semantic priors that hold another cell of the view.
     pub semantics: f64,
-    /// Standard deviation of the rotation of training cameras about each axis, in degrees.
+    /// Standard deviation in degrees of the rotation of cameras about each axis. Applies to training cameras.
     pub rotations: f64,
-    /// Standard deviation of each coordinate of training cameras, as a fraction of the extent.
+    /// Standard deviation of each coordinate of training cameras. The unit is the extent.
     pub translations: f64,
 }
 
 impl NoiseSettings {
-    /// The scene with this noise; none if there is no noise.
+    /// Returns the scene with this noise; `None` without noise.
     pub fn on(&self, scene: &Scene, seed: u64) -> Option<Scene> {
         let NoiseSettings { positions, normals, semantics, rotations, translations } = *self;
         (*self != NoiseSettings::default())
             .then(|| scene.disturbed(&Noise { positions, normals, semantics, rotations, translations, seed }))
     }
 
-    /// Checks what types cannot.
+    /// Checks values that the types do not constrain.
     pub(super) fn check(&self) -> crate::Result<()> {
         let most = [
             ("positions", self.positions, 100.0),

@@ -1,4 +1,4 @@
-//! The weight of comparing a region's albedo with the view's own prior.
+//! Weight of the loss of a region's albedo against the view's own prior.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -8,9 +8,9 @@ pub(super) const AUTO: &str = "auto";
 /// Weight of a region's albedo against the view's own prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum OwnPrior {
-    /// The weight of `relight` where no provider of materials is asked, else 0.
+    /// Weight of `relight` without a provider of materials, else 0.
     Auto,
-    /// This weight.
+    /// Fixed weight.
     Weight(f32),
 }
 
@@ -58,13 +58,13 @@ mod tests {
             let error = of(wrong).unwrap_err().to_string();
             assert!(error.contains("intrinsic.losses.own_prior is ") && error.contains("at least 0"), "{error}");
         }
-        // What a run records is what it reads.
+        // A recorded value parses to the same value.
         for text in ["0.25", "\"auto\""] {
             let losses = crate::IntrinsicLosses { own_prior: of(text).unwrap(), ..Default::default() };
             let table = toml::Table::try_from(losses).unwrap();
             assert_eq!(table.try_into::<crate::IntrinsicLosses>().unwrap(), losses);
         }
-        // As before where nothing is said: the weight of `relight`, unless a provider is asked.
+        // The default: the weight of `relight`, unless a provider is set.
         let mut s = Settings::default().intrinsic;
         assert_eq!((s.own_prior_weight(), s.relight_weight()), (0.4, 0.0));
         s.relight.provider = "ask".into();

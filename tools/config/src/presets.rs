@@ -1,20 +1,22 @@
-//! Presets: settings to begin with, by name. Files, `--set` and options go over them; a run records what came of it.
+//! Presets: named base settings.
+//!
+//! Files, `--set` and options override them; a run records the result.
 
 use super::names::distance;
 use crate::error::ConfigError;
 
-/// Settings to begin with.
+/// Named base settings.
 #[derive(Clone, Copy, Debug)]
 pub struct Preset {
-    /// What it is called.
+    /// Name of the preset.
     pub name: &'static str,
-    /// What it is for.
+    /// Purpose of the preset.
     pub about: &'static str,
-    /// What it sets, as TOML.
+    /// Settings of the preset as TOML.
     pub text: &'static str,
 }
 
-/// All of them.
+/// All presets.
 pub const PRESETS: [Preset; 4] = [
     Preset { name: "draft", about: "quick, on a processor", text: include_str!("presets/draft.toml") },
     Preset { name: "default", about: "the defaults", text: "" },
@@ -23,10 +25,10 @@ pub const PRESETS: [Preset; 4] = [
 ];
 
 impl Preset {
-    /// By its name.
+    /// Returns a preset by its name.
     ///
     /// # Errors
-    /// A sentence with the nearest name, and all of them, if there is none.
+    /// If no preset has this name. The sentence lists the most similar name and all names.
     pub fn find(name: &str) -> crate::Result<&'static Preset> {
         PRESETS.iter().find(|p| p.name == name).ok_or_else(|| {
             let near = PRESETS.iter().map(|p| (distance(name, p.name), p.name)).min().filter(|(far, _)| *far <= 2);
@@ -36,17 +38,17 @@ impl Preset {
         })
     }
 
-    /// What it sets.
+    /// Parses the settings of the preset.
     ///
     /// # Errors
-    /// If its text is no TOML, which would be a defect.
+    /// If the text is not TOML, which would be a defect.
     pub fn table(&self) -> crate::Result<toml::Table> {
         let wrong = |e: toml::de::Error| ConfigError::new(format!("The preset \"{}\": {e}.", self.name));
         self.text.parse().map_err(wrong)
     }
 }
 
-/// Puts what `over` says in place of what `table` does.
+/// Overrides the values of `table` with those of `over`, recursively.
 pub fn overlay(table: &mut toml::Table, over: toml::Table) {
     for (key, value) in over {
         match (table.get_mut(&key), value) {
@@ -70,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn each_preset_is_one() {
+    fn presets_differ_and_have_their_published_values() {
         assert_eq!(of("default"), Settings::default());
         let all = PRESETS.map(|p| of(p.name));
         for (i, a) in all.iter().enumerate() {
@@ -86,7 +88,7 @@ mod tests {
         };
         assert_eq!([semantic(&paper), semantic(&parity)], [[1.0, 1.0, 0.3]; 2]);
         assert_eq!(semantic(&draft), [0.02, 0.02, 0.006]);
-        // Nothing makes the environment smaller, and its smoothness counts.
+        // Nothing reduces the environment map, and its smoothness loss has a weight.
         assert!(!paper.intrinsic.automatic.enabled && paper.intrinsic.losses.environment_smooth == 0.01);
         assert_eq!([paper.intrinsic.albedo_range, parity.intrinsic.albedo_range], [[0.09, 0.99]; 2]);
         assert_eq!(parity.geometry.densify.statistic, DensifyStatistic::Geometric);
@@ -94,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_preset_is_named() {
+    fn unknown_presets_get_a_suggestion() {
         let error = |name: &str| Preset::find(name).unwrap_err().to_string();
         assert_eq!(
             error("papr"),
@@ -107,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn what_goes_over_it_wins() {
+    fn overlay_overrides_the_preset() {
         let mut table = Preset::find("parity").unwrap().table().unwrap();
         overlay(&mut table, "seed = 3\n[intrinsic.visibility]\ncoarsest = 20".parse().unwrap());
         let s = Settings::from_table(table).unwrap();

@@ -1,4 +1,4 @@
-//! Which network is asked while training, and how long to wait for it.
+//! Settings of the provider that training queries: command line and time limits.
 
 use crate::error::ConfigError;
 use serde::{Deserialize, Serialize};
@@ -32,7 +32,7 @@ impl Default for ProviderSettings {
 }
 
 impl ProviderSettings {
-    /// What cannot be meant.
+    /// Checks values that the types do not constrain.
     pub(super) fn check(&self) -> crate::Result<()> {
         for (name, value) in [("start_seconds", self.start_seconds), ("answer_seconds", self.answer_seconds)] {
             if !(value > 0.0 && value.is_finite()) {

@@ -1,4 +1,4 @@
-//! What both stages have in common: sizes of tiles, and what becomes of a training that goes wrong.
+//! Settings of both stages: tile sizes, and recovery from divergence.
 
 use super::Settings;
 use crate::error::ConfigError;
@@ -14,32 +14,34 @@ pub struct TrainSettings {
     pub on_divergence: OnDivergence,
     /// Number of rollbacks at most. Each halves the learning rates.
     pub roll_backs: u32,
+    /// Steps between checkpoints of a stage; 0 writes only the last.
+    pub checkpoint_interval: u32,
     /// Rows of pixels per tile: 8, 16 or 32; 0 chooses for the device. Tiles have 16 columns, or 8 with subgroups of 8.
     /// Results differ by the order of sums.
     pub tile_rows: u32,
 }
 
-/// What happens where training has diverged.
+/// Reaction to a diverged training.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum OnDivergence {
-    /// It ends with an error; the last good state is kept.
+    /// Ends with an error. The last good state remains on disk.
     #[default]
     Stop,
-    /// It returns to the last good state and goes on with halved learning rates.
+    /// Returns to the last good state and continues with halved learning rates.
     RollBack,
-    /// It goes on, as long as losses are numbers.
+    /// Continues as long as losses are finite.
     GoOn,
 }
 
 impl Default for TrainSettings {
     fn default() -> Self {
-        TrainSettings { on_divergence: OnDivergence::default(), roll_backs: 8, tile_rows: 0 }
+        TrainSettings { on_divergence: OnDivergence::default(), roll_backs: 8, checkpoint_interval: 500, tile_rows: 0 }
     }
 }
 
 impl TrainSettings {
-    /// What cannot be meant.
+    /// Checks values that the types do not constrain.
     pub(super) fn check(&self) -> crate::Result<()> {
         if [0, 8, 16, 32].contains(&self.tile_rows) {
             return Ok(());
@@ -49,7 +51,7 @@ impl TrainSettings {
 }
 
 impl Settings {
-    /// Sizes of kernels that suit a device, and what is asked of them.
+    /// Returns kernel sizes for a device with the requested accuracy and tile size.
     pub fn tuning(&self, device: &DeviceInfo) -> Tuning {
         let own = Tuning::for_device(device).with(self.accuracy);
         match self.train.tile_rows {

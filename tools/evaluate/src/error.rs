@@ -1,9 +1,9 @@
 //! Errors of evaluation.
 
-/// Errors of this crate.
+/// Error of this crate.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
-    /// The GPU side failed.
+    /// The GPU engine failed.
     #[error(transparent)]
     Engine(#[from] sgs_engine::Error),
     /// The scene cannot be used.

@@ -1,4 +1,4 @@
-//! What training came to, measured at the views of a split.
+//! Metrics of a trained run at the views of a split.
 
 use crate::error::Result;
 use crate::measures::{Evaluation, Means, Nvs, Semantic, ViewMetrics, known};
@@ -6,13 +6,13 @@ use crate::metrics::{self, Lpips, NormalError};
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::loss::NO_LABEL;
-use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::pipeline::{RenderedImage, Renderer};
 use sgs_passes::scene::Gaussians;
 use sgs_passes::splat::Channels;
 use sgs_run::{Classifier, SemanticHead, render_view};
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
 
-/// Measures at some views; `look` sees every rendered picture.
+/// Evaluates the Gaussians at some views. `look` receives every rendered view.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
@@ -24,10 +24,23 @@ pub fn evaluate(
     background: [f32; 3],
     look: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
-    evaluate_classes(device, scene, gaussians, views, background, None, None, look)
+    evaluate_classes(device, scene, gaussians, &EvaluateOptions { views, background, head: None, lpips: None }, look)
 }
 
-/// As [`evaluate`], and classifies every pixel by the head, if the Gaussians have features; measures LPIPS, if it is given.
+/// Views and measures of an evaluation.
+pub struct EvaluateOptions<'a> {
+    /// Indices of the evaluated views.
+    pub views: &'a [usize],
+    /// Background color, display-referred.
+    pub background: [f32; 3],
+    /// Head that classifies pixels, if the Gaussians have features.
+    pub head: Option<&'a SemanticHead>,
+    /// Network of LPIPS, if it is measured.
+    pub lpips: Option<&'a Lpips>,
+}
+
+/// Evaluates as [`evaluate`] does, with classes and LPIPS. Classifies every pixel with the head if the Gaussians have
+/// features.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
@@ -35,12 +48,10 @@ pub fn evaluate_classes(
     device: &Device,
     scene: &Scene,
     gaussians: &Gaussians,
-    views: &[usize],
-    background: [f32; 3],
-    head: Option<&SemanticHead>,
-    lpips: Option<&Lpips>,
+    options: &EvaluateOptions<'_>,
     mut look: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
+    let &EvaluateOptions { views, background, head, lpips } = options;
     let truth = GroundTruth::of(scene);
     let channels = Channels { colors: true, normals: gaussians.model.normals, depth: true };
     let head = head.filter(|_| gaussians.model.semantics);
@@ -54,19 +65,19 @@ pub fn evaluate_classes(
     let mut out = Vec::new();
     for &i in views {
         let view = &scene.views[i];
-        let picture = render_view(&mut renderer, gaussians, &view.camera, background)?;
-        let mut rendered = Rendered::from_picture(&picture, channels);
+        let rendering = render_view(&mut renderer, gaussians, &view.camera, background)?;
+        let mut rendered = Rendered::from_image(&rendering, channels);
         if let Some(classifier) = &mut classifier {
-            rendered.labels = Some(classifier.classify(&renderer, &picture)?.labels);
+            rendered.labels = Some(classifier.classify(&renderer, &rendering)?.labels);
         }
         let photo = scene.load_image(i)?;
-        // What was not trained on is not measured. Ground truth has a mask of its own, which also leaves out lamps and
-        // windows where only materials mean nothing.
+        // Pixels that training ignores are not measured. Ground truth has its own mask, which also excludes lamps and
+        // windows where only materials are undefined.
         let counts = scene.load_mask(i)?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
         let mask = mask.as_ref();
         let nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref(), lpips)?;
-        // Without normals of their own the Gaussians still have a surface: its normals come from depth.
+        // Gaussians without normals still have a surface. Its normals are derived from depth.
         let surface;
         let shown = match &rendered.normal {
             Some(n) => n,
@@ -87,7 +98,7 @@ pub fn evaluate_classes(
             (Some(labels), Some(t)) => {
                 let id = |label: &Option<u32>| label.map_or(NO_LABEL, |l| known_as[l as usize]);
                 let ids: Vec<u32> = labels.iter().map(id).collect();
-                known(metrics::label_accuracy(&ids, picture.size, &t, mask))?
+                known(metrics::label_accuracy(&ids, rendering.size, &t, mask))?
             }
             _ => None,
         };
@@ -121,8 +132,8 @@ pub fn evaluate_classes(
     Ok(Evaluation { mean, lpips: lpips.map(Lpips::about), views: out })
 }
 
-/// Under which id ground truth knows each class: its place in the list of ground truth, or in its own where there is no
-/// other. What ground truth has never heard of is always wrong.
+/// Maps each class to its id in ground truth. That id is the position in the list of ground truth, or in `classes`
+/// without such a list. A class that ground truth lacks counts as wrong everywhere.
 fn ids_of(classes: &[String], truth: Option<&[String]>) -> Vec<u32> {
     let id = |(i, class): (usize, &String)| match truth {
         Some(names) => names.iter().position(|n| n == class).map_or(NO_LABEL, |at| at as u32),
@@ -131,8 +142,8 @@ fn ids_of(classes: &[String], truth: Option<&[String]>) -> Vec<u32> {
     classes.iter().enumerate().map(id).collect()
 }
 
-/// World-space unit normals of a depth image, facing the camera: the cross product of central differences of the points.
-/// Zero where there is no depth.
+/// Returns the world-space unit normals of a depth image, facing the camera. A normal is the cross product of central
+/// differences of the points. Zero where there is no depth.
 pub fn normals_from_depth(depth: &Image, camera: &sgs_scene::Camera) -> Image {
     let (w, h) = (depth.width as usize, depth.height as usize);
     let point = |x: usize, y: usize| {
@@ -155,23 +166,23 @@ pub fn normals_from_depth(depth: &Image, camera: &sgs_scene::Camera) -> Image {
     Image { width: depth.width, height: depth.height, channels: 3, data }
 }
 
-/// A rendered view as images.
+/// Images of a rendered view.
 #[derive(Clone, Debug)]
 pub struct Rendered {
-    /// Display-referred color over the background, clipped to what a screen shows.
+    /// Display-referred color over the background, clipped to [0, 1].
     pub rgb: Image,
     /// One minus transmittance.
     pub alpha: Image,
-    /// Unit normals, world; zero where nothing is.
+    /// Unit normals in world space; zero where no Gaussian is visible.
     pub normal: Option<Image>,
-    /// Blended depth over alpha.
+    /// Blended depth divided by alpha.
     pub depth: Image,
-    /// By pixel: the place of its class in the head's list, where it shows anything; absent without a head.
+    /// Class of each pixel as an index into the head's list; none where nothing is visible. Absent without a head.
     pub labels: Option<Vec<Option<u32>>>,
 }
 
 impl Rendered {
-    fn from_picture(p: &Picture, channels: Channels) -> Rendered {
+    fn from_image(p: &RenderedImage, channels: Channels) -> Rendered {
         let [w, h] = p.size;
         let c = p.channels as usize;
         let pixel = |i: usize| &p.image[i * c..(i + 1) * c];
@@ -196,7 +207,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn classes_are_known_by_their_names() {
+    fn classes_match_ground_truth_by_name() {
         let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         let classes = names(&["sofa", "wall", "lamp"]);
         assert_eq!(ids_of(&classes, None), [0, 1, 2]);

@@ -1,4 +1,4 @@
-//! Measures of images, and evaluation of a run against photographs and ground truth.
+//! Image metrics, and evaluation of a run against photographs and ground truth.
 
 mod error;
 mod evaluate;
@@ -8,7 +8,7 @@ mod shaded;
 mod speed;
 
 pub use error::{EvaluateError, Result};
-pub use evaluate::{Rendered, evaluate, evaluate_classes, normals_from_depth};
+pub use evaluate::{EvaluateOptions, Rendered, evaluate, evaluate_classes, normals_from_depth};
 pub use measures::{
     AlbedoMetrics, Evaluation, Means, Nvs, RELIT_MEAN, RelitMetrics, RelitSet, Semantic, ShadedMetrics, ViewMetrics,
 };

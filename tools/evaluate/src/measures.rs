@@ -1,4 +1,4 @@
-//! What evaluation reports: metrics of views and their means.
+//! Results of evaluation: metrics of views and their means.
 
 use crate::error::Result;
 use crate::metrics::{self, Lpips, LpipsAbout};
@@ -7,14 +7,14 @@ use serde::Serialize;
 use sgs_scene::Image;
 use std::collections::BTreeMap;
 
-/// Metrics of one view; what has no ground truth is absent.
+/// Metrics of one view. A metric without ground truth is absent.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewMetrics {
-    /// The view's name.
+    /// Name of the view.
     pub name: String,
-    /// Novel-view synthesis.
+    /// Metrics of novel-view synthesis.
     pub nvs: Nvs,
-    /// Mean angular error of normals, degrees; a pixel without a rendered normal counts as 90°.
+    /// Mean angular error of normals in degrees. A pixel without a rendered normal counts as 90°.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub normal_mae_deg: Option<f64>,
     /// Share of the pixels with a true normal that have a rendered one, 0 to 1.
@@ -23,10 +23,10 @@ pub struct ViewMetrics {
     /// Mean relative error of depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_rel: Option<f64>,
-    /// Classes.
+    /// Metrics of classes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub semantic: Option<Semantic>,
-    /// Materials and the shaded picture ([`crate::evaluate_shaded`]).
+    /// Metrics of materials and of the shaded image ([`crate::evaluate_shaded`]).
     #[serde(flatten)]
     pub shaded: Option<ShadedMetrics>,
 }
@@ -34,19 +34,20 @@ pub struct ViewMetrics {
 /// Image metrics.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Nvs {
-    /// dB, joint mean squared error.
+    /// PSNR in dB, from the mean squared error of all channels together.
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
-    /// FLIP, the mean difference that somebody sees who flips between the two: 0 none, 1 the most ([`metrics::flip`]).
+    /// Mean FLIP: the difference that an observer sees when alternating both images. 0 none, 1 the largest
+    /// ([`metrics::flip`]).
     pub flip: f64,
-    /// LPIPS, where there are weights ([`metrics::Lpips`]).
+    /// LPIPS, where weights are available ([`metrics::Lpips`]).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips: Option<f64>,
 }
 
 impl Nvs {
-    /// Measures a picture against the truth where the mask says that it counts; both display-referred.
+    /// Compares an image with the truth where the mask counts. Both are display-referred.
     pub(crate) fn of(ours: &Image, theirs: &Image, mask: Option<&Image>, lpips: Option<&Lpips>) -> Result<Nvs> {
         Ok(Nvs {
             psnr: metrics::psnr(ours, theirs, mask)?,
@@ -67,24 +68,24 @@ pub struct Semantic {
 /// Means over the views.
 #[derive(Clone, Debug, Serialize)]
 pub struct Means {
-    /// Novel-view synthesis.
+    /// Metrics of novel-view synthesis.
     pub nvs: Nvs,
-    /// Degrees.
+    /// Mean angular error of normals in degrees.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub normal_mae_deg: Option<f64>,
     /// Share of the pixels with a true normal that have a rendered one, 0 to 1.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub normal_coverage: Option<f64>,
-    /// Relative.
+    /// Mean relative error of depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_rel: Option<f64>,
-    /// Classes.
+    /// Metrics of classes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub semantic: Option<Semantic>,
-    /// Materials and the shaded picture ([`crate::evaluate_shaded`]).
+    /// Metrics of materials and of the shaded image ([`crate::evaluate_shaded`]).
     #[serde(flatten)]
     pub shaded: Option<ShadedMetrics>,
-    /// Rendering speed, where it was measured ([`crate::render_fps`], [`crate::shade_fps`]).
+    /// Rendering speed, where measured ([`crate::render_fps`], [`crate::shade_fps`]).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fps: Option<Fps>,
 }
@@ -94,20 +95,20 @@ pub struct Means {
 pub struct Evaluation {
     /// Means over its views.
     pub mean: Means,
-    /// Which LPIPS was measured, if it was.
+    /// Description of the LPIPS that was measured, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips: Option<LpipsAbout>,
-    /// One entry a view.
+    /// Metrics of each view.
     pub views: Vec<ViewMetrics>,
 }
 
-/// Metrics of a shaded view, or their means; what has no ground truth is absent.
+/// Metrics of a shaded view, or their means. A metric without ground truth is absent.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct ShadedMetrics {
-    /// The shaded picture, display-referred, as a novel view.
+    /// Display-referred shaded image, measured as a novel view.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pbr: Option<Nvs>,
-    /// Albedo.
+    /// Metrics of albedo.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub albedo: Option<AlbedoMetrics>,
     /// Mean squared error of roughness.
@@ -116,7 +117,7 @@ pub struct ShadedMetrics {
     /// Mean squared error of metallic.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metallic_mse: Option<f64>,
-    /// Under other lights, by name; among means also [`RELIT_MEAN`].
+    /// Metrics under other lights, by name of the relit set. Means also have the entry [`RELIT_MEAN`].
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub relit: BTreeMap<String, RelitSet>,
 }
@@ -124,15 +125,15 @@ pub struct ShadedMetrics {
 /// Metrics of albedo, compared as it is displayed (sRGB).
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct AlbedoMetrics {
-    /// dB.
+    /// PSNR in dB.
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
-    /// dB after one gain per channel for all views together. The gain is fitted and applied in linear light.
+    /// PSNR in dB after one gain per channel for all views together. The gain is fitted and applied to linear values.
     pub psnr_scaled: f64,
-    /// dB after one gain per channel for this view alone. The gain is fitted and applied to sRGB values.
+    /// PSNR in dB after one gain per channel for this view alone. The gain is fitted and applied to sRGB values.
     pub psnr_scaled_per_view: f64,
-    /// LPIPS, where there are weights.
+    /// LPIPS, where weights are available.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips: Option<f64>,
 }
@@ -140,34 +141,35 @@ pub struct AlbedoMetrics {
 /// Key of the mean over all relit sets that were measured.
 pub const RELIT_MEAN: &str = "mean";
 
-/// Metrics of a view under other lights, or of their mean, display-referred.
+/// Metrics of a view under other lights, or of their mean. Images are display-referred.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct RelitMetrics {
-    /// dB.
+    /// PSNR in dB.
     pub psnr: f64,
     /// Structural similarity.
     pub ssim: f64,
-    /// dB after one gain for all channels of all linear pixels of all views of the set.
+    /// PSNR in dB after one gain for all channels and views. The gain is fitted to linear pixels of all views of the
+    /// set.
     pub psnr_gain: f64,
-    /// dB after one gain for all channels of all linear pixels of this view.
+    /// PSNR in dB after one gain for all channels of this view. The gain is fitted to its linear pixels.
     pub psnr_gain_per_view: f64,
 }
 
-/// A relit set: its metrics, or why it has none.
+/// Relit set: its metrics, or the reason why it has none.
 #[derive(Clone, Debug, Serialize)]
 #[serde(untagged)]
 pub enum RelitSet {
-    /// It was rendered and measured.
+    /// The set was rendered and measured.
     Measured(RelitMetrics),
-    /// It could not be rendered.
+    /// The set could not be rendered.
     Skipped {
-        /// One sentence.
+        /// Reason, one sentence.
         reason: String,
     },
 }
 
 impl RelitSet {
-    /// The metrics, if the set was measured.
+    /// Returns the metrics, if the set was measured.
     pub fn metrics(&self) -> Option<&RelitMetrics> {
         match self {
             RelitSet::Measured(metrics) => Some(metrics),
@@ -176,7 +178,8 @@ impl RelitSet {
     }
 }
 
-/// A measure in which no pixel counts (a view of the sky alone) is absent, as one without ground truth is.
+/// Returns none for a metric in which no pixel counts. A view of the sky alone is thus treated as one without ground
+/// truth.
 pub(crate) fn known<T>(value: std::result::Result<T, metrics::MetricError>) -> Result<Option<T>> {
     match value {
         Err(metrics::MetricError::Empty { .. }) => Ok(None),

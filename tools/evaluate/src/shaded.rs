@@ -1,4 +1,4 @@
-//! Materials and shaded pictures against ground truth, measured at the views of a split.
+//! Metrics of materials and shaded images at the views of a split.
 
 use crate::error::Result;
 use crate::measures::{AlbedoMetrics, Evaluation, Nvs, RELIT_MEAN, RelitMetrics, RelitSet, ShadedMetrics, known};
@@ -7,7 +7,7 @@ use sgs_run::{ShadedView, Shading, displayed};
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
 use std::collections::BTreeMap;
 
-/// Measures what shading comes to, and puts it into an evaluation of the same views.
+/// Measures shaded images and materials. Adds the metrics to an evaluation of the same views.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
@@ -27,14 +27,14 @@ pub fn evaluate_shaded(
         let view = &scene.views[i];
         let shaded = shading.shade(&view.camera)?;
         let mut found = measure_materials(&shaded, &truth, i, lpips, &mut fit)?;
-        let picture = displayed(&shaded.radiance(background));
+        let image = displayed(&shaded.radiance(background));
         let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
-        found.pbr = Some(Nvs::of(&picture, &photo, counts.as_ref(), lpips)?);
+        found.pbr = Some(Nvs::of(&image, &photo, counts.as_ref(), lpips)?);
         look(&view.camera.name, &shaded)?;
         albedos.push(found.albedo.map(|_| shaded.albedo()));
         metrics.shaded = Some(found);
     }
-    // The gain is that of all views, so it is known only after the last of them.
+    // The gain is common to all views, so it is known only after the last one.
     let gains = fit.per_channel();
     for ((&i, metrics), ours) in views.iter().zip(&mut into.views).zip(&albedos) {
         let found = metrics.shaded.as_mut().and_then(|s| s.albedo.as_mut());
@@ -50,7 +50,8 @@ pub fn evaluate_shaded(
     Ok(())
 }
 
-/// Measures the materials of a view and adds its albedo to the fit of the common gain; `psnr_scaled` is set later.
+/// Measures the materials of a view. Adds its albedo to the fit of the common gain. `psnr_scaled` is preliminary until
+/// that gain is known.
 fn measure_materials(
     shaded: &ShadedView,
     truth: &GroundTruth<'_>,
@@ -84,7 +85,7 @@ fn measure_materials(
     Ok(found)
 }
 
-/// Compares the views of a relit set with ground truth, in pairs; all are linear.
+/// Compares pairs of a rendered and a true view of a relit set. All images are linear.
 ///
 /// # Errors
 /// If sizes differ.
@@ -92,7 +93,7 @@ pub fn measure_relit(pairs: &[(&Image, &Image)]) -> Result<Vec<RelitMetrics>> {
     let fit_of = |pairs: &[(&Image, &Image)]| {
         let mut fit = GainFit::new(1);
         for (a, b) in pairs.iter().flat_map(|(ours, theirs)| ours.data.iter().zip(&theirs.data)) {
-            // A value beyond white in either image is clipped and says nothing about the gain.
+            // Values of 1 and above are clipped in display and have no information about the gain.
             if *b < 1.0 && *a < 1.0 {
                 fit.add(0, *a, *b);
             }
@@ -116,7 +117,7 @@ pub fn measure_relit(pairs: &[(&Image, &Image)]) -> Result<Vec<RelitMetrics>> {
     pairs.iter().map(measure).collect()
 }
 
-/// Mean over relit metrics; absent for none.
+/// Returns the mean of relit metrics; none without metrics.
 fn mean_relit<'a>(all: impl Iterator<Item = &'a RelitMetrics>) -> Option<RelitMetrics> {
     let all: Vec<&RelitMetrics> = all.collect();
     let of = |f: fn(&RelitMetrics) -> f64| all.iter().map(|m| f(m)).sum::<f64>() / all.len() as f64;
@@ -128,7 +129,8 @@ fn mean_relit<'a>(all: impl Iterator<Item = &'a RelitMetrics>) -> Option<RelitMe
     })
 }
 
-/// Means of what is known. Relit sets have a mean over their views each, and one over all of them ([`RELIT_MEAN`]).
+/// Returns the means of the metrics that are present. Each relit set has the mean over its views. [`RELIT_MEAN`] has
+/// the mean over all sets.
 pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
     let some = |f: &dyn Fn(&ShadedMetrics) -> Option<f64>| {
         let values: Vec<f64> = all.iter().filter_map(|m| f(m)).collect();
@@ -175,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn one_gain_makes_a_dimmer_picture_equal() {
+    fn one_gain_matches_a_dimmer_image() {
         let truth: Vec<f32> = (0..48).map(|i| 0.02 * i as f32).collect();
         let half: Vec<f32> = truth.iter().map(|v| 0.5 * v).collect();
         let m = measure_relit(&[(&wide(&half), &wide(&truth))]).unwrap()[0];
@@ -183,10 +185,11 @@ mod tests {
         assert!(measure_relit(&[(&Image::new(16, 1, 3), &wide(&truth))]).is_err());
     }
 
-    /// Two gray views, 0.2 and 0.4 where the truth is 0.4 and 0.2. Alone, the gains 2 and 1/2 make them equal. Together, the gain is
-    /// (0.2·0.4 + 0.4·0.2) / (0.2² + 0.4²) = 0.8, which leaves 0.16 and 0.32 in place of 0.4 and 0.2.
+    /// Two gray views: 0.2 and 0.4 where the truth is 0.4 and 0.2. Separately, the gains 2 and 1/2 make them equal.
+    /// Together, the gain is (0.2·0.4 + 0.4·0.2) / (0.2² + 0.4²) = 0.8, which yields 0.16 and 0.32 instead of 0.4 and
+    /// 0.2.
     #[test]
-    fn the_gain_of_a_relit_set_is_common_to_its_views() {
+    fn relit_gain_is_common_to_all_views() {
         let gray = |v: f32| wide(&[v; 48]);
         let (dark, bright) = (gray(0.2), gray(0.4));
         let found = measure_relit(&[(&dark, &bright), (&bright, &dark)]).unwrap();
@@ -199,16 +202,16 @@ mod tests {
     }
 
     #[test]
-    fn means_are_of_what_is_known() {
+    fn means_ignore_absent_metrics() {
         let one = |rough: Option<f64>| ShadedMetrics { roughness_mse: rough, ..Default::default() };
         let m = mean(&[&one(Some(0.5)), &one(None), &one(Some(1.5))]);
         assert_eq!((m.roughness_mse, m.metallic_mse), (Some(1.0), None));
         assert!(m.pbr.is_none() && m.albedo.is_none() && m.relit.is_empty());
     }
 
-    /// Views of one set are averaged before sets are.
+    /// Views of a set are averaged before sets are.
     #[test]
-    fn the_relit_mean_is_over_sets() {
+    fn relit_mean_is_over_sets() {
         let of =
             |v: f64| RelitSet::Measured(RelitMetrics { psnr: v, ssim: v, psnr_gain: v + 1.0, psnr_gain_per_view: v });
         let view = |sets: &[(&str, f64)]| ShadedMetrics {
@@ -224,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_skipped_set_is_a_reason_in_json() {
+    fn skipped_set_serializes_its_reason() {
         let set = RelitSet::Skipped { reason: "No light.".into() };
         assert_eq!(serde_json::to_value(&set).unwrap(), serde_json::json!({"reason": "No light."}));
         assert!(set.metrics().is_none());

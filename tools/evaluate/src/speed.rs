@@ -1,4 +1,4 @@
-//! Rendering speed: frames per second, without readback and metrics.
+//! Rendering speed in frames per second, without readback and metrics.
 
 use crate::error::Result;
 use serde::Serialize;
@@ -10,26 +10,26 @@ use sgs_passes::splat::Channels;
 use sgs_run::{Shading, camera};
 use sgs_scene::Scene;
 
-/// Frames per second of one view at a time, submission and waiting included.
+/// Frames per second of one view at a time, including submission and waiting.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Fps {
-    /// Rendering of color.
+    /// Frames per second of color rendering.
     pub nvs: f64,
-    /// Shading, where the run has materials.
+    /// Frames per second of shading, where the run has materials.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pbr: Option<f64>,
 }
 
-/// At most so many views are timed, spread evenly.
+/// Number of views that are timed, at most, evenly spread.
 const VIEWS: usize = 8;
-/// At least so many frames are timed.
+/// Number of frames that are timed, at least.
 const LEAST_FRAMES: usize = 3;
-/// At most so many frames per view are timed.
+/// Number of timed frames per view, at most.
 const REPEATS: usize = 5;
-/// No frame is begun after so many seconds, once the least number is reached.
+/// Seconds after which no frame starts, once the least number of frames is timed.
 const SECONDS: f64 = 1.0;
 
-/// Frames per second of rendering color at these views, with every band of the spherical harmonics.
+/// Returns the frames per second of color rendering at these views. Uses every band of the spherical harmonics.
 ///
 /// # Errors
 /// If memory runs out or the device fails.
@@ -48,7 +48,7 @@ pub fn render_fps(
     })
 }
 
-/// Frames per second of shading these views.
+/// Returns the frames per second of shading at these views.
 ///
 /// # Errors
 /// If memory runs out or the device fails.
@@ -56,11 +56,11 @@ pub fn shade_fps(shading: &mut Shading, scene: &Scene, views: &[usize]) -> Resul
     median_fps(views, |view| Ok(shading.time(&scene.views[view].camera)?))
 }
 
-/// One over the median of the seconds that frames take, after a frame per view to warm up; 0 without views.
+/// Returns the inverse of the median frame time. One untimed frame per view warms up. Returns 0 without views.
 fn median_fps(views: &[usize], mut frame: impl FnMut(usize) -> Result<f64>) -> Result<f64> {
     let count = views.len().min(VIEWS);
     let chosen: Vec<usize> = (0..count).map(|i| views[i * views.len() / count]).collect();
-    // Buffers grow at first sight of a view, and drivers compile at the first frame.
+    // Buffers grow at the first frame of a view, and drivers compile at the first frame of all.
     let (mut spent, mut warm) = (0.0, Vec::new());
     for view in chosen {
         if spent > SECONDS {
@@ -92,9 +92,9 @@ fn median_fps(views: &[usize], mut frame: impl FnMut(usize) -> Result<f64>) -> R
 mod tests {
     use super::*;
 
-    /// Warm-up frames of a whole second each do not count; of the others the median does.
+    /// Slow warm-up frames do not count. The median of the others does.
     #[test]
-    fn frames_per_second_are_those_of_the_median_frame() {
+    fn fps_is_that_of_the_median_frame() {
         let mut calls = Vec::new();
         let fps = median_fps(&[4, 7], |view| {
             calls.push(view);

@@ -1,33 +1,33 @@
-//! Arrays as they travel: a kind of number, a shape, little-endian bytes in C order.
+//! Arrays of messages: a number type, a shape, and little-endian bytes in C order.
 
 use crate::error::Nonsense;
 use crate::kind::Kind;
 use half::f16;
 
-/// An array of a message.
+/// Array of a message.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Array {
-    /// The kind of its numbers.
+    /// Type of the numbers.
     pub kind: Kind,
-    /// The length along each axis; the last index runs fastest.
+    /// Length along each axis. The last index varies fastest.
     pub shape: Vec<usize>,
-    /// The numbers, little-endian.
+    /// Numbers, little-endian.
     pub bytes: Vec<u8>,
 }
 
 impl Array {
-    /// Bytes, as 8-bit images.
+    /// Creates an array of bytes, such as an 8-bit image.
     pub fn u8(shape: &[usize], values: Vec<u8>) -> Array {
         Array { kind: Kind::U8, shape: shape.to_vec(), bytes: values }
     }
 
-    /// 32-bit floats.
+    /// Creates an array of 32-bit floats.
     pub fn f32(shape: &[usize], values: &[f32]) -> Array {
         let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
         Array { kind: Kind::F32, shape: shape.to_vec(), bytes }
     }
 
-    /// The numbers of a float array; empty for other kinds.
+    /// Returns the numbers of a float array, or an empty vector for other types.
     pub fn floats(&self) -> Vec<f32> {
         match self.kind {
             Kind::F32 => words::<4>(&self.bytes).map(f32::from_le_bytes).collect(),
@@ -36,17 +36,17 @@ impl Array {
         }
     }
 
-    /// The numbers of a half array; empty for other kinds.
+    /// Returns the numbers of a half-float array, or an empty vector for other types.
     pub fn halves(&self) -> Vec<f16> {
         if self.kind == Kind::F16 { words::<2>(&self.bytes).map(f16::from_le_bytes).collect() } else { Vec::new() }
     }
 
-    /// The numbers of a 16-bit array; empty for other kinds.
+    /// Returns the numbers of a 16-bit array, or an empty vector for other types.
     pub fn words(&self) -> Vec<u16> {
         if self.kind == Kind::U16 { words::<2>(&self.bytes).map(u16::from_le_bytes).collect() } else { Vec::new() }
     }
 
-    /// An error for the first number that `allowed` refuses, of a float array.
+    /// Returns an error for the first number of a float array that `allowed` refuses.
     pub(crate) fn check(&self, name: &str, expected: &'static str, allowed: fn(f32) -> bool) -> Result<(), Nonsense> {
         let values = self.floats();
         match values.iter().position(|v| !allowed(*v)) {

@@ -1,181 +1,182 @@
-//! What a provider can do wrong, in one sentence each.
+//! Errors of providers. Each message is one sentence.
 
 use crate::kind::Kind;
 
-/// Why a provider gave no usable answer. Each message names the provider by its command, and what to do where that is
-/// not obvious.
+/// Failure of a provider.
+///
+/// Each message names the provider by its command. It also gives a remedy where that is not obvious.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ProviderError {
-    /// The command is no command.
+    /// Invalid command line.
     #[error("the provider's command \"{command}\" {problem}; give one, as \"python3 -m sgs_priors stand-in=SCENE\"")]
     Command {
-        /// The command line as given.
+        /// Command line as given.
         command: String,
-        /// What is wrong with it.
+        /// Problem of the command line.
         problem: &'static str,
     },
-    /// The program does not exist or may not be run.
+    /// Program that does not exist or may not be run.
     #[error("the provider \"{command}\" cannot be started: {cause}")]
     Start {
-        /// Its command line.
+        /// Command line.
         command: String,
-        /// The system's answer.
+        /// Reason reported by the system.
         cause: std::io::Error,
     },
-    /// The program ended, or closed its output, while an answer was awaited.
+    /// Provider that ended, or closed its output, before it answered.
     #[error("the provider \"{command}\" {how} before it answered {question}{}", last_words(.last))]
     Ended {
-        /// Its command line.
+        /// Command line.
         command: String,
-        /// How it ended, as "ended with status 3".
+        /// Kind of end, as "ended with status 3".
         how: String,
-        /// What was asked.
+        /// Pending question.
         question: &'static str,
-        /// The last line that it wrote to its standard error; may be empty.
+        /// Last line on the standard error; may be empty.
         last: String,
     },
-    /// No answer came in time; the program was killed.
+    /// Missing answer after the time limit. The program was killed.
     #[error(
         "the provider \"{command}\" gave no answer to {question} within {seconds} s and was stopped; allow more time, or \
          see what holds it up{}", last_words(.last)
     )]
     TimeOut {
-        /// Its command line.
+        /// Command line.
         command: String,
-        /// What was asked.
+        /// Pending question.
         question: &'static str,
-        /// The limit.
+        /// Time limit in seconds.
         seconds: f64,
-        /// The last line that it wrote to its standard error; may be empty.
+        /// Last line on the standard error; may be empty.
         last: String,
     },
-    /// What it wrote is not an answer; the program was killed.
+    /// Output that is not a valid answer. The program was killed.
     #[error("the provider \"{command}\" answered {question} with nonsense and was stopped: {what}")]
     Nonsense {
-        /// Its command line.
+        /// Command line.
         command: String,
-        /// What was asked.
+        /// Pending question.
         question: &'static str,
-        /// What is wrong.
+        /// Problem of the output.
         what: Nonsense,
     },
-    /// It says that it cannot answer. It stays ready for other questions.
+    /// Refused question. The provider stays ready for other questions.
     #[error("the provider \"{command}\" cannot answer {question}: {text}")]
     Refused {
-        /// Its command line.
+        /// Command line.
         command: String,
-        /// What was asked.
+        /// Refused question.
         question: &'static str,
-        /// Its own words.
+        /// Reason given by the provider.
         text: String,
     },
-    /// It never said that it could. It stays ready for other questions.
+    /// Question that the greeting did not offer. The provider stays ready for other questions.
     #[error("the provider \"{command}\" does not offer {question}; it offers {offers}")]
     NotOffered {
-        /// Its command line.
+        /// Command line.
         command: String,
-        /// What was asked.
+        /// Requested question.
         question: &'static str,
-        /// What it offers.
+        /// Offered questions.
         offers: String,
     },
-    /// It was stopped after an earlier failure.
+    /// Provider that was stopped after an earlier failure.
     #[error("the provider \"{command}\" has been stopped after an earlier failure")]
     Stopped {
-        /// Its command line.
+        /// Command line.
         command: String,
     },
-    /// The caller's images cannot be sent.
+    /// Question that cannot be sent, for example because of its images.
     #[error("{question} cannot be asked: {problem}")]
     Question {
-        /// What was to be asked.
+        /// Requested question.
         question: &'static str,
-        /// What is wrong.
+        /// Problem of the question.
         problem: String,
     },
 }
 
-/// What is wrong with something a provider wrote.
+/// Problem of a message from a provider.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Nonsense {
-    /// Something else than a message of the protocol, as a print statement leaves it.
+    /// Output that is not a message of the protocol, such as a print statement's.
     #[error("a message begins with \"SGSP\", but there was \"{0}\"; nothing else may go to its standard output")]
     Magic(String),
-    /// A length that nobody could mean.
+    /// Message length over the limit.
     #[error("a message of {length} bytes is announced, but at most {limit} are taken")]
     Length {
-        /// The announced length.
+        /// Announced length in bytes.
         length: u64,
-        /// The limit.
+        /// Limit in bytes.
         limit: u64,
     },
-    /// The payload is no safetensors file.
+    /// Payload that is not a valid safetensors file.
     #[error("the message is no safetensors file ({0})")]
     Payload(String),
-    /// The message's own text is absent or not JSON.
+    /// JSON text that is absent or invalid.
     #[error("the message's text {0}")]
     Text(String),
-    /// A version that is not spoken here.
+    /// Unsupported version of the protocol.
     #[error("it speaks version {theirs} of the protocol, but {} to {} are spoken here", crate::VERSIONS[0], crate::VERSIONS[1])]
     Version {
-        /// The version that it chose.
+        /// Version chosen by the provider.
         theirs: u64,
     },
-    /// A field of the text is absent or of the wrong kind.
+    /// Field of the text that is absent or has a wrong type.
     #[error("the field \"{name}\" must be {expected}, but is {found}")]
     Field {
-        /// The field.
+        /// Name of the field.
         name: &'static str,
-        /// What it should be.
+        /// Expected value.
         expected: String,
-        /// What it is, as JSON, shortened.
+        /// Found value as JSON, shortened.
         found: String,
     },
-    /// An array is absent.
+    /// Missing array.
     #[error("the array \"{name}\" is missing; there is {there}")]
     Missing {
-        /// The array.
+        /// Name of the array.
         name: String,
-        /// Which arrays there are.
+        /// Names of the existing arrays.
         there: String,
     },
-    /// An array holds other numbers than it should.
+    /// Array with a wrong number type.
     #[error("the array \"{name}\" holds {found}, but must hold {expected}")]
     Type {
-        /// The array.
+        /// Name of the array.
         name: String,
-        /// What it holds.
+        /// Found type.
         found: String,
-        /// What it must hold.
+        /// Expected type.
         expected: Kind,
     },
-    /// An array has another shape than it should.
+    /// Array with a wrong shape.
     #[error("the array \"{name}\" has the shape {found:?}, but must have {expected}")]
     Shape {
-        /// The array.
+        /// Name of the array.
         name: String,
-        /// Its shape.
+        /// Found shape.
         found: Vec<usize>,
-        /// The shape it must have.
+        /// Expected shape.
         expected: String,
     },
-    /// A number that must not occur.
+    /// Array with a value outside its range.
     #[error("the array \"{name}\" holds {value} at index {index}, but must hold {expected}")]
     Value {
-        /// The array.
+        /// Name of the array.
         name: String,
-        /// The number.
+        /// Found value.
         value: f64,
-        /// Its place in the flat array.
+        /// Index in the flat array.
         index: usize,
-        /// What it must hold.
+        /// Expected values.
         expected: &'static str,
     },
 }
 
-/// The result of everything that asks a provider.
+/// Result of provider operations.
 pub type Result<T, E = ProviderError> = std::result::Result<T, E>;
 
 fn last_words(last: &str) -> String {

@@ -1,14 +1,14 @@
-//! Messages in a stream of bytes: four letters, a length, a payload.
+//! Framing of messages in a byte stream: magic number, length, payload.
 
 use crate::error::Nonsense;
 use crate::message::Message;
 
-/// What every message begins with.
+/// Magic number of every message.
 pub(crate) const MAGIC: [u8; 4] = *b"SGSP";
-/// The letters and the length.
+/// Size of the magic number and the length in bytes.
 const HEAD: usize = 12;
 
-/// A message as it goes through a pipe.
+/// Encodes a message for the pipe.
 pub(crate) fn framed(message: &Message) -> Result<Vec<u8>, Nonsense> {
     let payload = message.encode()?;
     let mut bytes = Vec::with_capacity(HEAD + payload.len());
@@ -18,7 +18,7 @@ pub(crate) fn framed(message: &Message) -> Result<Vec<u8>, Nonsense> {
     Ok(bytes)
 }
 
-/// Puts messages together from whatever arrives.
+/// Decoder that assembles messages from arriving bytes.
 #[derive(Debug)]
 pub(crate) struct Decoder {
     bytes: Vec<u8>,
@@ -26,22 +26,24 @@ pub(crate) struct Decoder {
 }
 
 impl Decoder {
-    /// Takes payloads of at most `limit` bytes.
+    /// Creates a decoder for payloads of at most `limit` bytes.
     pub(crate) fn new(limit: u64) -> Decoder {
         Decoder { bytes: Vec::new(), limit }
     }
 
-    /// More bytes have come.
+    /// Appends arrived bytes.
     pub(crate) fn push(&mut self, bytes: &[u8]) {
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// Whether a message has begun.
+    /// Returns true if a message has begun but is incomplete.
     pub(crate) fn is_amid(&self) -> bool {
         !self.bytes.is_empty()
     }
 
-    /// The next message, if it is whole. Wrong letters and lengths are found before the payload comes.
+    /// Returns the next message if it is complete.
+    ///
+    /// A wrong magic number or length is detected before the payload arrives.
     pub(crate) fn next(&mut self) -> Result<Option<Message>, Nonsense> {
         let head = &self.bytes[..self.bytes.len().min(MAGIC.len())];
         if *head != MAGIC[..head.len()] {
@@ -55,7 +57,7 @@ impl Decoder {
         if length > self.limit {
             return Err(Nonsense::Length { length, limit: self.limit });
         }
-        // The limit is checked, so the sum fits.
+        // The limit is checked, so the sum does not overflow.
         let end = HEAD + length as usize;
         if self.bytes.len() < end {
             return Ok(None);
@@ -72,7 +74,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn messages_come_out_whatever_the_pieces() {
+    fn decoding_is_independent_of_chunk_size() {
         let messages = [Message::new(json!({"n": 1})), Message::new(json!({"n": 2, "longer": "yes"}))];
         let bytes: Vec<u8> = messages.iter().flat_map(|m| framed(m).unwrap()).collect();
         for piece in [1, 3, 7, 50, bytes.len()] {
@@ -90,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn letters_and_lengths_are_checked_at_once() {
+    fn magic_and_length_are_checked_before_the_payload() {
         let mut decoder = Decoder::new(1000);
         decoder.push(b"SG");
         assert_eq!(decoder.next(), Ok(None));

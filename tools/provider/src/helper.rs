@@ -1,22 +1,22 @@
-//! A provider that a caller can do without.
+//! Optional provider.
 
 use crate::error::Result;
 use crate::options::ProviderOptions;
 use crate::provider::Provider;
 use serde::{Deserialize, Serialize};
 
-/// What to do when a provider fails.
+/// Reaction to the failure of a provider.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Fallback {
-    /// The failure is the caller's.
+    /// Returns the error to the caller.
     #[default]
     Stop,
-    /// The failure is said once, and then there is no provider.
+    /// Logs the failure once and continues without a provider.
     GoOn,
 }
 
-/// A provider, or none any more.
+/// Provider that may be absent after a failure.
 pub struct Helper {
     provider: Option<Provider>,
     fallback: Fallback,
@@ -26,23 +26,24 @@ impl Helper {
     /// Starts a provider.
     ///
     /// # Errors
-    /// Those of [`Provider::start`], unless the caller goes on without.
+    /// Those of [`Provider::start`], unless the fallback is to continue without it.
     pub fn start(options: &ProviderOptions, fallback: Fallback) -> Result<Helper> {
         let mut helper = Helper { provider: None, fallback };
         helper.provider = helper.settle(Provider::start(options))?;
         Ok(helper)
     }
 
-    /// Whether there is still someone to ask.
+    /// Returns true if the provider is still available.
     pub fn is_there(&self) -> bool {
         self.provider.is_some()
     }
 
-    /// Asks; `None` if the provider has failed, now or before, and the caller goes on without. Any failure counts,
-    /// refusals too: a term of a loss that comes and goes would be worse than none.
+    /// Asks a question. Returns `None` if the provider failed now or before.
+    ///
+    /// Every failure counts, refusals too: an intermittent loss term would be worse than none.
     ///
     /// # Errors
-    /// Those of the question, if the caller wants to stop.
+    /// Those of the question, if the fallback is to stop.
     pub fn ask<T>(&mut self, question: impl FnOnce(&mut Provider) -> Result<T>) -> Result<Option<T>> {
         let Some(provider) = &mut self.provider else { return Ok(None) };
         let answer = question(provider);

@@ -1,24 +1,24 @@
-//! Kinds of numbers in messages.
+//! Number types of messages.
 
 use safetensors::Dtype;
 
-/// The kinds of numbers that the protocol knows.
+/// Number type of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// A byte that is 0 or 1.
+    /// Byte that is 0 or 1.
     Bool,
-    /// A byte.
+    /// Byte.
     U8,
-    /// A 16-bit whole number.
+    /// Unsigned 16-bit integer.
     U16,
-    /// A half.
+    /// Half-precision float.
     F16,
-    /// A 32-bit float.
+    /// 32-bit float.
     F32,
 }
 
 impl Kind {
-    /// Bytes for each number.
+    /// Returns the size of a number in bytes.
     pub fn size(self) -> usize {
         match self {
             Kind::Bool | Kind::U8 => 1,

@@ -1,12 +1,13 @@
-//! Networks that live outside of the engine: child processes that answer questions about images.
+//! External networks: child processes that answer questions about images.
 //!
-//! A [`Provider`] is a program that the user names. It is spoken to over its standard input and output by the protocol
-//! of `docs/guide/priors.md`: masks, regions, normals, features, materials, names and their embeddings. Whatever it does
-//! wrong (it cannot be started, ends, hangs, writes nonsense) is a [`ProviderError`] of one sentence, after which it has
-//! been stopped and reaped. [`Helper`] lets a caller go on without it. [`fill()`] asks one about the images of a scene and
-//! writes `priors/`.
+//! A [`Provider`] is a program that the user names. It communicates over its standard input and output by the protocol
+//! of `docs/guide/priors.md`: masks, regions, normals, features, materials, class names and their embeddings. Every
+//! fault (a failed start, an early end, a timeout, invalid output) is a [`ProviderError`] of one sentence. After a
+//! fault the process has been stopped and reaped. [`Helper`] lets a caller continue without a provider. [`fill()`] asks
+//! a provider about the images of a scene and writes `priors/`.
 //!
-//! No thread is started and nothing outlives the value. The crate knows files and images; neither devices nor training.
+//! The crate starts no threads, and no process outlives its value. It depends on files and images, not on devices or
+//! training.
 
 mod array;
 mod error;
@@ -35,7 +36,7 @@ pub use message::Message;
 pub use offer::{About, Encoding, Offer};
 pub use options::ProviderOptions;
 pub use provider::Provider;
-pub use question::{Features, Masks, Materials, Normals, Picture, Regions};
+pub use question::{Features, Masks, Materials, Normals, ProviderImage, Regions};
 
-/// The versions of the protocol that are spoken here, lowest and highest.
+/// Lowest and highest supported version of the protocol.
 pub const VERSIONS: [u32; 2] = [1, 1];

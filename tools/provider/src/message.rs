@@ -1,7 +1,7 @@
-//! A message: a JSON object and named arrays, as one safetensors file.
+//! Message: a JSON object and named arrays, as one safetensors file.
 //!
-//! The object is the value of the key `sgs` in the file's metadata. A file that safetensors libraries write is a valid
-//! payload, so that no provider needs a codec of its own.
+//! The object is the value of the key `sgs` in the file's metadata. Files of safetensors libraries are valid payloads,
+//! so a provider needs no codec of its own.
 
 use crate::array::Array;
 use crate::error::Nonsense;
@@ -11,28 +11,28 @@ use safetensors::tensor::TensorView;
 use serde_json::Value;
 use std::collections::{BTreeMap, HashMap};
 
-/// What the metadata of a payload calls the message's text.
+/// Metadata key of the message's text.
 const KEY: &str = "sgs";
 
-/// A message of either side.
+/// Message of either side.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Message {
-    /// The text: always an object.
+    /// JSON text; always an object.
     pub text: Value,
-    /// The arrays by name.
+    /// Arrays by name.
     pub arrays: BTreeMap<String, Array>,
 }
 
 impl Message {
-    /// A message without arrays.
+    /// Creates a message without arrays.
     pub fn new(text: Value) -> Message {
         Message { text, arrays: BTreeMap::new() }
     }
 
-    /// The payload.
+    /// Returns the payload.
     ///
     /// # Errors
-    /// If an array's bytes do not fit its shape.
+    /// If an array's bytes do not match its shape.
     pub fn encode(&self) -> Result<Vec<u8>, Nonsense> {
         let wrong = |e: safetensors::SafeTensorError| Nonsense::Payload(e.to_string());
         let mut views = Vec::new();
@@ -43,11 +43,12 @@ impl Message {
         safetensors::serialize(views, Some(metadata)).map_err(wrong)
     }
 
-    /// A message from its payload. Arrays of kinds that the protocol does not know are an error only when someone asks
-    /// for them.
+    /// Decodes a message from its payload.
+    ///
+    /// Skips arrays of unknown number types; only a later request for such an array is an error.
     ///
     /// # Errors
-    /// If the payload is no safetensors file, or its text no JSON object.
+    /// If the payload is not a safetensors file, or its text is not a JSON object.
     pub fn decode(payload: &[u8]) -> Result<Message, Nonsense> {
         let wrong = |e: safetensors::SafeTensorError| Nonsense::Payload(e.to_string());
         let (_, metadata) = SafeTensors::read_metadata(payload).map_err(wrong)?;
@@ -69,7 +70,9 @@ impl Message {
         Ok(Message { text, arrays })
     }
 
-    /// Takes out an array that must be there, with these numbers and this shape, where 0 stands for any length but none.
+    /// Removes and returns a required array of the given type and shape.
+    ///
+    /// A 0 in `shape` stands for any nonzero length.
     pub(crate) fn take(&mut self, name: &str, kind: Kind, shape: &[usize]) -> Result<Array, Nonsense> {
         let Some(array) = self.arrays.remove(name) else {
             let names: Vec<String> = self.arrays.keys().map(|n| format!("\"{n}\"")).collect();
@@ -96,19 +99,19 @@ impl Message {
         Ok(array)
     }
 
-    /// A text field that must be there.
+    /// Returns a required text field.
     pub(crate) fn string(&self, name: &'static str, expected: &str) -> Result<&str, Nonsense> {
         self.text[name].as_str().ok_or_else(|| self.wrong(name, expected))
     }
 
-    /// A field that must be a list of texts.
+    /// Returns a required field that is a list of texts.
     pub(crate) fn strings(&self, name: &'static str) -> Result<Vec<String>, Nonsense> {
         let list = self.text[name].as_array();
         let texts = list.and_then(|l| l.iter().map(|v| v.as_str().map(str::to_owned)).collect::<Option<Vec<_>>>());
         texts.ok_or_else(|| self.wrong(name, "a list of texts"))
     }
 
-    /// The error for a field that is not what it should be.
+    /// Returns the error for a field with a wrong value.
     pub(crate) fn wrong(&self, name: &'static str, expected: &str) -> Nonsense {
         let found = match self.text.get(name) {
             None => "absent".to_owned(),
@@ -141,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn any_damage_is_an_error_and_never_a_panic() {
+    fn damaged_payloads_never_panic() {
         let whole = sample().encode().unwrap();
         for length in 0..whole.len() {
             assert!(Message::decode(&whole[..length]).is_err(), "{length}");
@@ -156,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn message_errors_name_field_or_array() {
         let fail = |name: &str, kind, shape: &[usize]| sample().take(name, kind, shape).unwrap_err().to_string();
         assert!(sample().take("a", Kind::F32, &[0, 2]).is_ok());
         assert_eq!(fail("c", Kind::F32, &[1]), "the array \"c\" is missing; there is \"a\", \"b\"");

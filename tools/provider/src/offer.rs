@@ -1,48 +1,48 @@
-//! What a provider says about itself in its greeting.
+//! Greeting of a provider: its name, version and offers.
 
 use crate::error::Nonsense;
 use crate::message::Message;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// How a provider wants its images.
+/// Image encoding that a provider expects.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Encoding {
     /// 8 bits, sRGB-encoded.
     #[default]
     Srgb,
-    /// 32-bit floats, proportional to light; 1 is the photograph's white, and there may be more.
+    /// 32-bit floats, linear in light. 1 is the photograph's white; larger values may occur.
     Linear,
 }
 
-/// What a provider says about one kind of question.
+/// Offer of a provider for one kind of question.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Offer {
-    /// How it wants images.
+    /// Expected image encoding.
     pub image: Encoding,
-    /// The longest side of an image that it wants; larger ones are made smaller before they are sent.
+    /// Longest accepted side of an image in pixels. Larger images are downscaled before sending.
     pub max_side: Option<u32>,
-    /// Numbers for each feature or embedding, where it gives such.
+    /// Number of channels of a feature or embedding, where applicable.
     pub channels: usize,
-    /// Whether the same region has the same number in all views of a scene (regions only).
+    /// True if a region has the same number in all views of a scene (regions only).
     pub same_ids: bool,
-    /// Which maps there are (materials only).
+    /// Names of the offered maps (materials only).
     pub maps: Vec<String>,
 }
 
-/// A provider's greeting.
+/// Greeting of a provider.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct About {
-    /// Its name and version, for people.
+    /// Name and version, for display.
     pub name: String,
-    /// The version of the protocol it speaks.
+    /// Version of the protocol.
     pub version: u32,
-    /// What it offers, by the name of the question.
+    /// Offers by the name of the question.
     pub offers: BTreeMap<String, Offer>,
 }
 
 impl About {
-    /// From a greeting.
+    /// Parses a greeting.
     pub(crate) fn read(message: &Message) -> Result<About, Nonsense> {
         if message.text["kind"] != "hello" {
             return Err(message.wrong("kind", "\"hello\""));
@@ -58,7 +58,7 @@ impl About {
         Ok(About { name, version: version as u32, offers: offers.collect::<Result<_, _>>()? })
     }
 
-    /// What is offered, as words.
+    /// Returns the names of the offered questions, separated by commas.
     pub fn list(&self) -> String {
         match self.offers.keys().map(String::as_str).collect::<Vec<_>>()[..] {
             [] => "nothing".to_owned(),
@@ -68,7 +68,7 @@ impl About {
 }
 
 impl Offer {
-    /// From an object; fields that are not known here are left alone.
+    /// Parses an offer. Ignores unknown fields.
     fn read(message: &Message, said: &Value) -> Result<Offer, Nonsense> {
         let wrong = |expected: &str| message.wrong("offers", expected);
         if !said.is_object() {

@@ -1,4 +1,4 @@
-//! How to start a provider and how long to wait for it.
+//! Start options and time limits of a provider.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,15 +6,15 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ProviderOptions {
-    /// The command line, split as a shell would; no shell runs it.
+    /// Command line, split like in a shell. No shell runs it.
     pub command: String,
-    /// Seconds to wait for its greeting, in which it may load weights.
+    /// Time limit for the greeting in seconds. The provider may load weights in that time.
     pub start_seconds: f64,
-    /// Seconds to wait for each answer.
+    /// Time limit for each answer in seconds.
     pub answer_seconds: f64,
-    /// The longest message that is taken, in bytes.
+    /// Longest accepted message in bytes.
     pub limit: u64,
-    /// Seed that goes with every question; the same seed and images should give the same answer.
+    /// Seed of every question. Equal seeds and images should give equal answers.
     pub seed: u64,
 }
 
@@ -25,7 +25,7 @@ impl Default for ProviderOptions {
 }
 
 impl ProviderOptions {
-    /// Default options for a command line.
+    /// Returns default options for a command line.
     pub fn new(command: &str) -> ProviderOptions {
         ProviderOptions { command: command.to_owned(), ..ProviderOptions::default() }
     }

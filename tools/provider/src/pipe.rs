@@ -1,9 +1,8 @@
-//! A child process and its three pipes, on Unix.
+//! Child process and its three pipes, on Unix.
 //!
-//! All three are non-blocking and are served by one loop that runs while an answer is awaited: it sends what is left of
-//! the question, takes what comes of the answer, and passes on what the child says on its standard error. So neither side
-//! can wait for the other, and no thread is needed. The child leads a process group, and the whole group is killed, so
-//! that helpers of a helper end too.
+//! All pipes are non-blocking. One loop serves them while an answer is pending: it sends the rest of the question,
+//! receives the answer, and logs the child's standard error. Neither side can therefore block the other, and no thread
+//! is needed. The child leads a process group. The whole group is killed, so that the child's own children end too.
 
 use crate::error::Nonsense;
 use crate::frame::Decoder;
@@ -15,19 +14,19 @@ use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-/// How long a child may take to end by itself once its input is closed or it has closed its output.
+/// Time for a child to end by itself after its input or output is closed.
 const GRACE: Duration = Duration::from_secs(2);
-/// The longest line of standard error that is kept whole.
+/// Longest stored part of a line of standard error, in bytes.
 const LINE: usize = 2000;
 
-/// Why no message came.
+/// Reason why no message arrived.
 pub(crate) enum Broken {
     Ended(String),
     TimeOut,
     Nonsense(Nonsense),
 }
 
-/// A running child.
+/// Running child.
 pub(crate) struct Pipe {
     child: Child,
     stdin: Option<ChildStdin>,
@@ -49,14 +48,14 @@ impl Pipe {
         let (stdin, stdout, stderr) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
         let decoder = Decoder::new(limit);
         let pipe = Pipe { child, stdin, stdout, stderr, decoder, line: Vec::new(), last: String::new(), reaped: false };
-        // From here on the child is reaped whatever happens.
+        // From here on, dropping `pipe` reaps the child on every path.
         pipe.stdin.as_ref().map_or(Ok(()), |f| rustix::io::ioctl_fionbio(f, true))?;
         pipe.stdout.as_ref().map_or(Ok(()), |f| rustix::io::ioctl_fionbio(f, true))?;
         pipe.stderr.as_ref().map_or(Ok(()), |f| rustix::io::ioctl_fionbio(f, true))?;
         Ok(pipe)
     }
 
-    /// The last line that the child wrote to its standard error.
+    /// Returns the last line of the child's standard error.
     pub(crate) fn last(&self) -> &str {
         &self.last
     }
@@ -83,7 +82,7 @@ impl Pipe {
         }
     }
 
-    /// Waits until a pipe is ready, and serves all that are.
+    /// Waits until a pipe is ready, then serves all pipes.
     fn serve(&mut self, out: &mut &[u8], left: Duration) -> io::Result<()> {
         let mut waiting = Vec::with_capacity(3);
         if let Some(pipe) = &self.stdout {
@@ -115,7 +114,9 @@ impl Pipe {
         Ok(())
     }
 
-    /// Sends as much as goes. A child that no longer reads may still have something to say, so that is no error here.
+    /// Sends as many bytes as the pipe accepts.
+    ///
+    /// A write error is not reported: a child that no longer reads may still have sent an answer.
     fn send(&mut self, out: &mut &[u8]) {
         while let Some(pipe) = self.stdin.as_mut().filter(|_| !out.is_empty()) {
             match pipe.write(out) {
@@ -127,7 +128,7 @@ impl Pipe {
         }
     }
 
-    /// Passes on what the child says on its standard error, a limited amount at a time.
+    /// Logs the child's standard error, a limited amount at a time.
     fn hear(&mut self) {
         let mut bytes = [0; 1 << 14];
         for _ in 0..16 {
@@ -162,25 +163,27 @@ impl Pipe {
         self.line.clear();
     }
 
-    /// The child has closed its output: waits a moment for its end and its last words, and says how it went.
+    /// Describes the end of a child that closed its output.
+    ///
+    /// Waits up to the grace period for its end and its last lines, then stops it.
     fn farewell(&mut self) -> String {
         let amid = if self.decoder.is_amid() { " in the middle of a message" } else { "" };
         let ended = self.linger(GRACE);
         let status = self.stop();
         match (ended, status) {
-            (true, Some(status)) => format!("{}{amid}", told(status)),
+            (true, Some(status)) => format!("{}{amid}", answers(status)),
             _ => format!("closed its output{amid}"),
         }
     }
 
-    /// Hears the child out until it ends or the time is over; true if it ended.
+    /// Reads the child's output until it ends or the time is over. Returns true if it ended.
     fn linger(&mut self, limit: Duration) -> bool {
         let deadline = Instant::now() + limit;
         let mut nap = Duration::from_micros(200);
         loop {
             let ended = self.has_ended();
             self.hear();
-            // Nobody wants what it writes now, but it may have to get rid of it before it can end.
+            // This output is discarded, but a full pipe could block the child from ending.
             let mut bytes = [0; 1 << 14];
             for _ in 0..16 {
                 let Some(pipe) = &mut self.stdout else { break };
@@ -203,28 +206,29 @@ impl Pipe {
         }
     }
 
-    /// Whether the child has ended; it is not reaped, so that its number stays its own.
+    /// Returns true if the child has ended. Does not reap it, so that its process id stays reserved.
     fn has_ended(&self) -> bool {
         let options = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
         let found = waitid(WaitId::Pid(Pid::from_child(&self.child)), options);
         !matches!(found, Ok(None) | Err(rustix::io::Errno::INTR))
     }
 
-    /// Asks the child to end by closing its input, then makes it.
+    /// Closes the child's input, waits up to the grace period, and kills the group.
     pub(crate) fn finish(&mut self) {
         self.stdin = None;
         self.linger(GRACE);
         self.stop();
     }
 
-    /// Kills the group and reaps the child. Its status, if it is known.
+    /// Kills the group and reaps the child. Returns the exit status if known.
     pub(crate) fn stop(&mut self) -> Option<ExitStatus> {
         if self.reaped {
             return None;
         }
         self.hear();
         self.end_line();
-        // The child is not reaped yet, so its number cannot be another's; a failure means that nobody is left.
+        // The child is not reaped yet, so its process id cannot belong to another process. A failure means that the
+        // group is empty.
         let _ = kill_process_group(Pid::from_child(&self.child), Signal::KILL);
         self.stdin = None;
         self.reaped = true;
@@ -242,8 +246,8 @@ fn is_transient(e: &io::Error) -> bool {
     matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }
 
-/// How a process ended.
-fn told(status: ExitStatus) -> String {
+/// Describes the end of a process.
+fn answers(status: ExitStatus) -> String {
     use std::os::unix::process::ExitStatusExt;
     match (status.code(), status.signal()) {
         (Some(code), _) => format!("ended with status {code}"),

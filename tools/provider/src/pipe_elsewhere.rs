@@ -1,11 +1,11 @@
-//! Where there is no Unix, there are no providers yet.
+//! Stub for systems other than Unix, which do not support providers.
 
 use crate::error::Nonsense;
 use crate::message::Message;
 use std::io;
 use std::time::Duration;
 
-/// Why no message came.
+/// Reason why no message arrived.
 #[allow(dead_code, reason = "the same type as on Unix")]
 pub(crate) enum Broken {
     Ended(String),
@@ -13,7 +13,7 @@ pub(crate) enum Broken {
     Nonsense(Nonsense),
 }
 
-/// Never made.
+/// Uninhabited type.
 pub(crate) enum Pipe {}
 
 impl Pipe {

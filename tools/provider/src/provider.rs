@@ -1,4 +1,4 @@
-//! A provider, and the questions it can be asked.
+//! Provider and its questions.
 
 use crate::array::Array;
 use crate::error::{Nonsense, ProviderError, Result};
@@ -8,31 +8,34 @@ use crate::message::Message;
 use crate::offer::{About, Offer};
 use crate::options::ProviderOptions;
 use crate::pipe::{Broken, Pipe};
-use crate::question::{Features, Masks, Materials, Normals, Picture, Regions, stretch, unit};
+use crate::question::{Features, Masks, Materials, Normals, ProviderImage, Regions, stretch, unit};
 use crate::words::words;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use sgs_scene::{Image, NormalFrame};
 use std::time::Duration;
 
-/// A running provider. Dropping it closes its input, gives it two seconds to end, and then ends it.
+/// Running provider.
+///
+/// Dropping a provider closes its input, waits up to two seconds for its end, and then kills it.
 pub struct Provider {
     pipe: Option<Pipe>,
     options: ProviderOptions,
     about: About,
-    asked: u64,
+    requested: u64,
 }
 
 impl Provider {
-    /// Starts a provider and greets it.
+    /// Starts a provider and exchanges greetings.
     ///
     /// # Errors
-    /// If the command is none, cannot be started, or does not greet back in time and as it should.
+    /// If the command is invalid, cannot be started, or sends no valid greeting in time.
     pub fn start(options: &ProviderOptions) -> Result<Provider> {
         let command = options.command.clone();
         let words = words(&command).map_err(|problem| ProviderError::Command { command: command.clone(), problem })?;
         let pipe = Pipe::start(&words, options.limit).map_err(|cause| ProviderError::Start { command, cause })?;
-        let mut provider = Provider { pipe: Some(pipe), options: options.clone(), about: About::default(), asked: 0 };
+        let mut provider =
+            Provider { pipe: Some(pipe), options: options.clone(), about: About::default(), requested: 0 };
         let [lowest, highest] = crate::VERSIONS;
         let program = concat!("sgs ", env!("CARGO_PKG_VERSION"));
         let hello = Message::new(json!({"kind": "hello", "versions": [lowest, highest], "program": program}));
@@ -47,19 +50,20 @@ impl Provider {
         Ok(provider)
     }
 
-    /// What it said about itself.
+    /// Returns the provider's greeting.
     pub fn about(&self) -> &About {
         &self.about
     }
 
-    /// Whether it offers an answer to a question.
+    /// Returns true if the provider offers a question.
     pub fn offers(&self, question: &str) -> bool {
         self.about.offers.contains_key(question)
     }
 
-    /// Where the thing at `point` (x right, y down, in pixels of the first frame) is in three frames of one size. Without
-    /// a point the provider chooses the thing.
-    pub fn masks(&mut self, frames: &[Picture; 3], point: Option<[f64; 2]>) -> Result<Masks> {
+    /// Segments the object at `point` in three frames of one size.
+    ///
+    /// `point` is x right, y down, in pixels of the first frame. Without a point the provider chooses the object.
+    pub fn masks(&mut self, frames: &[ProviderImage; 3], point: Option<[f64; 2]>) -> Result<Masks> {
         const Q: &str = "masks";
         let offer = self.offer(Q)?;
         let size = [frames[0].image.width, frames[0].image.height];
@@ -79,23 +83,23 @@ impl Provider {
         Ok(Masks { size, frames: [frame(0), frame(1), frame(2)] })
     }
 
-    /// All regions of an image.
-    pub fn regions(&mut self, picture: &Picture) -> Result<Regions> {
+    /// Returns all regions of an image.
+    pub fn regions(&mut self, rendered: &ProviderImage) -> Result<Regions> {
         const Q: &str = "regions";
         let offer = self.offer(Q)?;
-        let size = picture.sent_size(&offer);
-        let mut answer = self.ask(Q, &offer, std::slice::from_ref(picture), json!({}))?;
+        let size = rendered.sent_size(&offer);
+        let mut answer = self.ask(Q, &offer, std::slice::from_ref(rendered), json!({}))?;
         let shape = [size[1] as usize, size[0] as usize];
         let ids = answer.take("regions", Kind::U16, &shape).or_else(|what| self.nonsense(Q, what))?;
         Ok(Regions { size, ids: ids.words() })
     }
 
-    /// The normals of an image.
-    pub fn normals(&mut self, picture: &Picture) -> Result<Normals> {
+    /// Returns the normals of an image.
+    pub fn normals(&mut self, rendered: &ProviderImage) -> Result<Normals> {
         const Q: &str = "normals";
         let offer = self.offer(Q)?;
-        let size = picture.sent_size(&offer);
-        let mut answer = self.ask(Q, &offer, std::slice::from_ref(picture), json!({}))?;
+        let size = rendered.sent_size(&offer);
+        let mut answer = self.ask(Q, &offer, std::slice::from_ref(rendered), json!({}))?;
         let read = |answer: &mut Message| {
             let frame = NormalFrame::deserialize(&answer.text["frame"]);
             let known = "\"world\", \"camera-opencv\", \"camera-opengl\" or \"camera-stablenormal\"";
@@ -106,11 +110,11 @@ impl Provider {
         read(&mut answer).or_else(|what| self.nonsense(Q, what))
     }
 
-    /// Features of an image, on a grid of the provider's choice.
-    pub fn semantics(&mut self, picture: &Picture) -> Result<Features> {
+    /// Returns the features of an image, on a grid of the provider's choice.
+    pub fn semantics(&mut self, rendered: &ProviderImage) -> Result<Features> {
         const Q: &str = "semantics";
         let offer = self.offer(Q)?;
-        let mut answer = self.ask(Q, &offer, std::slice::from_ref(picture), json!({}))?;
+        let mut answer = self.ask(Q, &offer, std::slice::from_ref(rendered), json!({}))?;
         let read = |answer: &mut Message| {
             let array = answer.take("features", Kind::F16, &[0, 0, offer.channels])?;
             array.check("features", "finite numbers", f32::is_finite)?;
@@ -119,7 +123,7 @@ impl Provider {
         read(&mut answer).or_else(|what| self.nonsense(Q, what))
     }
 
-    /// One embedding for each name, one behind the other, and how many numbers each has.
+    /// Returns the number of channels and one embedding per name, concatenated.
     pub fn text(&mut self, names: &[String]) -> Result<(usize, Vec<f32>)> {
         const Q: &str = "text";
         let offer = self.offer(Q)?;
@@ -135,11 +139,11 @@ impl Provider {
         read(&mut answer).or_else(|what| self.nonsense(Q, what))
     }
 
-    /// Names of the classes of things in these images.
-    pub fn classes(&mut self, pictures: &[Picture]) -> Result<Vec<String>> {
+    /// Returns names for the classes of objects in the images.
+    pub fn classes(&mut self, images: &[ProviderImage]) -> Result<Vec<String>> {
         const Q: &str = "classes";
         let offer = self.offer(Q)?;
-        let answer = self.ask(Q, &offer, pictures, json!({}))?;
+        let answer = self.ask(Q, &offer, images, json!({}))?;
         let names = answer.strings("names").or_else(|what| self.nonsense(Q, what))?;
         if names.is_empty() || names.iter().any(|n| n.trim().is_empty()) {
             return self.nonsense(Q, answer.wrong("names", "a list of names, none of them empty"));
@@ -147,12 +151,12 @@ impl Provider {
         Ok(names)
     }
 
-    /// Material maps of an image: some of "albedo", "roughness", "metallic".
-    pub fn materials(&mut self, picture: &Picture, maps: &[&str]) -> Result<Materials> {
+    /// Returns material maps of an image: some of "albedo", "roughness", "metallic".
+    pub fn materials(&mut self, rendered: &ProviderImage, maps: &[&str]) -> Result<Materials> {
         const Q: &str = "materials";
         let offer = self.offer(Q)?;
-        let size = picture.sent_size(&offer);
-        let mut answer = self.ask(Q, &offer, std::slice::from_ref(picture), json!({"maps": maps}))?;
+        let size = rendered.sent_size(&offer);
+        let mut answer = self.ask(Q, &offer, std::slice::from_ref(rendered), json!({"maps": maps}))?;
         let read = |answer: &mut Message| {
             let mut found = Materials::default();
             for map in maps {
@@ -179,7 +183,7 @@ impl Provider {
         read(&mut answer).or_else(|what| self.nonsense(Q, what))
     }
 
-    /// What was said about a question in the greeting.
+    /// Returns the offer for a question.
     fn offer(&self, question: &'static str) -> Result<Offer> {
         self.about.offers.get(question).cloned().ok_or_else(|| ProviderError::NotOffered {
             command: self.options.command.clone(),
@@ -188,25 +192,31 @@ impl Provider {
         })
     }
 
-    /// Asks, and takes an answer or a refusal to just this question.
-    fn ask(&mut self, question: &'static str, offer: &Offer, pictures: &[Picture], extra: Value) -> Result<Message> {
-        if let Some(problem) = pictures.iter().find_map(Picture::problem) {
+    /// Sends a question and accepts only an answer or a refusal to it.
+    fn ask(
+        &mut self,
+        question: &'static str,
+        offer: &Offer,
+        images: &[ProviderImage],
+        extra: Value,
+    ) -> Result<Message> {
+        if let Some(problem) = images.iter().find_map(ProviderImage::problem) {
             return Err(ProviderError::Question { question, problem });
         }
-        self.asked += 1;
-        let views: Vec<Value> = pictures.iter().map(|p| p.hints(offer)).collect();
+        self.requested += 1;
+        let views: Vec<Value> = images.iter().map(|p| p.hints(offer)).collect();
         let mut text = json!({
-            "kind": "question", "id": self.asked, "question": question, "views": views, "seed": self.options.seed,
+            "kind": "question", "id": self.requested, "question": question, "views": views, "seed": self.options.seed,
         });
         for (name, value) in extra.as_object().into_iter().flatten() {
             text[name.as_str()] = value.clone();
         }
         let mut message = Message::new(text);
-        let arrays = pictures.iter().enumerate().map(|(i, p)| (format!("image{i}"), p.array(offer)));
+        let arrays = images.iter().enumerate().map(|(i, p)| (format!("image{i}"), p.array(offer)));
         message.arrays = arrays.collect::<std::collections::BTreeMap<String, Array>>();
         let answer = self.exchange(question, &message, self.options.answer_seconds)?;
-        if answer.text["to"].as_u64() != Some(self.asked) {
-            return self.nonsense(question, answer.wrong("to", &format!("{}, the question's id", self.asked)));
+        if answer.text["to"].as_u64() != Some(self.requested) {
+            return self.nonsense(question, answer.wrong("to", &format!("{}, the question's id", self.requested)));
         }
         match answer.text["kind"].as_str() {
             Some("answer") => Ok(answer),
@@ -236,13 +246,13 @@ impl Provider {
         })
     }
 
-    /// After nonsense nothing that it says can be trusted.
+    /// Stops the provider after invalid output, because later output cannot be trusted.
     fn nonsense<T>(&mut self, question: &'static str, what: Nonsense) -> Result<T> {
         self.end();
         Err(ProviderError::Nonsense { command: self.options.command.clone(), question, what })
     }
 
-    /// Stops it without waiting.
+    /// Stops the provider without waiting.
     fn end(&mut self) {
         self.pipe = None;
     }
@@ -256,7 +266,7 @@ impl Drop for Provider {
     }
 }
 
-/// The words of a refusal, on one line and of a bearable length.
+/// Returns the reason of a refusal, on one line and at most 500 characters long.
 fn refusal(message: &Message) -> String {
     let text = message.text["text"].as_str().unwrap_or("it gives no reason");
     text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(500).collect()

@@ -1,4 +1,4 @@
-//! What is sent and what comes back: pictures, and the typed answers about them.
+//! Images of questions and typed answers.
 
 use crate::array::Array;
 use crate::error::Nonsense;
@@ -7,26 +7,26 @@ use half::f16;
 use serde_json::{Value, json};
 use sgs_scene::{Camera, Image, NormalFrame, linear_to_srgb, resize, srgb_to_linear};
 
-/// An image to ask about.
+/// Image of a question, with its encoding and hints.
 #[derive(Clone, Debug)]
-pub struct Picture<'a> {
-    /// RGB.
+pub struct ProviderImage<'a> {
+    /// RGB image.
     pub image: &'a Image,
-    /// How its values are to be understood: sRGB-encoded in `[0, 1]`, or linear.
+    /// Encoding of the values: sRGB-encoded in `[0, 1]`, or linear.
     pub encoding: Encoding,
-    /// The name of the view it shows, if it is a photograph of a scene. A hint, of which networks know nothing.
+    /// Name of the view, for a photograph of a scene. A hint that networks may ignore.
     pub view: Option<&'a str>,
-    /// The camera it was taken or rendered with; likewise a hint.
+    /// Camera of the photograph or rendering. A hint that networks may ignore.
     pub camera: Option<&'a Camera>,
 }
 
-impl<'a> Picture<'a> {
-    /// An sRGB-encoded image that belongs to no view.
-    pub fn srgb(image: &'a Image) -> Picture<'a> {
-        Picture { image, encoding: Encoding::Srgb, view: None, camera: None }
+impl<'a> ProviderImage<'a> {
+    /// Creates a question image from an sRGB-encoded image that belongs to no view.
+    pub fn srgb(image: &'a Image) -> ProviderImage<'a> {
+        ProviderImage { image, encoding: Encoding::Srgb, view: None, camera: None }
     }
 
-    /// What is wrong with it, if anything.
+    /// Returns the problem of the image, if any.
     pub(crate) fn problem(&self) -> Option<String> {
         if self.image.channels != 3 {
             return Some(format!("an image has {} channels instead of 3", self.image.channels));
@@ -34,7 +34,7 @@ impl<'a> Picture<'a> {
         self.image.check().err().map(|e| e.to_string())
     }
 
-    /// Columns and rows as an offer wants them.
+    /// Returns width and height for an offer.
     pub(crate) fn sent_size(&self, offer: &Offer) -> [u32; 2] {
         let (w, h) = (self.image.width, self.image.height);
         match offer.max_side {
@@ -46,7 +46,7 @@ impl<'a> Picture<'a> {
         }
     }
 
-    /// The array as an offer wants it. Sizes change in linear light.
+    /// Returns the array for an offer. Resizing happens in linear light.
     pub(crate) fn array(&self, offer: &Offer) -> Array {
         let [width, height] = self.sent_size(offer);
         let same_size = [width, height] == [self.image.width, self.image.height];
@@ -69,7 +69,7 @@ impl<'a> Picture<'a> {
         Array::u8(&shape, bytes)
     }
 
-    /// What goes with the array: the view's name and the camera of the image as sent.
+    /// Returns the hints of the array: the view's name and the camera of the image as sent.
     pub(crate) fn hints(&self, offer: &Offer) -> Value {
         let mut hints = json!({});
         if let Some(view) = self.view {
@@ -92,69 +92,73 @@ impl<'a> Picture<'a> {
     }
 }
 
-/// Where something that was pointed at is, in each of three frames.
+/// Masks of one object in three frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Masks {
-    /// Columns and rows, those of the images that were asked about.
+    /// Width and height, those of the caller's images.
     pub size: [u32; 2],
-    /// For each frame, row by row.
+    /// Mask of each frame, row by row.
     pub frames: [Vec<bool>; 3],
 }
 
-/// Region numbers of an image; 0 is none.
+/// Region numbers of an image; 0 means no region.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Regions {
-    /// Columns and rows, those of the image as sent.
+    /// Width and height of the image as sent.
     pub size: [u32; 2],
-    /// Row by row.
+    /// Region numbers, row by row.
     pub ids: Vec<u16>,
 }
 
 /// Normals of an image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Normals {
-    /// The coordinates they are given in.
+    /// Coordinate frame of the normals.
     pub frame: NormalFrame,
-    /// Three channels; unit vectors, zero where nothing is known. The size is that of the image as sent.
+    /// Unit vectors in three channels, zero where unknown.
+    ///
+    /// The size is that of the image as sent.
     pub image: Image,
 }
 
-/// Features that texts can be compared with.
+/// Features comparable with text embeddings.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Features {
-    /// Rows, columns and numbers for each cell; the map covers the whole image.
+    /// Rows, columns and channels. The map covers the whole image.
     pub shape: [usize; 3],
-    /// Cell by cell, row by row.
+    /// Features cell by cell, row by row.
     pub data: Vec<f16>,
 }
 
-/// Material maps of an image; not-a-number where nothing is known. The size is that of the image as sent.
+/// Material maps of an image.
+///
+/// NaN marks unknown pixels. The size is that of the image as sent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Materials {
     /// RGB.
     pub albedo: Option<Image>,
-    /// Whether the albedo is linear; sRGB-encoded else.
+    /// True for linear albedo, false for sRGB-encoded albedo.
     pub albedo_is_linear: bool,
-    /// One channel.
+    /// Roughness, one channel.
     pub roughness: Option<Image>,
-    /// One channel.
+    /// Metallic, one channel.
     pub metallic: Option<Image>,
 }
 
-/// Scales normals to unit length; what is too short or not a number becomes zero.
+/// Scales normals to unit length. Vectors that are too short or NaN become zero.
 pub(crate) fn unit(array: &Array, size: [u32; 2]) -> Result<Image, Nonsense> {
     array.check("normals", "numbers that are not infinite", |v| !v.is_infinite())?;
     let mut image = Image { width: size[0], height: size[1], channels: 3, data: array.floats() };
     for n in image.data.chunks_exact_mut(3) {
         let length = n.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
-        // Not-a-number compares as false.
+        // NaN compares as false.
         let known = length > 0.1;
         n.iter_mut().for_each(|v| *v = if known { (f64::from(*v) / length) as f32 } else { 0.0 });
     }
     Ok(image)
 }
 
-/// One mask brought to another size: each pixel takes the value at its center.
+/// Resizes a mask. Each pixel takes the value at its center.
 pub(crate) fn stretch(mask: &[u8], from: [u32; 2], to: [u32; 2]) -> Vec<bool> {
     let at = |i: u32, axis: usize| {
         let place = (f64::from(i) + 0.5) * f64::from(from[axis]) / f64::from(to[axis]);
@@ -169,40 +173,40 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_are_sent_as_wanted() {
+    fn images_are_converted_to_the_offered_encoding() {
         let image = Image::from_data(2, 1, 3, vec![0.0, 0.2, 1.0, 1.0, 0.2, f32::NAN]).unwrap();
-        let srgb = Picture::srgb(&image);
+        let srgb = ProviderImage::srgb(&image);
         let offer = |image, max_side| Offer { image, max_side, ..Offer::default() };
         assert_eq!(srgb.array(&offer(Encoding::Srgb, None)), Array::u8(&[1, 2, 3], vec![0, 51, 255, 255, 51, 0]));
         let linear = srgb.array(&offer(Encoding::Linear, Some(8))).floats();
         assert_eq!(linear[..3], [0.0, srgb_to_linear(0.2), 1.0]);
         let light = Image::from_data(2, 1, 3, vec![0.0, 0.0, 3.0, 1.0, 0.0, 3.0]).unwrap();
-        let light = Picture { encoding: Encoding::Linear, ..Picture::srgb(&light) };
+        let light = ProviderImage { encoding: Encoding::Linear, ..ProviderImage::srgb(&light) };
         assert_eq!(light.array(&offer(Encoding::Linear, None)).floats()[2], 3.0);
-        // Half of the light is code 188, not 128.
+        // The mean of 0 and 1 in linear light is code 188, not 128.
         let small = light.array(&offer(Encoding::Srgb, Some(1)));
         assert_eq!((small.shape, small.bytes), (vec![1, 1, 3], vec![188, 0, 255]));
     }
 
     #[test]
-    fn long_sides_are_shortened() {
+    fn large_images_are_downscaled_to_max_side() {
         let image = Image::new(300, 200, 3);
-        let size = |max_side| Picture::srgb(&image).sent_size(&Offer { max_side, ..Offer::default() });
+        let size = |max_side| ProviderImage::srgb(&image).sent_size(&Offer { max_side, ..Offer::default() });
         assert_eq!((size(None), size(Some(300)), size(Some(100))), ([300, 200], [300, 200], [100, 67]));
         let wide = Image::new(300, 1, 3);
-        assert_eq!(Picture::srgb(&wide).sent_size(&Offer { max_side: Some(10), ..Offer::default() }), [10, 1]);
-        assert!(Picture::srgb(&Image::new(2, 2, 1)).problem().unwrap().contains("1 channels"));
+        assert_eq!(ProviderImage::srgb(&wide).sent_size(&Offer { max_side: Some(10), ..Offer::default() }), [10, 1]);
+        assert!(ProviderImage::srgb(&Image::new(2, 2, 1)).problem().unwrap().contains("1 channels"));
     }
 
     #[test]
-    fn masks_stretch_by_centers() {
+    fn mask_resize_samples_pixel_centers() {
         assert_eq!(stretch(&[1, 0], [2, 1], [4, 1]), [true, true, false, false]);
         assert_eq!(stretch(&[1, 0, 0, 1], [2, 2], [1, 1]), [true]);
         assert_eq!(stretch(&[1, 0, 1], [3, 1], [3, 1]), [true, false, true]);
     }
 
     #[test]
-    fn normals_become_unit_or_nothing() {
+    fn normals_become_unit_or_zero() {
         let of = |v: &[f32]| unit(&Array::f32(&[1, v.len() / 3, 3], v), [v.len() as u32 / 3, 1]);
         let image = of(&[0.0, 3.0, 4.0, f32::NAN, 0.0, 1.0, 0.0, 0.01, 0.0]).unwrap();
         assert_eq!(image.data, [0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);

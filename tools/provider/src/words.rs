@@ -1,6 +1,8 @@
-//! A command line as words, as a shell would split it, without a shell.
+//! Splitting of command lines into words like in a shell, without a shell.
 
-/// Splits at blanks; single and double quotes keep blanks, a backslash keeps the next letter (not within single quotes).
+/// Splits a command line at whitespace.
+///
+/// Single and double quotes protect whitespace. A backslash protects the next character, except within single quotes.
 pub(crate) fn words(line: &str) -> Result<Vec<String>, &'static str> {
     let mut words = Vec::new();
     let mut word: Option<String> = None;
@@ -37,7 +39,7 @@ mod tests {
     use super::words;
 
     #[test]
-    fn words_as_a_shell_sees_them() {
+    fn words_split_like_in_a_shell() {
         let split = |line| words(line).unwrap();
         assert_eq!(split(" python3 -m  x\t'a b' "), ["python3", "-m", "x", "a b"]);
         assert_eq!(split(r#"a "b \" c"d '' \ e '\'"#), ["a", "b \" cd", "", " e", "\\"]);

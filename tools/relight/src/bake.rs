@@ -1,8 +1,9 @@
-//! A relit scene as plain spherical harmonics: geometry and opacity as they are, colors that any viewer shows.
+//! Bakes a relit scene to plain spherical harmonics.
 //!
-//! What a viewer blends is display-referred colors, and what shading gives is light of blended materials: no color by
-//! Gaussian is right in itself. So colors begin with what each Gaussian would show alone ([`Shading::shade_centers`]), and
-//! are then trained on relit pictures as the geometry stage trains them on photographs, with nothing else moving.
+//! Geometry and opacity stay unchanged; any viewer shows the colors. Viewers blend display-referred colors, but shading
+//! yields light of blended materials. No color per Gaussian is thus exact. Colors start with the shading of each
+//! Gaussian alone ([`Shading::shade_centers`]). They are then trained on relit images, as the geometry stage trains on
+//! photographs, with all other parameters fixed.
 
 use crate::error::{RelightError, Result};
 use glam::DVec3;
@@ -19,33 +20,37 @@ use sgs_run::{Shading, camera, displayed, gaussian_data};
 use sgs_scene::{Camera, Image, Scene, Splats, linear_to_srgb};
 use sgs_train::{Geometry, Progress, PseudoViews};
 
-/// How colors are found.
+/// Options of baking.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BakeOptions {
     /// Highest band of the harmonics, 0 to 3.
     pub degree: u32,
-    /// Steps of training on pictures; 0 leaves the colors that each Gaussian has alone.
+    /// Number of training steps on images; 0 leaves the colors of single Gaussians.
     pub steps: u32,
-    /// Color behind everything, display-referred.
+    /// Background color, display-referred.
     pub background: [f32; 3],
 }
 
-/// Pictures to train on, at most, unless there are more training views.
-const PICTURES: usize = 96;
+/// Maximum number of training images, unless there are more training views.
+const IMAGES: usize = 96;
 
-/// Places from which Gaussians are looked at alone, at most.
+/// Maximum number of viewpoints for shading single Gaussians.
 const PLACES: usize = 32;
 
-/// Rates of the constant and of the other bands, one round of steps after the other.
+/// Learning rates of the constant and of the other bands, by round of steps.
 const RATES: [[f64; 2]; 3] = [[0.03, 4e-3], [0.01, 2e-3], [3e-3, 8e-4]];
 
-/// How strongly higher bands are pulled to zero, where few places tell them apart.
+/// Ridge weight that pulls poorly constrained higher bands to zero.
+///
+/// Few viewpoints do not separate the bands.
 const RIDGE: f64 = 0.3;
 
-/// The weight of a color as seen from behind.
+/// Weight of a color seen from behind.
 const BEHIND: f64 = 0.02;
 
-/// The cameras that colors are to be right from: a scene's training views, and pseudo-views between them where these are few.
+/// Returns the cameras for which colors are optimized.
+///
+/// Training views of the scene, and pseudo-views between them if these are few.
 ///
 /// # Errors
 /// If the split names a view that does not exist.
@@ -54,7 +59,7 @@ pub fn bake_cameras(scene: &Scene, options: &PseudoOptions) -> Result<Vec<Camera
     let pseudo = PseudoViews::new(scene, options)?;
     let between = |which: usize| (0..pseudo.views()).map(move |v| (v, which));
     for (view, which) in between(0).chain(between(1)) {
-        if cameras.len() >= PICTURES {
+        if cameras.len() >= IMAGES {
             break;
         }
         cameras.push(pseudo.camera(view, which, pseudo.poses() / 2));
@@ -62,26 +67,26 @@ pub fn bake_cameras(scene: &Scene, options: &PseudoOptions) -> Result<Vec<Camera
     Ok(cameras)
 }
 
-/// What baking comes to.
+/// Result of baking.
 #[derive(Clone, Debug)]
 pub struct Baked {
-    /// Geometry, opacity and normals as they were, and new colors; nothing else.
+    /// Unchanged geometry, opacity and normals, with new colors; no materials or features.
     pub splats: Splats,
-    /// Mean PSNR from the relit pictures at the cameras that colors were found for.
+    /// Mean PSNR against the relit images at the given cameras.
     pub psnr: f64,
 }
 
-/// Finds colors for splats as they are shaded. `heard` is told of steps.
+/// Fits colors to the shading of splats. Calls `on_report` with the number of each step.
 ///
 /// # Errors
-/// If there are no cameras, memory runs out or the device fails.
+/// If `cameras` is empty, memory runs out or the device fails.
 pub fn bake(
     device: &Device,
     splats: &Splats,
     shading: &mut Shading,
     cameras: &[Camera],
     options: &BakeOptions,
-    mut heard: impl FnMut(u32),
+    mut on_report: impl FnMut(u32),
 ) -> Result<Baked> {
     if cameras.is_empty() {
         return Err(RelightError::Edit("Baking needs cameras, but there are none.".into()));
@@ -89,7 +94,7 @@ pub fn bake(
     let mut baked = splats.clone();
     (baked.albedo, baked.roughness, baked.metallic, baked.semantic) = (None, None, None, None);
     baked.sh = alone(splats, shading, cameras, options.degree.min(3) as usize)?;
-    let pictures = pictures(shading, cameras, options.background)?;
+    let images = images(shading, cameras, options.background)?;
     let mut before = 0;
     for (round, rates) in RATES.into_iter().enumerate() {
         let last = options.steps * (round as u32 + 1) / RATES.len() as u32;
@@ -97,40 +102,36 @@ pub fn bake(
             continue;
         }
         let settings = settings(options, rates, last - before);
-        let mut training = Geometry::on_images(device, &pictures, &settings, &baked)?;
+        let mut training = Geometry::on_images(device, &images, &settings, &baked)?;
         let said = |p: &Progress| {
             if let Progress::Step(r) = p {
-                heard(before + r.step);
+                on_report(before + r.step);
             }
         };
         training.train(last - before, said, || true)?;
-        // Nothing else may have moved, not by a bit.
+        // Only the colors are taken, so all other values stay bitwise equal.
         baked.sh = training.splats()?.sh;
         before = last;
     }
-    let psnr = apart(device, &baked, &pictures, options.background)?;
+    let psnr = apart(device, &baked, &images, options.background)?;
     Ok(Baked { splats: baked, psnr })
 }
 
-/// Relit pictures, display-referred.
-fn pictures<'a>(
-    shading: &mut Shading,
-    cameras: &'a [Camera],
-    background: [f32; 3],
-) -> Result<Vec<(&'a Camera, Image)>> {
+/// Renders relit images, display-referred.
+fn images<'a>(shading: &mut Shading, cameras: &'a [Camera], background: [f32; 3]) -> Result<Vec<(&'a Camera, Image)>> {
     cameras.iter().map(|c| Ok((c, displayed(&shading.shade(c)?.radiance(background))))).collect()
 }
 
-/// Training in which only colors move.
+/// Returns settings that train only colors.
 fn settings(options: &BakeOptions, [sh0, sh_rest]: [f64; 2], steps: u32) -> Settings {
     let mut s = Settings::default();
     let g = &mut s.geometry;
     g.steps = steps;
-    (g.sh_degree, g.sh_interval) = (options.degree.min(3).into(), 0);
+    g.sh_degree = options.degree.min(3).into();
     g.background = options.background;
     (g.normals, g.semantics, g.correspondence, g.densify.enabled) = (false, false, false, false);
     (g.depth_smooth, g.depth_variance) = (false, false);
-    // What is measured on the device would be another result on another day.
+    // A kernel selected by timing would make the result depend on the measurement.
     g.backward = Backward::Pixel;
     g.rates = Rates {
         factor: 1.0,
@@ -148,7 +149,9 @@ fn settings(options: &BakeOptions, [sh0, sh_rest]: [f64; 2], steps: u32) -> Sett
     s
 }
 
-/// The colors of Gaussians that are shaded alone, at their centers, from the places of cameras: harmonics closest to them.
+/// Fits harmonics to the shading of each Gaussian alone.
+///
+/// Shading is at the center, as seen from the positions of the cameras.
 fn alone(splats: &Splats, shading: &mut Shading, cameras: &[Camera], degree: usize) -> Result<[Vec<f32>; 4]> {
     let every = cameras.len().div_ceil(PLACES);
     let places: Vec<DVec3> = cameras.iter().step_by(every).map(Camera::position).collect();
@@ -191,7 +194,9 @@ fn alone(splats: &Splats, shading: &mut Shading, cameras: &[Camera], degree: usi
     }))
 }
 
-/// Mean PSNR between splats as a viewer shows them and relit pictures, both display-referred.
+/// Returns the mean PSNR between splats as a viewer shows them and relit images.
+///
+/// Both are display-referred.
 ///
 /// # Errors
 /// If memory runs out or the device fails.
@@ -202,24 +207,24 @@ pub fn baked_psnr(
     cameras: &[Camera],
     background: [f32; 3],
 ) -> Result<f64> {
-    apart(device, baked, &pictures(shading, cameras, background)?, background)
+    apart(device, baked, &images(shading, cameras, background)?, background)
 }
 
-/// Mean PSNR between splats as a viewer shows them and pictures.
-fn apart(device: &Device, baked: &Splats, pictures: &[(&Camera, Image)], background: [f32; 3]) -> Result<f64> {
+/// Returns the mean PSNR between splats as a viewer shows them and images.
+fn apart(device: &Device, baked: &Splats, images: &[(&Camera, Image)], background: [f32; 3]) -> Result<f64> {
     let model = Model { sh_degree: baked.sh_degree() as u32, normals: false, semantics: false };
     let gaussians = Gaussians::with(device, model, baked.len() as u32, false, false)?;
     gaussians.upload(device, &gaussian_data(baked, model))?;
     let channels = Channels { colors: true, normals: false, depth: false };
     let mut renderer = Renderer::new(device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
     let mut sum = 0.0;
-    for (view, theirs) in pictures {
-        let picture = renderer.render(&gaussians, &camera(view), model.sh_degree, background)?;
-        let data = picture.image.iter().map(|v| v.clamp(0.0, 1.0)).collect();
-        let ours = Image { width: picture.size[0], height: picture.size[1], channels: picture.channels, data };
+    for (view, theirs) in images {
+        let rendered = renderer.render(&gaussians, &camera(view), model.sh_degree, background)?;
+        let data = rendered.image.iter().map(|v| v.clamp(0.0, 1.0)).collect();
+        let ours = Image { width: rendered.size[0], height: rendered.size[1], channels: rendered.channels, data };
         sum += metrics::psnr(&ours, theirs, None)?;
     }
-    Ok(sum / pictures.len().max(1) as f64)
+    Ok(sum / images.len().max(1) as f64)
 }
 
 #[cfg(test)]
@@ -227,7 +232,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_colors_move_and_the_settings_are_possible() {
+    fn bake_settings_are_valid_and_train_only_colors() {
         for degree in 0..=3 {
             let s = settings(&BakeOptions { degree, steps: 30, background: [0.0; 3] }, RATES[0], 30);
             assert!(s.check().is_ok());

@@ -1,7 +1,7 @@
-//! The file that says what becomes of a scene: lights, surroundings, materials, things put in.
+//! Edit file: changes to the lights, environment map, materials and contents of a scene.
 //!
-//! Everything in it is optional; what it does not know is refused. Lengths are the scene's own, colors linear.
-//! `docs/guide/relight.md` describes it for people.
+//! Every field is optional; unknown fields are rejected. Lengths are in scene units, colors are linear.
+//! `docs/guide/relight.md` describes the file for users.
 
 use crate::error::{RelightError, Result};
 use serde::{Deserialize, Serialize};
@@ -9,116 +9,120 @@ use sgs_run::LobeRow;
 use sgs_scene::Placement;
 use std::path::{Path, PathBuf};
 
-/// The whole file.
+/// Edit file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Edit {
     /// Lights.
     pub lights: LightEdit,
-    /// The surroundings.
+    /// Environment map.
     pub environment: EnvironmentEdit,
-    /// Materials, one after the other.
+    /// Material edits, applied in order.
     pub materials: Vec<MaterialEdit>,
-    /// Other scenes put in.
+    /// Scenes to insert.
     pub insert: Vec<Insert>,
 }
 
-/// What becomes of the lights.
+/// Edit of the lights.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LightEdit {
-    /// All lights of the run are off.
+    /// Turns all lights of the run off.
     pub off: bool,
-    /// All lights of the run but these are off.
+    /// Turns all lights of the run off except these.
     pub only: Option<Vec<usize>>,
-    /// Single lights of the run; after the two above.
+    /// Changes to single lights of the run, applied after `off` and `only`.
     pub change: Vec<LightChange>,
     /// New lights.
     pub add: Vec<NewLight>,
 }
 
-/// What becomes of one light.
+/// Change of one light.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct LightChange {
-    /// Its number in `lights.json`, from 0.
+    /// Index of the light in `lights.json`, from 0.
     pub light: Option<usize>,
-    /// Off, or on as it was trained (at full gain, if it was off then).
+    /// Turns the light off, or on with its trained gain (gain 1 if that is 0).
     pub on: Option<bool>,
-    /// Factor.
+    /// Factor on the intensity.
     pub intensity: Option<f32>,
-    /// Factors of red, green and blue.
+    /// Factors on red, green and blue.
     pub color: Option<[f32; 3]>,
-    /// Moves it so far.
+    /// Translation.
     pub by: Option<[f32; 3]>,
-    /// Puts it there.
+    /// New position.
     pub to: Option<[f32; 3]>,
 }
 
-/// A new light: in a place, with an intensity or lobes; or a rectangle.
+/// New light: a position with an intensity or lobes, or a rectangle.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NewLight {
-    /// Where it is.
+    /// Position.
     pub position: Option<[f32; 3]>,
-    /// Radiant intensity, the same in all directions.
+    /// Radiant intensity, equal in all directions.
     pub intensity: Option<[f32; 3]>,
-    /// Radiant intensity as spherical Gaussians; axes point from what is lit to the light.
+    /// Radiant intensity as spherical Gaussians; axes point from the lit surface to the light.
     pub lobes: Option<Vec<LobeRow>>,
-    /// Corners of a rectangle, one after the other around it; it shines to the side from which they go counterclockwise.
+    /// Corners of a rectangle, in order around it.
+    ///
+    /// The rectangle emits to the side from which they run counterclockwise.
     pub corners: Option<[[f32; 3]; 4]>,
     /// Radiance of the rectangle.
     pub radiance: Option<[f32; 3]>,
-    /// Patches along each side of the rectangle; 4 by default.
+    /// Patches along each side of the rectangle; default 4.
     pub patches: Option<u32>,
 }
 
-/// What becomes of the surroundings.
+/// Edit of the environment map.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct EnvironmentEdit {
-    /// There are none.
+    /// Removes the environment map.
     pub off: bool,
-    /// Others: a latitude-longitude picture, beside the edit file unless the path is absolute.
+    /// Replacement: a latitude-longitude image.
+    ///
+    /// A relative path starts at the directory of the edit file.
     pub file: Option<PathBuf>,
-    /// Factor.
+    /// Factor on the radiance.
     pub scale: Option<f32>,
-    /// Factors of red, green and blue.
+    /// Factors on red, green and blue.
     pub color: Option<[f32; 3]>,
-    /// Turned.
+    /// Rotation.
     pub rotate: Option<Turn>,
 }
 
-/// A rotation, right-handed.
+/// Right-handed rotation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Turn {
-    /// About this vector, of any length.
+    /// Axis, of any nonzero length.
     pub axis: [f64; 3],
-    /// Degrees.
+    /// Angle in degrees.
     pub degrees: f64,
 }
 
-/// What becomes of some Gaussians' materials.
+/// Edit of the materials of selected Gaussians.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MaterialEdit {
-    /// Which ones.
+    /// Selection of Gaussians.
     #[serde(rename = "where")]
     pub place: Where,
-    /// Values they get.
+    /// New values.
     #[serde(default)]
     pub set: MaterialValues,
-    /// Factors of what they have or get.
+    /// Factors on the old or new values.
     #[serde(default)]
     pub scale: MaterialValues,
 }
 
-/// Values or factors of materials.
+/// Values of materials, or factors on them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct MaterialValues {
-    /// Linear.
+    /// Linear albedo.
     pub albedo: Option<[f32; 3]>,
     /// Roughness.
     pub roughness: Option<f32>,
@@ -126,50 +130,50 @@ pub struct MaterialValues {
     pub metallic: Option<f32>,
 }
 
-/// Which Gaussians: those that all that is given holds for.
+/// Selection of Gaussians; all given conditions must hold.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Where {
-    /// Whose centers lie between two corners.
+    /// Box that contains the centers: lower and upper corner.
     #[serde(rename = "box")]
     pub within: Option<[[f32; 3]; 2]>,
-    /// Of these numbers, in the order of `scene.ply`.
+    /// Indices in the order of `scene.ply`.
     pub gaussians: Option<Vec<usize>>,
-    /// Of this semantic class.
+    /// Semantic class.
     pub class: Option<String>,
-    /// That show in this region of a training view.
+    /// Region of a training view in which the Gaussians are visible.
     pub region: Option<Region>,
 }
 
-/// A region of a training view.
+/// Region of a training view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Region {
     /// Name of the view.
     pub view: String,
-    /// Number of the region in `priors/masks`.
+    /// Id of the region in `priors/masks`.
     pub id: u16,
 }
 
-/// Another scene put into this one, after scale, rotation and translation.
+/// Scene to insert, after scaling, rotation and translation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Insert {
-    /// A PLY file or a run directory, beside the edit file unless the path is absolute.
+    /// PLY file or run directory. A relative path starts at the directory of the edit file.
     pub source: PathBuf,
-    /// Factor of all lengths.
+    /// Factor on all lengths.
     #[serde(default = "one")]
     pub scale: f32,
-    /// Quaternion (w, x, y, z) of any length.
+    /// Quaternion (w, x, y, z) of any nonzero length.
     #[serde(default = "unturned")]
     pub rotation: [f64; 4],
-    /// Where its origin comes to lie.
+    /// Position of the inserted scene's origin.
     #[serde(default)]
     pub translation: [f32; 3],
 }
 
 impl Insert {
-    /// Where it stands.
+    /// Returns the placement.
     pub fn placement(&self) -> Placement {
         Placement {
             scale: f64::from(self.scale),
@@ -188,20 +192,20 @@ fn unturned() -> [f64; 4] {
 }
 
 impl Edit {
-    /// Reads a file. Paths in it become whole.
+    /// Reads an edit file. Resolves relative paths against its directory.
     ///
     /// # Errors
-    /// If it is not there, holds what is not known, or asks for what cannot be.
+    /// If the file cannot be read, has unknown fields, or requests an impossible edit.
     pub fn read(path: &Path) -> Result<Edit> {
         let wrong = |reason: String| RelightError::File { path: path.to_owned(), reason };
         let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
         Edit::parse(&text, path.parent().unwrap_or(Path::new(""))).map_err(wrong)
     }
 
-    /// From text. Paths in it are meant beside a folder, and become whole.
+    /// Parses an edit from text. Resolves relative paths against `beside`.
     ///
     /// # Errors
-    /// What is wrong, as part of a sentence: it holds what is not known, or asks for what cannot be.
+    /// The cause, as part of a sentence: unknown fields, or an impossible edit.
     pub fn parse(text: &str, beside: &Path) -> std::result::Result<Edit, String> {
         let mut edit: Edit = serde_json::from_str(text).map_err(|e| format!("not an edit: {e}"))?;
         edit.check()?;
@@ -210,7 +214,7 @@ impl Edit {
         Ok(edit)
     }
 
-    /// Whether what is asked for makes sense by itself.
+    /// Checks the edit without reference to a scene.
     pub(super) fn check(&self) -> std::result::Result<(), String> {
         for (i, c) in self.lights.change.iter().enumerate() {
             let name = format!("lights.change[{i}]");
@@ -334,9 +338,9 @@ mod tests {
     }
 
     #[test]
-    fn every_mistake_has_a_sentence() {
+    fn invalid_edits_report_the_cause() {
         for (text, words) in [
-            (r#"{"lamps": 1}"#, "unknown field `lamps`"),
+            (r#"{"bulbs": 1}"#, "unknown field `bulbs`"),
             (r#"{"lights": {"change": [{"on": false}]}}"#, "lights.change[0] has no \"light\""),
             (r#"{"lights": {"change": [{"light": 1, "by": [0,0,0], "to": [0,0,0]}]}}"#, "both \"by\" and \"to\""),
             (r#"{"lights": {"change": [{"light": 1, "intensity": -1}]}}"#, "holds -1"),

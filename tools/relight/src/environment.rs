@@ -1,4 +1,4 @@
-//! Surroundings after an edit.
+//! Environment map after an edit.
 
 use super::edit::{EnvironmentEdit, Turn};
 use crate::error::{RelightError, Result};
@@ -6,10 +6,12 @@ use glam::{DQuat, DVec3};
 use sgs_passes::shade::environment::cube::{Footprint, texel_direction};
 use sgs_run::Texels;
 
-/// Applies an edit to the surroundings of a run, of which there may be none. New ones have `size` texels along an edge.
+/// Applies an edit to the environment map of a run, if any.
+///
+/// A new map has `size` texels along an edge.
 ///
 /// # Errors
-/// If it changes what is not there, or its file is damaged.
+/// If the edit changes an absent environment map, or its file is damaged.
 pub fn edit_environment(edit: &EnvironmentEdit, given: Option<Texels>, size: u32) -> Result<Option<Texels>> {
     if edit.off {
         return Ok(None);
@@ -34,7 +36,7 @@ pub fn edit_environment(edit: &EnvironmentEdit, given: Option<Texels>, size: u32
     }))
 }
 
-/// What lay in direction d lies in the turned direction afterwards.
+/// Rotates the map: radiance from direction d then arrives from the rotated direction.
 fn turned(texels: &Texels, turn: &Turn) -> Texels {
     let q = DQuat::from_axis_angle(DVec3::from(turn.axis).normalize(), turn.degrees.to_radians()).inverse();
     let n = texels.size;
@@ -47,13 +49,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn surroundings_turn_and_change() {
+    fn environment_edit_scales_and_rotates() {
         let size = 16;
         let of = |f: &dyn Fn(DVec3) -> f64| {
             let at = |t| f(DVec3::from(texel_direction(size, t)).normalize()) as f32;
             Texels { size, data: (0..6 * size * size).flat_map(|t| [at(t); 3]).collect() }
         };
-        // Bright at +x; a quarter about +y brings that to -z.
+        // Bright at +x; a quarter turn about +y maps that to -z.
         let edit = EnvironmentEdit {
             scale: Some(2.0),
             color: Some([1.0, 0.5, 0.0]),

@@ -1,43 +1,43 @@
-//! Errors of relighting: one sentence each, naming what to do.
+//! Errors of relighting. Each is one sentence that says what to do.
 
 use std::path::PathBuf;
 
 /// Errors of this crate.
 #[derive(Debug, thiserror::Error)]
 pub enum RelightError {
-    /// The GPU side failed.
+    /// GPU error.
     #[error(transparent)]
     Engine(#[from] sgs_engine::Error),
-    /// The scene cannot be used.
+    /// Scene error.
     #[error(transparent)]
     Scene(#[from] sgs_scene::SceneError),
-    /// The run cannot be used.
+    /// Run error.
     #[error(transparent)]
     Run(#[from] sgs_run::RunError),
-    /// A setting is wrong.
+    /// Invalid setting.
     #[error(transparent)]
     Config(#[from] sgs_config::ConfigError),
-    /// A measure has no value.
+    /// Evaluation error.
     #[error(transparent)]
     Evaluate(#[from] sgs_evaluate::EvaluateError),
-    /// Two images cannot be compared.
+    /// Error of comparing two images.
     #[error(transparent)]
     Metric(#[from] sgs_evaluate::metrics::MetricError),
-    /// Colors cannot be trained.
+    /// Error of training colors.
     #[error(transparent)]
     Train(#[from] sgs_train::TrainError),
-    /// A file cannot be used.
+    /// File that cannot be used.
     #[error("\"{path}\": {reason}.", path = path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Cause.
         reason: String,
     },
-    /// The edit, or what it names, is impossible.
+    /// Edit that is impossible, or that names something impossible.
     #[error("{0}")]
     Edit(String),
 }
 
-/// Result with this crate's error.
+/// Result with [`RelightError`] as its error.
 pub type Result<T> = std::result::Result<T, RelightError>;

@@ -1,4 +1,4 @@
-//! Ways for damaged files to readers that otherwise need a device (`tests/fuzz`).
+//! Entry points for fuzzing readers that otherwise need a device (`tests/fuzz`).
 
 use crate::error::Result;
 use crate::truth::{true_edit_of, true_lights_of};
@@ -9,12 +9,12 @@ use std::path::Path;
 /// Applies an edit to lights and to an environment map of one color.
 ///
 /// # Errors
-/// If it names what is not there.
+/// If the edit names something that does not exist.
 pub fn edited_light(edit: &Edit, lights: LightFile) -> Result<(Option<LightFile>, Option<Texels>)> {
     edited_light_of(edit, lights, Texels::uniform(4, [0.5; 3]))
 }
 
-/// The true lights of a scene (`gt/lights.json`) as lights of a run.
+/// Reads the true lights of a scene (`gt/lights.json`) as lights of a run.
 ///
 /// # Errors
 /// If the file is damaged.
@@ -22,7 +22,7 @@ pub fn true_lights(path: &Path) -> Result<Option<LightFile>> {
     true_lights_of(path)
 }
 
-/// Whether a file of a relit set says what became of materials.
+/// Returns whether the file of a relit set describes a material edit.
 ///
 /// # Errors
 /// If the file is damaged.

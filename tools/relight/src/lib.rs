@@ -1,6 +1,7 @@
-//! Scenes under other light, of other materials, with other things in them; nothing is trained again.
+//! Relights and edits trained scenes without training them again.
 //!
-//! An [`Edit`] is applied to what a run has left, and gives what shades. Leaves shading and files to others.
+//! An [`Edit`] changes the lights, materials and contents of a run and yields the input of shading. Other crates shade
+//! and write files.
 
 mod bake;
 mod edit;
@@ -8,7 +9,7 @@ mod environment;
 mod error;
 #[doc(hidden)]
 pub mod fuzzed;
-mod lamps;
+mod light_table;
 mod lights;
 mod live;
 mod materials;
@@ -20,7 +21,7 @@ pub use edit::{
     Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
 };
 pub use error::{RelightError, Result};
-pub use lamps::Lamp;
+pub use light_table::LightParameters;
 pub use live::{Relighter, source_of};
 pub use select::Selector;
 pub use truth::{evaluate_relit, skip_relit};
@@ -30,22 +31,24 @@ use sgs_passes::pipeline::ShadedScene;
 use sgs_run::{LightFile, Rays, RunLight, Texels, Visibility, join, placed, shaded_scene};
 use sgs_scene::Splats;
 
-/// Everything that shades, on the host.
+/// Shading inputs on the host.
 #[derive(Clone, Debug)]
 pub struct Relit {
     /// Gaussians with materials.
     pub splats: Splats,
-    /// Lamps, surroundings, what lamps see.
+    /// Lights, environment map and visibility.
     pub light: RunLight,
 }
 
 impl Relit {
-    /// Applies an edit: materials first, so that they speak of the run's own Gaussians, then what is put in, then light.
-    /// Where none of the run's lights is left at its place, visibility that was learned is traced instead.
-    /// Surroundings that are new have `size` texels along an edge; `load` gives what an insertion names.
+    /// Applies an edit: materials first, then insertions, then light.
+    ///
+    /// Material edits thus refer to the run's own Gaussians. If no light of the run remains at its position, learned
+    /// visibility is replaced by traced visibility. A new environment map has `size` texels along an edge. `load`
+    /// returns the splats of an insertion.
     ///
     /// # Errors
-    /// If the edit names what is not there.
+    /// If the edit names something that does not exist.
     pub fn edited(
         mut self,
         edit: &Edit,
@@ -65,7 +68,7 @@ impl Relit {
         let own = lights.clone();
         let lights = lights::edit_lights(&edit.lights, lights)?;
         let visibility = match visibility {
-            // What was learned is of the run's lights where they were.
+            // The learned field is valid only for the run's lights at their positions.
             Visibility::Learned(_) if !lights::any_left(own.as_ref(), lights.as_ref()) => {
                 Visibility::Traced(Rays::default())
             }
@@ -77,7 +80,7 @@ impl Relit {
         Ok(self)
     }
 
-    /// On a device.
+    /// Uploads the scene to a device.
     ///
     /// # Errors
     /// If materials or normals are missing, or memory runs out.
@@ -87,10 +90,10 @@ impl Relit {
     }
 }
 
-/// Lights and surroundings after an edit, without what it says of Gaussians.
+/// Applies the light and environment map parts of an edit; ignores edits of Gaussians.
 ///
 /// # Errors
-/// If it names what is not there.
+/// If the edit names something that does not exist.
 pub(crate) fn edited_light_of(
     edit: &Edit,
     lights: LightFile,

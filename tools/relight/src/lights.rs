@@ -1,22 +1,22 @@
-//! Lights after an edit, and new ones in physical units.
+//! Lights after an edit, and new lights in physical units.
 //!
-//! All light of a run is multiplied by one normalizer, which stays: what is new is divided by it.
+//! One fixed normalizer multiplies all light of a run, so intensities of new lights are divided by it.
 
 use super::edit::{LightEdit, NewLight};
 use crate::error::{RelightError, Result};
 use glam::DVec3;
 use sgs_run::{LightFile, LightRow, LobeRow, MOST_LIGHTS};
 
-/// Sharpness of the lobe that stands for a cosine.
+/// Sharpness of the lobe that approximates a cosine.
 const COSINE_SHARPNESS: f64 = 2.133;
 
-/// Largest amplitude that shading takes.
+/// Largest amplitude that shading supports.
 pub const MOST_AMPLITUDE: f32 = 3.2e6;
 
-/// Applies an edit to the lights of a run, of which there may be none.
+/// Applies an edit to the lights of a run, if any.
 ///
 /// # Errors
-/// If it names a light that is not there, or one too bright.
+/// If the edit names a light that does not exist, or a light is too bright.
 pub fn edit_lights(edit: &LightEdit, lights: Option<LightFile>) -> Result<Option<LightFile>> {
     let mut file = lights.unwrap_or_else(|| LightFile::new(1.0, Vec::new()));
     let count = file.lights.len();
@@ -62,10 +62,10 @@ pub fn edit_lights(edit: &LightEdit, lights: Option<LightFile>) -> Result<Option
     Ok(Some(file).filter(|f| !f.lights.is_empty()))
 }
 
-/// A light as rows: one for a point, one for each patch of a rectangle.
+/// Converts a light to rows: one for a point light, one per patch of a rectangle.
 ///
 /// # Errors
-/// If it is too bright.
+/// If the light is too bright.
 pub fn new_light(new: &NewLight, normalizer: f32) -> Result<Vec<LightRow>> {
     let rows = rows(new, normalizer);
     let brightest = rows.iter().flat_map(|l| &l.lobes).flat_map(|l| l.amplitude).fold(0.0, f32::max);
@@ -90,13 +90,15 @@ fn rows(new: &NewLight, normalizer: f32) -> Vec<LightRow> {
     vec![LightRow { position, gain: 1.0, lobes }]
 }
 
-/// Patches with one lobe each, that sends as much in all as a cosine does.
+/// Splits a rectangle into patches of one lobe each.
+///
+/// A lobe emits the total flux of a cosine emitter.
 fn rectangle(corners: [[f32; 3]; 4], radiance: [f32; 3], patches: u32) -> Vec<LightRow> {
     let [a, b, c, d] = corners.map(|p| DVec3::from(p.map(f64::from)));
     let across = (b - a).cross(d - a);
     let area = 0.5 * (across.length() + (b - c).cross(d - c).length()) / f64::from(patches * patches);
     let flux = COSINE_SHARPNESS / (2.0 * (1.0 - (-2.0 * COSINE_SHARPNESS).exp()));
-    // From what is lit to the light: against the side it shines to.
+    // The axis points from the lit surface to the light, opposite to the emitting side.
     let axis = (-across.normalize_or_zero()).as_vec3().to_array();
     let amplitude = radiance.map(|l| (f64::from(l) * area * flux) as f32);
     let lobe = LobeRow { axis, sharpness: COSINE_SHARPNESS as f32, amplitude };
@@ -110,7 +112,9 @@ fn rectangle(corners: [[f32; 3]; 4], radiance: [f32; 3], patches: u32) -> Vec<Li
         .collect()
 }
 
-/// Whether a light that was there is still on, and where it was; also where nothing was changed at all.
+/// Returns whether a light of the run is still on at its original position.
+///
+/// Also true if the scene has no lights before or after the edit, or if all lights are off.
 pub(super) fn any_left(before: Option<&LightFile>, after: Option<&LightFile>) -> bool {
     let (Some(before), Some(after)) = (before, after) else { return true };
     let own = |l: &LightRow| before.lights.iter().any(|b| b.position == l.position);
@@ -133,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn single_lights_change() {
+    fn light_changes_apply_to_single_lights() {
         let moved = LightChange { by: Some([0.0, 1.0, 0.0]), color: Some([2.0, 1.0, 0.0]), ..change(0) };
         let on = LightChange { on: Some(true), intensity: Some(3.0), to: Some([9.0; 3]), ..change(1) };
         let edit = LightEdit { change: vec![moved, on], ..Default::default() };
@@ -165,8 +169,8 @@ mod tests {
     }
 
     #[test]
-    fn a_rectangle_lights_what_it_faces() {
-        // Of 2 by 2, in the plane z = 0, counterclockwise seen from above: a disk of the same area, seen from far away.
+    fn rectangle_light_emits_to_its_front() {
+        // 2 × 2, in the plane z = 0, counterclockwise from above. From afar, equals a disk of the same area.
         let corners = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]];
         let new = NewLight { corners: Some(corners), radiance: Some([1.0; 3]), ..Default::default() };
         let rows = new_light(&new, 0.25).unwrap();

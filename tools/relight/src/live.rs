@@ -1,12 +1,12 @@
-//! A run whose light changes from frame to frame, on a device: for programs that show it.
+//! Run on a device whose light changes per frame, for interactive programs.
 //!
-//! Promises: what fails changes nothing; an edit starts from the run as it is on disk, single changes from what is there.
-//! Changes of lights touch numbers on the host alone, which each frame takes with it. Leaves frames to
-//! [`sgs_passes::pipeline::LitView`], and pictures on the host to [`Relighter::relit`].
+//! Guarantees: a failed call changes nothing. An edit starts from the run as stored on disk; single changes start from
+//! the current state. Changes of lights only write numbers on the host, which each frame uploads.
+//! [`sgs_passes::pipeline::LitView`] renders frames; [`Relighter::relit`] yields images on the host.
 
 use super::edit::{Edit, Insert, NewLight};
 use super::environment::edit_environment;
-use super::lamps::{Lamp, Lamps};
+use super::light_table::{LightParameters, LightTable};
 use super::lights::edit_lights;
 use super::{Relit, Selector};
 use crate::error::{RelightError, Result};
@@ -22,29 +22,33 @@ use sgs_run::{
 use sgs_scene::{Scene, Splats};
 use std::path::{Path, PathBuf};
 
-/// Lights that there is room for beyond those of a run, unless something else is asked for.
+/// Default number of lights that may be added before the capacity grows.
 const SPARE: u32 = 16;
 
-/// A run under changing light. What lamps see is found as the run has it, learned or traced, whatever becomes of its lamps;
-/// an edit of a run by [`Relit::edited`] traces once none of the run's own lamps is left at its place.
+/// Run under changing light.
+///
+/// Visibility stays that of the run, learned or traced, however its lights change. In contrast, [`Relit::edited`]
+/// switches to traced visibility once none of the run's own lights remains at its position.
 pub struct Relighter {
     device: Device,
     tuning: Tuning,
     source: PathBuf,
     settings: Option<Settings>,
-    /// As it is on disk.
+    /// Run as stored on disk.
     run: Relit,
-    /// Gaussians after an edit of materials or an insertion; else they are the run's.
+    /// Gaussians after a material edit or an insertion; `None` if they are the run's.
     altered: Option<Splats>,
     environment: Option<Texels>,
-    lamps: Lamps,
+    rows: LightTable,
     scene: LitScene,
 }
 
-/// The Gaussians of a run directory, or of a PLY or glTF file, and the run's settings if it is one.
+/// Reads the Gaussians of a run directory, or of a PLY or glTF file.
+///
+/// Also returns the settings of a run directory.
 ///
 /// # Errors
-/// If it is neither, is damaged, or training has not finished.
+/// If the source is neither, is damaged, or training has not finished.
 pub fn source_of(source: &Path) -> Result<(Splats, Option<Settings>)> {
     let wrong = |reason: &str| RelightError::File { path: source.to_owned(), reason: reason.to_owned() };
     if !source.is_dir() {
@@ -62,11 +66,13 @@ pub fn source_of(source: &Path) -> Result<(Splats, Option<Settings>)> {
 }
 
 impl Relighter {
-    /// Opens a run directory, or a PLY or glTF file with materials and the light in it or beside it. There is room for
-    /// `capacity` lights, or if that is 0 for a few more than there are.
+    /// Opens a run directory, or a PLY or glTF file with materials.
+    ///
+    /// The light is in the file or beside it. `capacity` is the number of lights that fit; 0 fits a few more than the
+    /// run has.
     ///
     /// # Errors
-    /// If there are no materials, a file is damaged, or memory runs out.
+    /// If materials or normals are missing, a file is damaged, or memory runs out.
     pub fn open(device: &Device, source: &Path, capacity: u32) -> Result<Relighter> {
         let (splats, settings) = source_of(source)?;
         let missing = [
@@ -87,81 +93,86 @@ impl Relighter {
         let scene = placed(device, &tuning, &run)?;
         let lights = run.light.lights.as_ref();
         let count = lights.map_or(0, |l| l.lights.len() as u32);
-        let lamps = Lamps::new(lights, if capacity == 0 { count + SPARE } else { capacity }, 1);
+        let rows = LightTable::new(lights, if capacity == 0 { count + SPARE } else { capacity }, 1);
         let environment = run.light.environment.clone();
         let (device, source) = (device.clone(), source.to_owned());
-        Ok(Relighter { device, tuning, source, settings, run, altered: None, environment, lamps, scene })
+        Ok(Relighter { device, tuning, source, settings, run, altered: None, environment, rows, scene })
     }
 
-    /// What shades, for frames.
+    /// Returns the scene, for frames.
     pub fn scene(&self) -> &LitScene {
         &self.scene
     }
 
-    /// The lights of a frame.
+    /// Returns the lights of a frame.
     pub fn lighting(&self) -> &Lighting {
-        self.lamps.lighting()
+        self.rows.lighting()
     }
 
-    /// How many lights there are.
+    /// Returns the number of lights.
     pub fn lights(&self) -> usize {
-        self.lamps.len()
+        self.rows.len()
     }
 
-    /// A light.
+    /// Returns a light.
     ///
     /// # Errors
-    /// If it does not exist.
-    pub fn light(&self, light: usize) -> Result<Lamp> {
-        self.lamps.get(light)
+    /// If the light does not exist.
+    pub fn light(&self, light: usize) -> Result<LightParameters> {
+        self.rows.get(light)
     }
 
-    /// The color of a light's rays in all directions together, linear; its largest component is 1.
+    /// Returns the linear color of a light, summed over all directions; its largest component is 1.
     ///
     /// # Errors
-    /// If it does not exist.
+    /// If the light does not exist.
     pub fn light_color(&self, light: usize) -> Result<[f32; 3]> {
-        self.lamps.color(light)
+        self.rows.color(light)
     }
 
-    /// Changes a light: nothing is made or waited for.
+    /// Changes a light, without allocating or waiting.
     ///
     /// # Errors
-    /// If it does not exist, or cannot be like that.
-    pub fn set_light(&mut self, light: usize, lamp: Lamp) -> Result<()> {
-        self.lamps.set(light, lamp)
+    /// If the light does not exist, or the values are invalid.
+    pub fn set_light(&mut self, light: usize, light_parameters: LightParameters) -> Result<()> {
+        self.rows.set(light, light_parameters)
     }
 
-    /// Adds a light (or all patches of a rectangle), and gives its number (that of the first). Past the room for lights
-    /// there will be twice as much, for which views make their plans anew at their next frames.
+    /// Adds a light and returns its index, or that of the first patch of a rectangle.
+    ///
+    /// If the capacity for lights is exceeded, it at least doubles. Views then rebuild their plans at their next frame.
     ///
     /// # Errors
-    /// If there cannot be such a light.
+    /// If the light is invalid.
     pub fn add_light(&mut self, new: &NewLight) -> Result<usize> {
-        self.lamps.add(new)
+        self.rows.add(new)
     }
 
-    /// Removes a light; those after it move up by one.
+    /// Removes a light; the indices of later lights decrease by one.
     ///
     /// # Errors
-    /// If it does not exist.
+    /// If the light does not exist.
     pub fn remove_light(&mut self, light: usize) -> Result<()> {
-        self.lamps.remove(light)
+        self.rows.remove(light)
     }
 
-    /// Sets the factors of the light of the surroundings: nothing is made or waited for.
+    /// Sets the factors on the light of the environment map.
+    ///
+    /// Neither allocates nor waits.
     ///
     /// # Errors
-    /// If they are no factors.
+    /// If a factor is negative or not finite.
     pub fn set_environment_gain(&mut self, gain: [f32; 3]) -> Result<()> {
-        self.lamps.set_environment(gain)
+        self.rows.set_environment(gain)
     }
 
-    /// Puts other surroundings there: a latitude-longitude map, linear, three floats a pixel, negative ones counting as 0.
-    /// Takes memory and waits for the device; frames under way keep the surroundings they have.
+    /// Replaces the environment map with a latitude-longitude map.
+    ///
+    /// Linear, three floats per pixel; negative values count as 0. Allocates memory and waits for the device. Frames in
+    /// flight use the old map.
     ///
     /// # Errors
-    /// If it is no such map, or memory runs out.
+    /// If the size is invalid, values are not finite, or memory runs out.
     pub fn set_environment(&mut self, map: &[f32], size: [u32; 2]) -> Result<()> {
         let [width, height] = size;
         if height == 0 || u64::from(width) != 2 * u64::from(height) || width > 1 << 14 {
@@ -184,7 +195,7 @@ impl Relighter {
         Ok(())
     }
 
-    /// Texels along an edge of surroundings.
+    /// Returns the number of texels along an edge of the environment map.
     pub fn environment_size(&self) -> u32 {
         let given = self.environment.as_ref().or(self.run.light.environment.as_ref()).map(|e| e.size);
         given.unwrap_or_else(|| self.settings.as_ref().map_or(64, |s| s.intrinsic.environment.resolution))
@@ -194,11 +205,12 @@ impl Relighter {
         Ok(LitEnvironment::new(&self.device, &self.tuning, shaded_environment(&self.device, texels)?)?)
     }
 
-    /// Applies an edit to the run as it is on disk; what was changed before is gone. Lights alone take no memory, unless
-    /// there is no room for them.
+    /// Applies an edit to the run as stored on disk; earlier changes are lost.
+    ///
+    /// An edit of lights alone allocates no device memory within the capacity.
     ///
     /// # Errors
-    /// If it names what is not there; then everything is as it was.
+    /// If the edit names something that does not exist. Nothing changes then.
     pub fn edit(&mut self, edit: &Edit) -> Result<()> {
         edit.check().map_err(|reason| RelightError::Edit(format!("The edit cannot be applied: {reason}.")))?;
         let size = self.run.light.environment.as_ref().map_or_else(|| self.environment_size(), |e| e.size);
@@ -212,28 +224,28 @@ impl Relighter {
             (lights, edit_environment(&edit.environment, given.environment.clone(), size)?, None)
         };
         let mut scene = None;
-        let mut surroundings = None;
+        let mut environment_map = None;
         if alters || self.altered.is_some() {
             let splats = altered.as_ref().unwrap_or(&self.run.splats);
             scene = Some(with_light(&self.device, &self.tuning, splats, environment.as_ref(), given)?);
         } else if environment != self.environment {
-            surroundings = Some(environment.as_ref().map(|texels| self.filtered(texels)).transpose()?);
+            environment_map = Some(environment.as_ref().map(|texels| self.filtered(texels)).transpose()?);
         }
-        let model = self.lamps.lighting().model;
-        // From here on nothing fails.
-        self.lamps = Lamps::new(lights.as_ref(), model.lights, model.lobes);
+        let model = self.rows.lighting().model;
+        // No call below fails.
+        self.rows = LightTable::new(lights.as_ref(), model.lights, model.lobes);
         if let Some(scene) = scene {
             self.scene = scene;
         }
-        if let Some(surroundings) = surroundings {
-            self.scene.environment = surroundings;
+        if let Some(environment_map) = environment_map {
+            self.scene.environment = environment_map;
         }
         self.environment = environment;
         self.altered = altered;
         Ok(())
     }
 
-    /// Back to the run as it is on disk.
+    /// Restores the run as stored on disk.
     ///
     /// # Errors
     /// If memory runs out.
@@ -259,7 +271,7 @@ impl Relighter {
         self.run.clone().edited(edit, size, &mut select, load)
     }
 
-    /// Everything as it is now, on the host: what `sgs relight` would shade.
+    /// Returns the current state on the host, the input of `sgs relight`.
     pub fn relit(&self) -> Relit {
         let splats = self.altered.as_ref().unwrap_or(&self.run.splats).clone();
         let mut environment = self.environment.clone();
@@ -268,7 +280,7 @@ impl Relighter {
             texel.iter_mut().zip(&gain).for_each(|(v, g)| *v *= g);
         }
         let visibility = self.run.light.visibility.clone();
-        Relit { splats, light: RunLight { lights: self.lamps.file(), environment, visibility } }
+        Relit { splats, light: RunLight { lights: self.rows.file(), environment, visibility } }
     }
 }
 

@@ -1,10 +1,10 @@
-//! Materials of chosen Gaussians after an edit.
+//! Material edit of selected Gaussians.
 
 use super::edit::MaterialEdit;
 use sgs_run::materials::{raw, raw_metallic, raw_roughness, roughness_value, sigmoid, value};
 use sgs_scene::Splats;
 
-/// Applies an edit to the Gaussians that are chosen. What it does not name keeps its bits.
+/// Applies an edit to the selected Gaussians. Values that it does not name stay bitwise equal.
 pub fn edit_materials(edit: &MaterialEdit, chosen: &[bool], splats: &mut Splats) {
     let (set, scale) = (&edit.set, &edit.scale);
     let picked: Vec<usize> = (0..splats.len()).filter(|i| chosen.get(*i) == Some(&true)).collect();
@@ -37,7 +37,7 @@ mod tests {
     use crate::edit::{MaterialValues, Where};
 
     #[test]
-    fn the_chosen_change_and_others_do_not() {
+    fn edit_changes_only_selected_gaussians() {
         let mut splats = Splats {
             means: vec![[0.0; 3]; 3],
             albedo: Some(vec![[0.1, -0.2, 0.3]; 3]),

@@ -1,4 +1,4 @@
-//! Which Gaussians an edit is about.
+//! Selection of the Gaussians that an edit changes.
 
 use super::edit::{Region, Where};
 use crate::error::{RelightError, Result};
@@ -11,24 +11,26 @@ use sgs_passes::splat::Channels;
 use sgs_run::{SemanticHead, camera, gaussian_data};
 use sgs_scene::{Scene, Splats};
 
-/// How much farther than the surface in a pixel a center may lie to show there, as a share of its depth.
+/// Maximum distance of a visible center behind the surface, relative to its depth.
+///
+/// The surface is that of the pixel.
 const BEHIND: f32 = 0.05;
 
-/// Finds Gaussians, with what a run has.
+/// Selector of Gaussians, with the data of a run.
 pub struct Selector<'a> {
-    /// Where classes are worked out.
+    /// Device that classifies features.
     pub device: &'a Device,
-    /// For classes.
+    /// Semantic head, for classes.
     pub head: Option<SemanticHead>,
-    /// For regions.
+    /// Scene, for regions.
     pub scene: Option<&'a Scene>,
 }
 
 impl Selector<'_> {
-    /// Whether each Gaussian is one of those.
+    /// Returns whether each Gaussian is selected.
     ///
     /// # Errors
-    /// If there are none, or what is named is not there.
+    /// If the selection is empty, or names something that does not exist.
     pub fn choose(&mut self, which: &Where, splats: &Splats) -> Result<Vec<bool>> {
         let mut chosen = vec![true; splats.len()];
         let mut also = |holds: &dyn Fn(usize) -> bool| {
@@ -61,7 +63,7 @@ impl Selector<'_> {
         Ok(chosen)
     }
 
-    /// By each Gaussian's own features.
+    /// Selects Gaussians of a class by their own features.
     fn of_class(&self, name: &str, splats: &Splats) -> Result<Vec<bool>> {
         let missing = || RelightError::Edit(format!("The edit names class \"{name}\", but the run has no classes."));
         let head = self.head.as_ref().ok_or_else(missing)?;
@@ -79,7 +81,7 @@ impl Selector<'_> {
         Ok(labeler.label(&decoder, &image)?.labels.iter().map(|l| *l == class).collect())
     }
 
-    /// Whose center shows in a region of a view.
+    /// Selects Gaussians whose centers are visible in a region of a view.
     fn of_region(&self, region: &Region, splats: &Splats) -> Result<Vec<bool>> {
         let (name, id) = (&region.view, region.id);
         let wrong =
@@ -96,7 +98,7 @@ impl Selector<'_> {
     }
 }
 
-/// Whose centers show in some pixels of a view.
+/// Returns whether each Gaussian's center is visible in the given pixels of a view.
 ///
 /// # Errors
 /// If memory runs out or the device fails.
@@ -106,8 +108,8 @@ pub fn seen(device: &Device, splats: &Splats, view: &sgs_scene::Camera, inside: 
     gaussians.upload(device, &gaussian_data(splats, model))?;
     let channels = Channels { colors: true, normals: false, depth: true };
     let mut renderer = Renderer::new(device, Tuning::for_device(device.info()), &gaussians, [1, 1], channels)?;
-    let picture = renderer.render(&gaussians, &camera(view), 0, [0.0; 3])?;
-    let width = picture.channels as usize;
+    let rendered = renderer.render(&gaussians, &camera(view), 0, [0.0; 3])?;
+    let width = rendered.channels as usize;
     let shows = |mean: &[f32; 3]| {
         let point = glam::DVec3::from(mean.map(f64::from));
         let depth = (view.rotation * point + view.translation).z as f32;
@@ -117,15 +119,17 @@ pub fn seen(device: &Device, splats: &Splats, view: &sgs_scene::Camera, inside: 
             return false;
         }
         let pixel = y as usize * view.width as usize + x as usize;
-        // Depth is blended: it counts for as much as there is of anything.
-        let opacity = 1.0 - picture.transmittance[pixel];
-        inside[pixel] && depth * opacity <= (1.0 + BEHIND) * picture.image[pixel * width + 3]
+        // Blended depth is weighted by opacity.
+        let opacity = 1.0 - rendered.transmittance[pixel];
+        inside[pixel] && depth * opacity <= (1.0 + BEHIND) * rendered.image[pixel * width + 3]
     };
     Ok(splats.means.iter().map(shows).collect())
 }
 
-/// The Gaussians of a region that has the same number in all training views: those that show more of themselves in it than
-/// elsewhere. Views without a map say nothing, nor do pixels in no region. The Gaussians need normals.
+/// Selects the Gaussians of a region that has the same id in all training views.
+///
+/// A Gaussian belongs to the region if its blending weight inside exceeds that in other regions. Views without a map
+/// and pixels without a region do not count. The Gaussians must have normals.
 ///
 /// # Errors
 /// If a map is damaged, memory runs out or the device fails.

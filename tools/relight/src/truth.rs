@@ -1,9 +1,12 @@
-//! Relit pictures against ground truth: the true lights in place of the learned ones, no surroundings, and nothing in the way:
-//! a visibility field knows what the learned lights see from their places, and says nothing sensible about others, and where
-//! rays find shadow the truth still has light that bounced, which is not modeled.
+//! Evaluation of relit images against ground truth.
 //!
-//! A set that changes the materials of an instance is measured under the true lights of the photographs, and, by its name
-//! and [`LEARNED`], under all that was learned. A set that cannot be rendered has a reason in place of metrics.
+//! The true lights replace the learned ones, without environment map and without occlusion. A learned visibility field
+//! is valid only for the learned lights at their positions. Where traced rays find shadow, the ground truth still has
+//! indirect light, which is not modeled.
+//!
+//! A set that changes the materials of an instance is measured under the true lights of the photographs. With the
+//! suffix [`LEARNED`], it is also measured under all learned light. A set that cannot be rendered has a reason in place
+//! of metrics.
 
 use super::lights::edit_lights;
 use super::select::of_region_everywhere;
@@ -17,10 +20,10 @@ use sgs_scene::{GroundTruth, Image, Scene, Splats};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Behind the name of a set that changes materials, measured under the learned light.
+/// Suffix of the name of a material set that is measured under the learned light.
 const LEARNED: &str = "_learned_light";
 
-/// What is read of `gt/lights.json`.
+/// Fields of `gt/lights.json` that are read.
 #[derive(Default, Deserialize)]
 struct TrueLights {
     #[serde(default)]
@@ -39,7 +42,7 @@ struct TrueLight {
 }
 
 impl TrueLight {
-    /// Nothing, if how bright it is is not known.
+    /// Returns the light as a new light; `None` if its brightness is unknown.
     fn as_new(&self) -> Option<NewLight> {
         if let (Some(corners), Some(radiance)) = (self.corners, self.radiance) {
             return Some(NewLight { corners: Some(corners), radiance: Some(radiance), ..Default::default() });
@@ -49,7 +52,9 @@ impl TrueLight {
     }
 }
 
-/// The edit that puts the true lights of a set in place of the learned ones.
+/// Returns the edit that replaces the learned lights by the true lights of a set.
+///
+/// `None` if the brightness of a light that is on is unknown.
 fn edit_of(lights: &[TrueLight]) -> Option<Edit> {
     let add = lights.iter().filter(|l| l.on).map(TrueLight::as_new).collect::<Option<Vec<_>>>()?;
     let lights = LightEdit { off: true, add, ..Default::default() };
@@ -57,10 +62,12 @@ fn edit_of(lights: &[TrueLight]) -> Option<Edit> {
     Some(Edit { lights, environment, ..Default::default() })
 }
 
-/// What is read of `gt/relit/NAME.json`, where materials of an instance change.
+/// Fields of `gt/relit/NAME.json` that are read.
+///
+/// For a set that changes the materials of an instance.
 #[derive(Deserialize)]
 struct Painted {
-    /// The number of its region in `priors/masks`.
+    /// Id of the instance's region in `priors/masks`.
     instance_id: u16,
     new_base_color_linear: [f32; 3],
     new_roughness: Option<f32>,
@@ -68,13 +75,13 @@ struct Painted {
 }
 
 impl Painted {
-    /// The edit of materials, or why there is none.
+    /// Returns the material edit, or the reason that it is impossible.
     fn edit(&self, device: &Device, scene: &Scene, splats: &Splats) -> Result<Known<MaterialEdit>> {
         let gaussians = of_region_everywhere(device, scene, splats, self.instance_id)?;
         if gaussians.is_empty() {
             return Ok(Err(format!("No Gaussian belongs to instance {} of priors/masks.", self.instance_id)));
         }
-        // Without metallic, 0 is what every Gaussian has already.
+        // Without metallic, the value of every Gaussian is already 0.
         let metallic = self.new_metallic.filter(|m| *m > 0.0 || splats.metallic.is_some());
         let set = MaterialValues { albedo: Some(self.new_base_color_linear), roughness: self.new_roughness, metallic };
         let place = Where { gaussians: Some(gaussians), ..Default::default() };
@@ -82,17 +89,19 @@ impl Painted {
     }
 }
 
-/// A value, or the sentence that says why there is none.
+/// Value, or the sentence that explains its absence.
 type Known<T> = std::result::Result<T, String>;
 
-/// How one measurement of a set is rendered.
+/// Inputs for rendering one measurement of a set.
 struct Rendering {
     edit: Edit,
-    /// Whether the run's own lights and visibility are used.
+    /// Uses the run's own lights and visibility.
     own: bool,
 }
 
-/// The measurements of a set by the names that they are reported under, each with how it is rendered or why it cannot be.
+/// Returns the measurements of a set by reported name.
+///
+/// Each has its rendering, or the reason that it cannot be rendered.
 fn renderings_of(
     name: &str,
     known: &TrueLights,
@@ -128,7 +137,9 @@ fn read<T: serde::de::DeserializeOwned>(path: &Path, what: &str) -> Result<T> {
     serde_json::from_str(&text).map_err(|e| wrong(format!("not {what}: {e}")))
 }
 
-/// The true lights of the photographs and of all relit sets as lights of a run, as far as it is known how bright they are.
+/// Reads the true lights of a scene as lights of a run.
+///
+/// Includes those of the photographs and of all relit sets. Skips sets with lights of unknown brightness.
 pub(crate) fn true_lights_of(path: &Path) -> Result<Option<LightFile>> {
     let known: TrueLights = read(path, "lights")?;
     let mut lights = None;
@@ -139,18 +150,20 @@ pub(crate) fn true_lights_of(path: &Path) -> Result<Option<LightFile>> {
     Ok(lights)
 }
 
-/// Whether a file of a relit set says what became of materials.
+/// Returns whether the file of a relit set describes a material edit.
 pub(crate) fn true_edit_of(path: &Path) -> Result<bool> {
     let said: serde_json::Value = read(path, "an edit")?;
     Ok(serde_json::from_value::<Painted>(said).is_ok())
 }
 
-/// The key of a set in `relit`: its name, unless the key belongs to the mean over all sets.
+/// Returns the key of a set in `relit`.
+///
+/// The key is the name, unless that is the key of the mean over all sets.
 fn key_of(name: &str) -> String {
     if name == RELIT_MEAN { format!("{name}_set") } else { name.to_owned() }
 }
 
-/// The edit of materials that the file of a set describes, or why there is none.
+/// Returns the material edit in the file of a set, or the reason for its absence.
 fn painted_of(
     device: &Device,
     scene: &Scene,
@@ -170,11 +183,13 @@ fn painted_of(
     }
 }
 
-/// Measures a run under the true lights of each relit set, at views of which an evaluation has metrics already. Every set
-/// appears among the means, with a reason if it cannot be rendered.
+/// Measures a run under the true lights of each relit set.
+///
+/// Measures the views that already have metrics in the evaluation. Every set appears among the means, with a reason if
+/// it cannot be rendered.
 ///
 /// # Errors
-/// If the device fails or ground truth is damaged.
+/// If the device fails or the ground truth is damaged.
 pub fn evaluate_relit(
     device: &Device,
     scene: &Scene,
@@ -252,7 +267,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn true_lights_become_an_edit() {
+    fn true_lights_convert_to_an_edit() {
         let text = r#"{"unit": "metre", "relight": {"a": [
             {"name": "bulb", "on": true, "position": [0, 1, 0], "radius": 0.1, "point_light_intensity_equivalent": [1, 2, 3]},
             {"name": "dark", "on": false, "position": [0, 1, 0]},
@@ -267,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn painted_sets_are_lit_by_the_true_lights_and_by_the_learned_ones() {
+    fn material_sets_use_true_and_learned_lights() {
         let text = r#"{"training": [{"on": true, "position": [0, 1, 0], "point_light_intensity_equivalent": [1, 2, 3]}],
             "relight": {"night": [{"on": true, "position": [0, 1, 0]}]}}"#;
         let known: TrueLights = serde_json::from_str(text).unwrap();
@@ -283,11 +298,11 @@ mod tests {
         let found: Vec<_> = names.iter().map(|(name, (edit, own))| (*name, edit.lights.off, *own)).collect();
         assert_eq!(found, [("chair_learned_light", false, true), ("chair", true, false)]);
         assert!(names.iter().all(|(_, (edit, _))| edit.check().is_ok() && edit.materials == [change.clone()]));
-        // Without the true lights, the set itself has a reason.
+        // Without true lights, the set itself has a reason.
         let alone = of("chair", &TrueLights::default());
         assert!(alone[0].1.is_ok() && alone[1].0 == "chair", "{:?}", alone[1]);
         assert!(alone[1].1.as_ref().unwrap_err().contains("lists no light of the training images"), "{:?}", alone[1]);
-        // The brightness of the set's light is unknown.
+        // The brightness of this set's light is unknown.
         let night = of("night", &known);
         assert_eq!((night.len(), night[0].0.as_str()), (1, "night"));
         assert!(night[0].1.as_ref().unwrap_err().contains("no intensity"), "{:?}", night[0]);
@@ -296,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn a_set_named_mean_keeps_off_the_key_of_the_mean() {
+    fn set_named_mean_does_not_collide_with_the_mean() {
         assert_eq!((key_of("mean"), key_of("night")), ("mean_set".to_owned(), "night".to_owned()));
     }
 }

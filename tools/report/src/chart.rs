@@ -1,18 +1,20 @@
-//! Curves over steps, and bars.
+//! Curves over steps, and bar charts.
 
 use crate::text::{escape, number};
 use serde_json::Value;
 use std::collections::BTreeMap;
 
-/// Size of a curve, in the units of its drawing.
+/// Size of a curve, in SVG units.
 const SIZE: [f64; 2] = [300.0, 130.0];
-/// Room for numbers at the left and below.
+/// Margins for labels at the left and at the bottom.
 const EDGE: [f64; 2] = [52.0, 16.0];
-/// Points of a curve that are drawn; a line of pixels shows no more.
+/// Maximum number of points drawn per curve; a row of pixels shows no more.
 const MOST: usize = 600;
 
-/// Curves of a log, one for each number that changes, a line of JSON for a step (`log.jsonl`). Lines of several stages
-/// (`stage`) are drawn apart, under their names. Lines that are no JSON, as the last one of a killed run, are left out.
+/// Draws the curves of a log (`log.jsonl`), one per value that changes.
+///
+/// Each line is the JSON of one step. Stages (`stage`) are drawn separately, under their names. Lines that are not
+/// valid JSON are skipped, such as the last line of a killed run.
 pub fn log(text: &str) -> String {
     let mut stages: BTreeMap<String, BTreeMap<String, Vec<[f64; 2]>>> = BTreeMap::new();
     for line in text.lines() {
@@ -28,7 +30,7 @@ pub fn log(text: &str) -> String {
     }
     let mut out = String::new();
     for (stage, curves) in &stages {
-        // What never changes says nothing, least of all parts that a run does without.
+        // Constant values carry no information, e.g. losses that a run does not use.
         let moving = curves.iter().filter(|(_, points)| points.iter().any(|p| p[1] != points[0][1]));
         let drawn: String = moving.map(|(name, points)| curve(name, points)).collect();
         if !drawn.is_empty() {
@@ -38,7 +40,7 @@ pub fn log(text: &str) -> String {
     out
 }
 
-/// One curve: what was measured, and a running mean over it.
+/// Draws one curve: the values and their moving average.
 fn curve(name: &str, points: &[[f64; 2]]) -> String {
     let bounds =
         |k: usize| points.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |b, p| [b[0].min(p[k]), b[1].max(p[k])]);
@@ -71,7 +73,7 @@ fn curve(name: &str, points: &[[f64; 2]]) -> String {
     )
 }
 
-/// Means over a window that moves along, narrower at both ends.
+/// Returns the moving average; its window narrows at both ends.
 fn smooth(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     let half = points.len() / 24;
     let mean = |i: usize| {
@@ -82,7 +84,9 @@ fn smooth(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
     (0..points.len()).map(mean).collect()
 }
 
-/// Bars with names and values, the largest first; beyond `most` they are summed up. Values are in `unit`.
+/// Draws bars with names and values in `unit`, the largest first.
+///
+/// Values beyond the first `most` are summed.
 pub fn bars(values: &[(String, f64)], most: usize, unit: &str) -> String {
     let mut sorted: Vec<&(String, f64)> = values.iter().filter(|(_, v)| v.is_finite()).collect();
     sorted.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -110,7 +114,9 @@ pub fn bars(values: &[(String, f64)], most: usize, unit: &str) -> String {
     }
 }
 
-/// Times by name from a Chrome trace (`profile.json`), in milliseconds, and their sum; passes of one name together.
+/// Sums the times of a Chrome trace (`profile.json`) by pass name.
+///
+/// Returns the times in milliseconds and their total.
 pub fn times(trace: &Value) -> (Vec<(String, f64)>, f64) {
     let mut sums: BTreeMap<&str, f64> = BTreeMap::new();
     for event in trace["traceEvents"].as_array().into_iter().flatten() {
@@ -129,7 +135,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn stages_have_curves_of_what_changes() {
+    fn log_draws_changing_values_by_stage() {
         let text = "{\"step\":1,\"loss\":0.5,\"skipped\":0}\n{\"step\":2,\"loss\":0.25,\"skipped\":0}\n\
                     {\"stage\":\"intrinsic\",\"step\":1,\"<albedo>\":3}\n{\"stage\":\"intrinsic\",\"step\":9,\"<albedo>\":4,\"x\":null}\n{\"st";
         let html = log(text);
@@ -146,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn means_move_along() {
+    fn smooth_is_a_moving_average() {
         let points: Vec<[f64; 2]> = (0..48).map(|i| [i as f64, if i % 2 == 0 { 0.0 } else { 1.0 }]).collect();
         let mean = smooth(&points);
         assert_eq!((mean[0][1], mean[47][1]), (0.0, 1.0));
@@ -154,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn bars_are_sorted_and_summed_up() {
+    fn bars_are_sorted_and_the_rest_is_summed() {
         let values: Vec<(String, f64)> = (1..=5).map(|i| (format!("p{i}"), f64::from(i))).collect();
         let html = bars(&values, 3, "ms");
         let at = |t: &str| html.find(t).unwrap_or_else(|| panic!("{t}: {html}"));
@@ -164,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn passes_of_one_name_are_one() {
+    fn times_sum_passes_of_equal_name() {
         let event = |name: &str, us: f64| json!({"ph": "X", "name": name, "dur": us});
         let trace = json!({"traceEvents": [{"ph": "M", "name": "process_name"}, event("a", 1500.0), event("b", 10.0), event("a", 500.0)]});
         assert_eq!(times(&trace), (vec![("a".into(), 2.0), ("b".into(), 0.01)], 2.01));

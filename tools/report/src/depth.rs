@@ -1,8 +1,10 @@
-//! Depth maps as colors, and the scale that explains them.
+//! Depth maps as colors, with their scale.
 
 use sgs_scene::Image;
 
-/// Viridis at ten even places, from 0 to 1: perceptually uniform, and readable in grayscale.
+/// Viridis at ten evenly spaced positions from 0 to 1.
+///
+/// Perceptually uniform, and readable in grayscale.
 const VIRIDIS: [[u8; 3]; 10] = [
     [0x44, 0x01, 0x54],
     [0x48, 0x28, 0x78],
@@ -16,10 +18,12 @@ const VIRIDIS: [[u8; 3]; 10] = [
     [0xfd, 0xe7, 0x25],
 ];
 
-/// Share of the pixels that may lie outside of the range at each end.
+/// Fraction of the pixels that may lie outside the range at each end.
 const OUTSIDE: f64 = 0.01;
 
-/// The near and far end of the depth of an image: percentiles 1 and 99 of its positive values.
+/// Returns the near and far end of the depth of an image.
+///
+/// Percentiles 1 and 99 of its positive values.
 pub fn range(depth: &Image) -> [f32; 2] {
     let mut values: Vec<f32> = depth.data.iter().copied().filter(|v| *v > 0.0 && v.is_finite()).collect();
     values.sort_by(f32::total_cmp);
@@ -29,7 +33,7 @@ pub fn range(depth: &Image) -> [f32; 2] {
     [near, if far > near { far } else { near * 1.001 }]
 }
 
-/// Colors of depth: yellow at the near end, violet at the far end, black where nothing was hit.
+/// Colors a depth map: near yellow, far violet, black without a hit.
 pub fn colored(depth: &Image, [near, far]: [f32; 2]) -> Image {
     let color = |v: &f32| {
         if !(*v > 0.0 && v.is_finite()) {
@@ -47,7 +51,7 @@ pub fn colored(depth: &Image, [near, far]: [f32; 2]) -> Image {
     Image { channels: 3, data: depth.data.iter().flat_map(color).collect(), ..depth.clone() }
 }
 
-/// The scale of a depth map, as a note below an image.
+/// Returns the scale of a depth map, as an HTML note below an image.
 pub fn scale([near, far]: [f32; 2]) -> String {
     let digits = if far < 10.0 { 2 } else { 1 };
     format!("{near:.digits$} <i class=\"ramp\" role=\"img\" aria-label=\"near to far\"></i> {far:.digits$} scene units")
@@ -67,14 +71,14 @@ mod tests {
         let bytes: Vec<u8> = shown.data.iter().map(|v| (v * 255.0).round() as u8).collect();
         assert_eq!(&bytes[..6], &[0xfd, 0xe7, 0x25, 0x44, 0x01, 0x54]);
         assert_eq!((&bytes[6..12], &bytes[12..]), (&[0; 6][..], &[0x44, 0x01, 0x54][..]));
-        // Luminance falls all the way.
+        // Luminance decreases monotonically.
         let ramp = colored(&image((0..50).map(|i| 1.0 + i as f32).collect()), [1.0, 50.0]);
         let light: Vec<f32> = ramp.data.chunks(3).map(|p| 0.2126 * p[0] + 0.7152 * p[1] + 0.0722 * p[2]).collect();
         assert!(light.windows(2).all(|w| w[0] > w[1]), "{light:?}");
     }
 
     #[test]
-    fn range_leaves_out_strays() {
+    fn range_ignores_outliers() {
         let mut data: Vec<f32> = (1..=1000).map(|i| i as f32).collect();
         data.extend([1e9, 0.0, f32::NAN, f32::INFINITY]);
         let [near, far] = range(&image(data));

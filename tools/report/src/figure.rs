@@ -1,19 +1,23 @@
-//! Pictures in a page: alone, or truth and render under a slider.
+//! Images in a page: single, or ground truth and render under a slider.
 
 use crate::text::{base64, escape};
 use sgs_scene::{Image, Result, encode_jpeg, encode_png, resize};
 
-/// Pictures of more pixels become JPEG: as PNG, photographs of a dozen views would make a page that no browser likes.
+/// Number of pixels above which images become JPEG.
+///
+/// As PNG, a dozen photographs would make the page too large for browsers.
 const PNG_PIXELS: usize = 1 << 17;
 
-/// Of the JPEGs.
+/// JPEG quality.
 const QUALITY: u8 = 90;
 
-/// A picture as text that a page can hold: PNG, or JPEG if it is large. Values are display-referred, of 1, 3 or 4 channels.
-/// What is wider than `width` is made smaller, by averages of displayed values: for looking, not for measuring.
+/// Encodes an image as a data URI: PNG, or JPEG if it is large.
+///
+/// Values are display-referred, with 1, 3 or 4 channels. A wider image than `width` is reduced by averaging displayed
+/// values, which suits viewing but not measuring.
 ///
 /// # Errors
-/// If the image is none.
+/// If the image is invalid.
 pub fn data_uri(image: &Image, width: u32) -> Result<String> {
     let small;
     let shown = if image.width > width.max(1) {
@@ -29,8 +33,10 @@ pub fn data_uri(image: &Image, width: u32) -> Result<String> {
     Ok(format!("data:image/png;base64,{}", base64(&encode_png(shown)?)))
 }
 
-/// An image above its name, which enlarges on a click; `uri` is from [`data_uri`], and `note` is HTML.
-pub fn picture(name: &str, uri: &str, [width, height]: [u32; 2], note: &str) -> String {
+/// Returns the HTML of an image above its name, which enlarges on a click.
+///
+/// `uri` is from [`data_uri`]; `note` is HTML.
+pub fn rendered(name: &str, uri: &str, [width, height]: [u32; 2], note: &str) -> String {
     let name = escape(name);
     format!(
         "<figure><img src=\"{uri}\" width=\"{width}\" height=\"{height}\" alt=\"{name}\">{}{}</figure>\n",
@@ -39,7 +45,9 @@ pub fn picture(name: &str, uri: &str, [width, height]: [u32; 2], note: &str) -> 
     )
 }
 
-/// Truth at the left of a slider and render at its right; `note` is HTML. Without its script the page shows half of each.
+/// Returns the HTML of a slider: ground truth at the left, render at the right.
+///
+/// `note` is HTML. Without its script the page shows half of each.
 pub fn slider(name: &str, truth: &str, render: &str, [width, height]: [u32; 2], note: &str) -> String {
     let name = escape(name);
     format!(
@@ -58,7 +66,7 @@ fn caption(name: &str, note: &str) -> String {
     format!("<figcaption>{name}{note}</figcaption>")
 }
 
-/// The button that the page's script answers; hidden without the script.
+/// Returns the button that the page's script handles; hidden without the script.
 fn enlarge(name: &str) -> String {
     format!("<button type=\"button\" class=\"enlarge\" aria-label=\"Enlarge {name}\">&#x2922;</button>")
 }
@@ -68,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn small_pictures_are_exact_and_large_ones_are_photographs() {
+    fn small_images_are_png_and_large_ones_jpeg() {
         let small = data_uri(&Image::new(8, 4, 3), 640).unwrap();
         assert!(small.starts_with("data:image/png;base64,iVBOR"), "{small}");
         assert!(data_uri(&Image::new(512, 300, 3), 640).unwrap().starts_with("data:image/jpeg;base64,/9j/"));
@@ -79,7 +87,7 @@ mod tests {
 
     #[test]
     fn names_are_escaped() {
-        for html in [picture("<b>", "data:,", [1, 1], ""), slider("<b>", "data:,", "data:,", [1, 1], "1 dB")] {
+        for html in [rendered("<b>", "data:,", [1, 1], ""), slider("<b>", "data:,", "data:,", [1, 1], "1 dB")] {
             assert!(
                 !html.contains("<b>") && html.contains("&lt;b&gt;") && html.contains("class=\"enlarge\""),
                 "{html}"

@@ -1,10 +1,12 @@
-//! Pages that show a run: one HTML file with everything in it.
+//! HTML reports of a run: one self-contained file.
 //!
-//! Functions from data to HTML: pictures and sliders ([`figure`]), depth maps ([`depth`]), tables ([`table`]), curves and bars ([`chart`]), the room
-//! with its lights ([`room`]), and the page around them ([`Page`]); and a server of such pages for
-//! this machine ([`serve`]). Promises: nothing is fetched from anywhere, which the page
-//! also forbids the browser; whatever comes from files is escaped; the page reads without its script, sliders apart. What is
-//! shown, and where it comes from, is the caller's business.
+//! Functions convert data to HTML: images and sliders ([`figure`]), depth maps ([`depth`]), tables ([`table`]), curves
+//! and bars ([`chart`]), the scene with its lights ([`room`]), and the page around them ([`Page`]). A server shows such
+//! pages on this machine ([`serve`]).
+//!
+//! Guarantees: a page fetches nothing from other hosts, and its policy forbids the browser to do so. All text from
+//! files is escaped. The page is readable without its script, except sliders. The caller chooses the content and its
+//! source.
 
 pub mod chart;
 pub mod depth;

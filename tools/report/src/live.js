@@ -1,5 +1,5 @@
 // A page that a server keeps up to date: parts are taken over as they change, sliders stay where they are.
-let pictures = 0;
+let images = 0;
 let unanswered = 0;
 function take(id, html) {
   const part = document.querySelector("#" + id + " .live");
@@ -15,11 +15,11 @@ function take(id, html) {
 async function look() {
   try {
     if (!document.hidden) {
-      const answer = await fetch("live?pictures=" + pictures, { cache: "no-store" });
+      const answer = await fetch("live?images=" + images, { cache: "no-store" });
       if (!answer.ok) throw new Error(answer.status);
       const now = await answer.json();
       for (const [id, html] of Object.entries(now.parts)) take(id, html);
-      pictures = now.pictures;
+      images = now.images;
       unanswered = 0;
       if (now.ended) {
         // Nobody answers any more.

@@ -1,8 +1,8 @@
-//! The page around everything: one file, nothing fetched.
+//! HTML page in one file that fetches nothing.
 
 use crate::text::escape;
 
-/// A page: a title and sections under headings.
+/// Page: a title and sections under headings.
 #[derive(Clone, Debug)]
 pub struct Page {
     title: String,
@@ -10,31 +10,35 @@ pub struct Page {
 }
 
 impl Page {
-    /// Without sections.
+    /// Creates a page without sections.
     pub fn new(title: &str) -> Page {
         Page { title: title.to_owned(), sections: Vec::new() }
     }
 
-    /// Adds a section with a heading; `html` stands as it is. What is empty is left out.
+    /// Adds a section with a heading; `html` is inserted verbatim. Skips empty sections.
     pub fn section(&mut self, id: &str, heading: &str, html: String) {
         if !html.is_empty() {
             self.sections.push((id.to_owned(), heading.to_owned(), html));
         }
     }
 
-    /// Adds a section whose content a server changes later ([`Page::live`]).
+    /// Adds a section that a server updates later ([`Page::live`]).
     pub fn live_section(&mut self, id: &str, heading: &str, html: &str) {
         self.section(id, heading, format!("<div class=\"live\">{html}</div>\n"));
     }
 
-    /// The file. Its policy lets the browser take pictures from the page itself and nothing from elsewhere.
+    /// Returns the HTML file.
+    ///
+    /// Its content security policy allows only images within the page and no requests.
     pub fn html(&self) -> String {
         self.with("", "")
     }
 
-    /// The page as a server gives it that keeps it up to date: it asks `live?pictures=N` on that server, and nobody else, for
-    /// `{"parts": {"id": "html"}, "pictures": N, "ended": bool}`, and takes over the parts. It stops asking once `ended` is true,
-    /// or after three requests without an answer.
+    /// Returns the page for a server that keeps it up to date.
+    ///
+    /// The page polls `live?images=N` on that server only. The response is
+    /// `{"parts": {"id": "html"}, "images": N, "ended": bool}`; the page replaces the
+    /// sections in `parts`. Polling stops once `ended` is true, or after three requests without a response.
     pub fn live(&self) -> String {
         self.with("; connect-src 'self'", include_str!("live.js"))
     }
@@ -67,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_page_names_nothing_outside_of_itself() {
+    fn page_references_no_external_resource() {
         let mut page = Page::new("a <run>");
         page.section("one", "One & all", "<p>x</p>\n".into());
         page.section("two", "Two", String::new());
@@ -80,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_live_page_asks_its_own_server_alone() {
+    fn live_page_connects_only_to_its_own_server() {
         let mut page = Page::new("run");
         page.live_section("one", "One", "");
         let html = page.live();

@@ -1,41 +1,43 @@
-//! The room from above and from the side: where Gaussians, cameras and lights are.
+//! Drawing of the scene from above and from the side: Gaussians, cameras and lights.
 
 use crate::text::escape;
 use glam::DVec3;
 
-/// Points that are drawn at most.
+/// Maximum number of points drawn.
 const POINTS: usize = 4000;
-/// Longest side of a drawing.
+/// Longest side of a drawing, in SVG units.
 const LONGEST: f64 = 420.0;
 const MARGIN: f64 = 14.0;
 
-/// A camera.
+/// Camera in the drawing.
 #[derive(Clone, Debug)]
 pub struct Eye {
-    /// Place in the world.
+    /// Position in the world.
     pub position: DVec3,
-    /// Where it looks, a unit vector.
+    /// Viewing direction, a unit vector.
     pub forward: DVec3,
-    /// The opposite of where its pictures' columns go.
+    /// Up direction, opposite to increasing rows of its images.
     pub up: DVec3,
 }
 
-/// A light.
+/// Light in the drawing.
 #[derive(Clone, Debug)]
-pub struct Lamp {
-    /// As the page calls it.
+pub struct LightMark {
+    /// Displayed name.
     pub name: String,
-    /// Place in the world.
+    /// Position in the world.
     pub position: DVec3,
-    /// Share of all lamps' light, 0 to 1.
+    /// Fraction of the light of all lights, 0 to 1.
     pub share: f64,
-    /// As HTML writes it.
+    /// CSS color.
     pub color: String,
 }
 
-/// Plan and elevation; without cameras and lamps it is empty. Points are thinned; those far from everything are left out.
-pub fn drawing(points: &[[f32; 3]], eyes: &[Eye], lamps: &[Lamp]) -> String {
-    if eyes.is_empty() && lamps.is_empty() {
+/// Draws plan and elevation; returns an empty string without cameras and lights.
+///
+/// Points are subsampled. Outliers are left out.
+pub fn drawing(points: &[[f32; 3]], eyes: &[Eye], lights: &[LightMark]) -> String {
+    if eyes.is_empty() && lights.is_empty() {
         return String::new();
     }
     let [right, front, up] = axes(eyes);
@@ -44,12 +46,14 @@ pub fn drawing(points: &[[f32; 3]], eyes: &[Eye], lamps: &[Lamp]) -> String {
         points.iter().step_by(every).map(|p| DVec3::from(p.map(f64::from))).filter(|p| p.is_finite()).collect();
     let views = [("from above", right, front), ("from the side", right, up)];
     let figures = views.map(|(name, x, y)| {
-        format!("<figure>{}<figcaption>{name}</figcaption></figure>\n", svg(name, &shown, eyes, lamps, x, y))
+        format!("<figure>{}<figcaption>{name}</figcaption></figure>\n", svg(name, &shown, eyes, lights, x, y))
     });
     format!("<div class=\"grid large\">\n{}</div>\n", figures.concat())
 }
 
-/// Right, to the front and up: up as most cameras have it, as an axis of the world if one is near.
+/// Returns the right, front and up axes.
+///
+/// Up is the mean up direction of the cameras, snapped to a world axis if close.
 fn axes(eyes: &[Eye]) -> [DVec3; 3] {
     let sum: DVec3 = eyes.iter().map(|e| e.up).sum();
     let mean = sum.try_normalize().unwrap_or(DVec3::Z);
@@ -63,7 +67,7 @@ fn axes(eyes: &[Eye]) -> [DVec3; 3] {
     [right, up.cross(right), up]
 }
 
-fn svg(name: &str, points: &[DVec3], eyes: &[Eye], lamps: &[Lamp], x: DVec3, y: DVec3) -> String {
+fn svg(name: &str, points: &[DVec3], eyes: &[Eye], lights: &[LightMark], x: DVec3, y: DVec3) -> String {
     let flat = |p: DVec3| [p.dot(x), p.dot(y)];
     let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
     let mut hold = |p: [f64; 2]| {
@@ -72,8 +76,8 @@ fn svg(name: &str, points: &[DVec3], eyes: &[Eye], lamps: &[Lamp], x: DVec3, y: 
             bounds[1][k] = bounds[1][k].max(p[k]);
         }
     };
-    eyes.iter().map(|e| e.position).chain(lamps.iter().map(|l| l.position)).for_each(|p| hold(flat(p)));
-    // Stray Gaussians would make the room a dot.
+    eyes.iter().map(|e| e.position).chain(lights.iter().map(|l| l.position)).for_each(|p| hold(flat(p)));
+    // Outlier Gaussians would shrink the scene to a dot.
     for k in 0..2 {
         let mut along: Vec<f64> = points.iter().map(|p| flat(*p)[k]).collect();
         along.sort_by(f64::total_cmp);
@@ -106,18 +110,23 @@ fn svg(name: &str, points: &[DVec3], eyes: &[Eye], lamps: &[Lamp], x: DVec3, y: 
              <circle cx=\"{u:.1}\" cy=\"{v:.1}\" r=\"2.5\" fill=\"var(--mark2)\"/>"
         ));
     }
-    for lamp in lamps.iter().rev() {
-        let [u, v] = at(flat(lamp.position));
-        let r = 3.0 + 14.0 * lamp.share.clamp(0.0, 1.0).sqrt();
+    for light in lights.iter().rev() {
+        let [u, v] = at(flat(light.position));
+        let r = 3.0 + 14.0 * light.share.clamp(0.0, 1.0).sqrt();
         out.push_str(&format!(
-            "<circle class=\"lamp\" cx=\"{u:.1}\" cy=\"{v:.1}\" r=\"{r:.1}\" fill=\"{}\" stroke=\"var(--text)\"><title>{}: {:.1} %</title>\
+            "<circle class=\"light\" cx=\"{u:.1}\" cy=\"{v:.1}\" r=\"{r:.1}\" fill=\"{}\" stroke=\"var(--text)\"><title>{}: {:.1} %</title>\
              </circle>",
-            escape(&lamp.color),
-            escape(&lamp.name),
-            100.0 * lamp.share
+            escape(&light.color),
+            escape(&light.name),
+            100.0 * light.share
         ));
-        if lamp.share >= 0.03 {
-            out.push_str(&format!("<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", u + r + 2.0, v + 3.0, escape(&lamp.name)));
+        if light.share >= 0.03 {
+            out.push_str(&format!(
+                "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>",
+                u + r + 2.0,
+                v + 3.0,
+                escape(&light.name)
+            ));
         }
     }
     out.push_str("</svg>");
@@ -133,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn up_is_what_cameras_call_up() {
+    fn up_axis_follows_the_cameras() {
         let [right, front, up] = axes(&[eye(0.0), eye(1.0)]);
         assert_eq!((right, front, up), (DVec3::X, DVec3::Y, DVec3::Z));
         let upside_down = Eye { up: DVec3::NEG_Y, ..eye(0.0) };
@@ -142,8 +151,8 @@ mod tests {
     }
 
     #[test]
-    fn lamps_stand_where_they_are() {
-        let lamp = |name: &str, p: [f64; 3], share| Lamp {
+    fn lights_are_drawn_at_their_positions() {
+        let light = |name: &str, p: [f64; 3], share| LightMark {
             name: name.into(),
             position: p.into(),
             share,
@@ -152,9 +161,9 @@ mod tests {
         let html = drawing(
             &[[f32::NAN, 0.0, 0.0]],
             &[],
-            &[lamp("<0>", [0.0, 0.0, 0.0], 0.5), lamp("1", [2.0, 1.0, 4.0], 0.01)],
+            &[light("<0>", [0.0, 0.0, 0.0], 0.5), light("1", [2.0, 1.0, 4.0], 0.01)],
         );
-        // Twice as wide as deep from above, twice as high as wide from the side.
+        // Width is twice the depth from above; height is twice the width from the side.
         assert!(html.contains("viewBox=\"0 0 448 238\"") && html.contains("viewBox=\"0 0 238 448\""), "{html}");
         assert!(html.contains("cx=\"14.0\" cy=\"224.0\"") && html.contains("cx=\"434.0\" cy=\"14.0\""), "{html}");
         assert!(html.contains("&lt;0&gt;") && !html.contains("<0>") && !html.contains("NaN"));

@@ -1,8 +1,11 @@
-//! Pages for this machine while something goes on.
+//! HTTP server for pages on this machine.
 //!
-//! Promises: listens on 127.0.0.1 and nowhere else; answers nobody who asked for another host's name, as a page elsewhere
-//! would have a browser do, but any port of this machine, since ports are forwarded; changes nothing. Whatever requests say, no more than 16 KiB of each are kept, and they have 5 seconds to
-//! come and a minute to take the answer; whoever comes while 16 are attended is turned away; the end waits for nobody.
+//! Guarantees: the server listens only on 127.0.0.1. It rejects requests that name another host, as a page from
+//! elsewhere could make a browser send. Any port of this machine is accepted, since ports may be forwarded. Requests
+//! change nothing.
+//!
+//! Limits: 16 KiB per request, 5 seconds to receive it, one minute to send the response, and 16 connections at a time;
+//! further ones are closed. Shutdown does not wait for connections.
 
 use httparse::{EMPTY_HEADER, Error, Request, Status};
 use std::fmt::Write as _;
@@ -13,57 +16,61 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// Most bytes of a request that are read before it is refused.
+/// Maximum bytes of a request before it is rejected.
 const MOST_BYTES: usize = 16 << 10;
 
-/// Most headers of a request.
+/// Maximum number of headers of a request.
 const MOST_HEADERS: usize = 64;
 
-/// Most requests at a time.
+/// Maximum number of concurrent connections.
 const AT_ONCE: usize = 16;
 
-/// How long a request may take to come.
+/// Time limit for receiving a request.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// How long an answer may take to be taken.
+/// Time limit for sending a response.
 const TAKEN: Duration = Duration::from_secs(60);
 
-/// How long it is waited for somebody who has been answered and still talks. The connection would end with the answer unread.
+/// Time limit for draining a request after its response.
+///
+/// Closing with unread data would reset the connection before the client reads the response.
 const FAREWELL: Duration = Duration::from_secs(1);
 
-/// What there is at a path.
+/// Content at a path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Content {
-    /// Its media type.
+    /// Media type.
     pub kind: &'static str,
-    /// It.
+    /// Response body.
     pub body: String,
 }
 
-/// A port that is taken before anything begins.
+/// Reserved port, not yet served.
 #[derive(Debug)]
 pub struct Port(TcpListener, SocketAddr);
 
 impl Port {
-    /// Takes a port; 0 is any that is free.
+    /// Reserves a port; 0 chooses any free one.
     ///
     /// # Errors
-    /// If it is not to be had; [`ErrorKind::AddrInUse`] if it is another's.
+    /// If the port is unavailable; [`ErrorKind::AddrInUse`] if another process uses it.
     pub fn take(port: u16) -> Result<Port> {
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, port))?;
         let address = listener.local_addr()?;
         Ok(Port(listener, address))
     }
 
-    /// Where pages are.
+    /// Returns the URL of the pages.
     pub fn address(&self) -> String {
         format!("http://{}/", self.1)
     }
 
-    /// Begins to answer with what there is at a path with a query. That is asked for by one at a time.
+    /// Starts to serve pages; `pages` maps a path and a query to content.
+    ///
+    /// Calls to `pages` are serialized.
     ///
     /// # Errors
-    /// If there can be no thread for it.
+    /// If the thread cannot be created.
     pub fn serve(self, pages: impl Fn(&str, &str) -> Option<Content> + Send + 'static) -> Result<Serving> {
         let Port(listener, address) = self;
         let over = Arc::new(AtomicBool::new(false));
@@ -76,7 +83,7 @@ impl Port {
                     return;
                 }
                 let Ok(stream) = stream else {
-                    // There may be no room for another file.
+                    // The process may have no file descriptor left.
                     thread::sleep(Duration::from_millis(50));
                     continue;
                 };
@@ -87,11 +94,11 @@ impl Port {
                 let attend = move || {
                     let pages =
                         |path: &str, query: &str| pages.lock().unwrap_or_else(PoisonError::into_inner)(path, query);
-                    // Whoever has gone away meanwhile misses nothing.
+                    // A client that disconnected needs no error.
                     let _gone = attend(stream, pages);
                     drop(seat);
                 };
-                // Without room for a thread somebody goes without an answer.
+                // Without a thread, the request gets no response.
                 let _unattended = thread::Builder::new().name("page".into()).spawn(attend);
             }
         })?;
@@ -99,7 +106,7 @@ impl Port {
     }
 }
 
-/// Pages are served as long as it is there.
+/// Running server; dropping it stops serving.
 #[derive(Debug)]
 pub struct Serving {
     over: Arc<AtomicBool>,
@@ -110,7 +117,7 @@ pub struct Serving {
 impl Drop for Serving {
     fn drop(&mut self) {
         self.over.store(true, Ordering::Release);
-        // It waits for somebody to come.
+        // The thread blocks in accept until a connection arrives.
         let came = TcpStream::connect_timeout(&self.address, PATIENCE).is_ok();
         if let Some(thread) = self.thread.take().filter(|_| came) {
             let _ended = thread.join();
@@ -118,13 +125,13 @@ impl Drop for Serving {
     }
 }
 
-/// Reads a request and answers it.
+/// Reads a request and sends the response.
 fn attend(mut stream: TcpStream, pages: impl Fn(&str, &str) -> Option<Content>) -> Result<()> {
     let mut buffer = [0; 4096];
     let mut request = Vec::new();
     let until = Instant::now() + PATIENCE;
     let answer = loop {
-        // Never none: what has come so far would have been answered.
+        // Never zero: a full request would have been answered.
         let room = buffer.len().min(MOST_BYTES - request.len());
         match read(&mut stream, &mut buffer[..room], until)? {
             0 => return Ok(()),
@@ -161,19 +168,21 @@ fn read(stream: &mut TcpStream, buffer: &mut [u8], until: Instant) -> Result<usi
     }
 }
 
-/// How long it is until then.
+/// Returns the time left until `until`, or an error after it.
 fn left(until: Instant) -> Result<Duration> {
     let left = until.saturating_duration_since(Instant::now());
     if left.is_zero() { Err(ErrorKind::TimedOut.into()) } else { Ok(left) }
 }
 
-/// The answer to the received part of a request; none until its header is complete. Bodies of requests are ignored.
+/// Returns the response to the received part of a request; `None` until its header is complete.
+///
+/// Ignores request bodies.
 pub fn respond(request: &[u8], pages: impl Fn(&str, &str) -> Option<Content>) -> Option<Vec<u8>> {
     let mut headers = [EMPTY_HEADER; MOST_HEADERS];
-    let mut asked = Request::new(&mut headers);
+    let mut requested = Request::new(&mut headers);
     let plain = |text: &str| Content { kind: "text/plain", body: format!("{text}\n") };
-    let parsed = asked.parse(request);
-    let (method, target) = (asked.method.unwrap_or_default(), asked.path.unwrap_or_default());
+    let parsed = requested.parse(request);
+    let (method, target) = (requested.method.unwrap_or_default(), requested.path.unwrap_or_default());
     let refused = |status: &str, text: &str| Some(said(status, &plain(text), method != "HEAD"));
     match parsed {
         Ok(Status::Complete(_)) => {}
@@ -183,7 +192,7 @@ pub fn respond(request: &[u8], pages: impl Fn(&str, &str) -> Option<Content>) ->
         }
         Err(_) => return refused("400 Bad Request", "This is not understood."),
     }
-    let mut hosts = asked.headers.iter().filter(|h| h.name.eq_ignore_ascii_case("host"));
+    let mut hosts = requested.headers.iter().filter(|h| h.name.eq_ignore_ascii_case("host"));
     let ours = hosts.next().is_some_and(|h| is_ours(h.value)) && hosts.next().is_none();
     if !ours {
         return refused("403 Forbidden", "This page is for this machine alone.");
@@ -199,14 +208,16 @@ pub fn respond(request: &[u8], pages: impl Fn(&str, &str) -> Option<Content>) ->
     Some(said(status, &content, method != "HEAD"))
 }
 
-/// Whether a request means this machine by its own name. The port may be another one, where it is forwarded.
+/// Returns whether a `Host` header names this machine.
+///
+/// The port may differ, because ports may be forwarded.
 fn is_ours(host: &[u8]) -> bool {
     let Ok(host) = std::str::from_utf8(host) else { return false };
     let (name, port) = host.split_once(':').unwrap_or((host, "80"));
     ["127.0.0.1", "localhost"].contains(&name) && port.parse::<u16>().is_ok()
 }
 
-/// An answer, after which the connection ends.
+/// Formats a response that closes the connection.
 fn said(status: &str, content: &Content, whole: bool) -> Vec<u8> {
     let mut text = format!("HTTP/1.1 {status}\r\n");
     let length = content.body.len().to_string();
@@ -245,7 +256,7 @@ mod tests {
         TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("a connection")
     }
 
-    /// What is answered to a text, with the connection held open on this side.
+    /// Sends a text and returns the response, with the sending side held open.
     fn ask(port: u16, text: &str) -> String {
         let mut stream = connect(port);
         stream.write_all(text.as_bytes()).expect("it listens");
@@ -258,7 +269,7 @@ mod tests {
         format!("GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n{more}\r\n")
     }
 
-    /// A port that is served, and its number.
+    /// Starts a server on a free port and returns its number.
     fn served() -> (Serving, u16) {
         let port = Port::take(0).expect("a port");
         let number = port.1.port();
@@ -267,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn it_answers_this_machine_alone_and_ends() {
+    fn server_answers_only_local_hosts_and_stops() {
         let (serving, port) = served();
         assert_eq!(Port::take(port).expect_err("it is taken").kind(), ErrorKind::AddrInUse);
         let whole = ask(port, &get(port, "/?a=1", ""));
@@ -303,10 +314,10 @@ mod tests {
     }
 
     #[test]
-    fn nothing_that_a_request_says_does_harm() {
+    fn malformed_requests_do_not_stop_the_server() {
         let (serving, port) = served();
         let lives = || assert!(ask(port, &get(port, "/", "")).contains("200 OK"), "it answers nobody any more");
-        // Bodies that never come, of sizes that nobody has.
+        // Bodies that never arrive, with invalid or huge sizes.
         for length in ["5", "4096", "99999999999999", "18446744073709551615", "-1", "x"] {
             let said = ask(port, &get(port, "/", &format!("Content-Length: {length}\r\n")));
             assert!(said.contains("200 OK"), "{length}: {said}");
@@ -315,7 +326,7 @@ mod tests {
         assert!(ask(port, &chunked).contains("200 OK"));
         assert!(ask(port, &get(port, "/", "Expect: 100-continue\r\n")).contains("200 OK"));
         lives();
-        // What is no request, or too much of one.
+        // Malformed or oversized requests.
         assert!(ask(port, "\u{0}\u{1}\u{2}\r\n\r\n").contains("400"));
         assert!(ask(port, "GET /\u{0} HTTP/1.1\r\n\r\n").contains("400"));
         assert!(ask(port, "GET / HTTP/9.9\r\n\r\n").contains("400"));
@@ -323,37 +334,37 @@ mod tests {
         assert!(ask(port, &"GET ".repeat(MOST_BYTES)).contains("400"));
         assert!(ask(port, &get(port, "/", &"a: b\r\n".repeat(MOST_HEADERS))).contains("431"));
         lives();
-        // Those who say nothing, or take nothing: there is an end to how many, and the end waits for none.
+        // Clients that send or read nothing are limited in number, and shutdown does not wait for them.
         let mut slow = connect(port);
         slow.write_all(get(port, "/large", "").as_bytes()).expect("it listens");
         let mut silent: Vec<TcpStream> = (1..AT_ONCE).map(|_| connect(port)).collect();
-        let asked = |stream: &mut TcpStream| -> bool {
+        let requested = |stream: &mut TcpStream| -> bool {
             let mut said = String::new();
             let sent = stream.write_all(get(port, "/", "").as_bytes());
             sent.and_then(|()| stream.read_to_string(&mut said)).is_ok() && said.contains("200 OK")
         };
-        assert!(!asked(&mut connect(port)), "there is room for one too many");
+        assert!(!requested(&mut connect(port)), "there is room for one too many");
         silent.truncate(3);
         let begun = Instant::now();
-        while !asked(&mut connect(port)) {
+        while !requested(&mut connect(port)) {
             assert!(begun.elapsed() < PATIENCE / 2, "those who have gone leave no room");
         }
         let begun = Instant::now();
         drop(serving);
         assert!(begun.elapsed() < PATIENCE / 2, "it waited for somebody");
         assert!(Port::take(port).is_ok(), "the port is still taken");
-        // What has begun is ended.
+        // A started response completes.
         let mut large = String::new();
         slow.read_to_string(&mut large).expect("an answer");
         assert!(large.len() > 16 << 20 && large.ends_with("89abcdef"), "{} bytes", large.len());
     }
 
     #[test]
-    fn whoever_says_nothing_is_sent_away() {
+    fn incomplete_requests_time_out() {
         let (_serving, port) = served();
         let begun = Instant::now();
         let mut stream = connect(port);
-        // However often it says something.
+        // Sending single bytes does not extend the time limit.
         stream.set_read_timeout(Some(PATIENCE / 10)).expect("a time");
         let mut head = b"GET / HTTP/1.1\r\na: ".iter().chain(std::iter::repeat(&b'b'));
         let ended = loop {

@@ -1,6 +1,6 @@
-//! Tables of metrics, from the JSON that `metrics.json` holds.
+//! Tables of metrics, from the JSON in `metrics.json`.
 //!
-//! Whatever numbers there are become columns, by their path; a measure that is new needs nothing here.
+//! Every number becomes a column, named by its path. A new metric requires no change here.
 
 use crate::text::{escape, number};
 use serde_json::Value;
@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 /// Columns that come first, in this order.
 const FIRST: [&str; 4] = ["nvs psnr", "nvs ssim", "nvs flip", "nvs lpips"];
 
-/// Measures by the last word of their path: name with unit, factor, decimals.
+/// Metrics by the last word of their path: name with unit, factor, decimals.
 const MEASURES: [(&str, &str, f64, usize); 16] = [
     ("psnr", "PSNR (dB)", 1.0, 2),
     ("psnr_scaled", "PSNR, scaled (dB)", 1.0, 2),
@@ -29,14 +29,14 @@ const MEASURES: [(&str, &str, f64, usize); 16] = [
     ("accuracy", "Correct labels (%)", 100.0, 1),
 ];
 
-/// Groups of measures by the first word of their path, as names that stand before the measure.
+/// Prefixes of metric names, by the first word of the path.
 const GROUPS: [(&str, &str); 5] =
     [("nvs", ""), ("pbr", "Shaded "), ("albedo", "Albedo "), ("semantic", ""), ("fps", "")];
 
-/// Measures that stand for the whole, if there are such.
+/// Headline metrics, shown as cards if present.
 const HEADLINE: [&str; 6] = ["nvs psnr", "nvs ssim", "pbr psnr", "albedo psnr", "normal_mae_deg", "semantic accuracy"];
 
-/// How a measure is written.
+/// Format of a metric.
 struct Measure {
     name: String,
     factor: f64,
@@ -44,7 +44,7 @@ struct Measure {
 }
 
 impl Measure {
-    /// Of a path; `largest` decides about the decimals of measures without an entry.
+    /// Returns the format of a path; `largest` sets the decimals of metrics without an entry.
     fn of(path: &str, largest: f64) -> Measure {
         let (group, last) = path.split_once(' ').unwrap_or(("", path));
         let group = GROUPS.iter().find(|(g, _)| *g == group).map(|(_, name)| *name).filter(|_| !group.is_empty());
@@ -66,7 +66,7 @@ impl Measure {
     }
 }
 
-/// The means that stand for the whole, and other facts, as cards.
+/// Returns the headline metrics and other facts as cards.
 pub fn cards(split: &Value, more: &[(String, String)]) -> String {
     let means = numbers(&split["mean"]);
     let known = HEADLINE.iter().filter_map(|path| means.iter().find(|(p, _)| p == path));
@@ -83,8 +83,9 @@ pub fn cards(split: &Value, more: &[(String, String)]) -> String {
     format!("<dl class=\"cards\">\n{}</dl>\n", all.iter().map(card).collect::<String>())
 }
 
-/// A table of the views of a split, and their means below; without numbers it is empty. `relit` has tables of its own
-/// ([`relit`]).
+/// Returns a table of the views of a split, with their means below.
+///
+/// Empty without numbers. The values of `relit` have their own table ([`relit`]).
 pub fn views(split: &Value) -> String {
     let empty = Vec::new();
     let all = split["views"].as_array().unwrap_or(&empty);
@@ -93,8 +94,9 @@ pub fn views(split: &Value) -> String {
     table("view", &rows)
 }
 
-/// A table of the sets under other lights: means over the views, then the mean over the sets; below it, why other sets have no
-/// numbers.
+/// Returns a table of the relit sets: means over the views, then the mean over the sets.
+///
+/// A list below it gives the reasons for sets without numbers.
 pub fn relit(split: &Value) -> String {
     let Some(sets) = split["mean"]["relit"].as_object() else { return String::new() };
     let (mean, others): (Vec<_>, Vec<_>) = sets.iter().partition(|(name, _)| *name == "mean");
@@ -108,7 +110,7 @@ pub fn relit(split: &Value) -> String {
     table("lighting", &rows) + &reasons
 }
 
-/// Names and what they say, one a row.
+/// Returns a table of names and values, one pair per row.
 pub fn facts(rows: &[(String, String)]) -> String {
     let row =
         |(name, value): &(String, String)| format!("<tr><th>{}</th><td>{}</td></tr>\n", escape(name), escape(value));
@@ -119,7 +121,7 @@ fn name_of(view: &Value) -> String {
     view["name"].as_str().unwrap_or("?").to_owned()
 }
 
-/// Numbers by path, words apart by a space.
+/// Returns all numbers by path; spaces separate the words.
 fn numbers(value: &Value) -> Vec<(String, f64)> {
     let mut found = Vec::new();
     let mut open = vec![(String::new(), value)];
@@ -172,7 +174,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn whatever_is_measured_is_a_column() {
+    fn each_metric_has_a_column() {
         let split = json!({
             "mean": {"nvs": {"psnr": 30.123, "ssim": 0.9}, "albedo": {"psnr": 20.0}, "relit": {"night": {"psnr": 11.5}}},
             "views": [{"name": "<a>", "nvs": {"psnr": 30.123, "ssim": 0.9}}],
@@ -188,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn relit_sets_without_numbers_have_a_reason() {
+    fn unmeasured_relit_sets_show_their_reason() {
         let set = |psnr: f64| json!({"psnr": psnr});
         let sets = json!({"mean": set(20.0), "night": set(20.0), "<city>": {"reason": "No light & no edit."}});
         let html = relit(&json!({"mean": {"relit": sets}}));
@@ -200,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_have_fixed_decimals_and_units() {
+    fn metrics_have_fixed_decimals_and_units() {
         let split = json!({
             "mean": {"nvs": {"psnr": 30.1, "ssim": 0.9}, "fps": {"nvs": 47.58}, "depth_rel": 0.0344, "other_thing": 0.5},
             "views": [

@@ -1,6 +1,6 @@
-//! Text in HTML: escaping, numbers, data URIs.
+//! Text in HTML: escaping, numbers, base64.
 
-/// Text as HTML shows it, in elements and in quoted attributes.
+/// Escapes text for HTML elements and quoted attributes.
 pub fn escape(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     for c in text.chars() {
@@ -10,7 +10,7 @@ pub fn escape(text: &str) -> String {
             '>' => out.push_str("&gt;"),
             '"' => out.push_str("&quot;"),
             '\'' => out.push_str("&#39;"),
-            // No character of HTML; browsers would show a box.
+            // HTML has no control characters; browsers would show a box.
             c if c.is_control() && c != '\n' && c != '\t' => out.push('\u{fffd}'),
             c => out.push(c),
         }
@@ -18,7 +18,9 @@ pub fn escape(text: &str) -> String {
     out
 }
 
-/// A number for people: four digits that mean something.
+/// Formats a number with four significant digits.
+///
+/// Integers below 1e7 are written in full. Other values outside 1e-4 to 1e6 use scientific notation with two decimals.
 pub fn number(v: f64) -> String {
     let a = v.abs();
     if !v.is_finite() {
@@ -36,7 +38,7 @@ pub fn number(v: f64) -> String {
     }
 }
 
-/// Bytes as base64 (RFC 4648), padded.
+/// Encodes bytes as base64 (RFC 4648), padded.
 pub(crate) fn base64(bytes: &[u8]) -> String {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut out = String::with_capacity(bytes.len().div_ceil(3) * 4);
@@ -56,8 +58,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn base64_is_that_of_the_standard() {
-        // The examples of RFC 4648, section 10.
+    fn base64_matches_rfc_4648() {
+        // Examples of RFC 4648, section 10.
         for (plain, coded) in
             [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("foobar", "Zm9vYmFy")]
         {
@@ -67,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_from_a_file_becomes_markup() {
+    fn escaped_text_contains_no_markup() {
         assert_eq!(
             escape("<img src=\"x\" onerror='a()'>&\u{0}"),
             "&lt;img src=&quot;x&quot; onerror=&#39;a()&#39;&gt;&amp;\u{fffd}"
@@ -75,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_short() {
+    fn numbers_have_four_significant_digits() {
         for (v, text) in [
             (0.0, "0"),
             (31.876_639, "31.88"),

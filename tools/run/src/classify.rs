@@ -1,41 +1,45 @@
-//! The classes of rendered views, by the head of a run.
+//! Classification of rendered views by the semantic head of a run.
 //!
-//! Promises: pixels that show less than half a surface have no class, whatever the decoder would say of them.
+//! Guarantees: pixels with less than 0.5 opacity have no class, whatever the decoder returns.
 
 use crate::error::{Result, RunError};
 use crate::head::SemanticHead;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::loss::{NO_LABEL, Relevance, normalize_embeddings};
-use sgs_passes::pipeline::{FeatureImage, Labeler, Picture, Query, Renderer};
+use sgs_passes::pipeline::{FeatureImage, Labeler, Query, RenderedImage, Renderer};
 use sgs_passes::scene::{Decoder, FEATURES};
 
 /// Relevance of pixels that show nothing.
 pub const NO_RELEVANCE: f32 = -1.0;
 
-/// Pixels that let more than this through show nothing.
+/// Maximum transmittance of a pixel that has a class.
 const MOST_TRANSMITTANCE: f32 = 0.5;
 
-/// The classes of a view.
+/// Semantic classes of a view.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Classes {
-    /// By pixel: the place of its class in the head's list; `None` where the view shows nothing.
+    /// Index of the class in the head's list for each pixel; `None` where the view shows nothing.
     pub labels: Vec<Option<u32>>,
-    /// By queried class and pixel: its probability by softmax; [`NO_RELEVANCE`] where the view shows nothing.
+    /// Softmax probability for each queried class and pixel.
+    ///
+    /// [`NO_RELEVANCE`] where the view shows nothing.
     pub relevance: Vec<Vec<f32>>,
 }
 
-/// Classifies views on a device.
+/// Classifier of views on a device.
 pub struct Classifier {
     decoder: Decoder,
     labeler: Labeler,
 }
 
 impl Classifier {
-    /// For a head; the relevance of each class in `queries` is wanted as well.
+    /// Creates a classifier for a head.
+    ///
+    /// Also computes the relevance of each class in `queries`, given as indices.
     ///
     /// # Errors
-    /// If there is no such class or memory runs out.
+    /// If a class does not exist or memory runs out.
     pub fn new(device: &Device, head: &SemanticHead, queries: &[usize]) -> Result<Classifier> {
         let classes = head.text.labels.len();
         if let Some(query) = queries.iter().find(|q| **q >= classes) {
@@ -51,17 +55,17 @@ impl Classifier {
         Ok(Classifier { decoder, labeler })
     }
 
-    /// The classes of the picture that `renderer` made last; it has to blend features.
+    /// Classifies the image that `renderer` rendered last. The renderer must blend features.
     ///
     /// # Errors
-    /// If it does not, memory runs out, or the device fails.
-    pub fn classify(&mut self, renderer: &Renderer, picture: &Picture) -> Result<Classes> {
+    /// If the renderer does not blend features, memory runs out, or the device fails.
+    pub fn classify(&mut self, renderer: &Renderer, rendered: &RenderedImage) -> Result<Classes> {
         let Some(buffer) = renderer.features() else {
-            return Err(RunError::Refused("The picture has no semantic features to classify.".into()));
+            return Err(RunError::Refused("The image has no semantic features to classify.".into()));
         };
-        let image = FeatureImage { buffer, size: picture.size, channels: FEATURES as u32, first: 0 };
+        let image = FeatureImage { buffer, size: rendered.size, channels: FEATURES as u32, first: 0 };
         let mut map = self.labeler.label(&self.decoder, &image)?;
-        let shows = |i: usize| picture.transmittance[i] <= MOST_TRANSMITTANCE && map.labels[i] != NO_LABEL;
+        let shows = |i: usize| rendered.transmittance[i] <= MOST_TRANSMITTANCE && map.labels[i] != NO_LABEL;
         for relevance in &mut map.relevance {
             relevance.iter_mut().enumerate().filter(|(i, _)| !shows(*i)).for_each(|(_, r)| *r = NO_RELEVANCE);
         }

@@ -1,31 +1,31 @@
-//! What a directory holds that a command is about to write into.
+//! Contents of a directory that a command writes into.
 
 use crate::directory::RunDirectory;
 use crate::stage::StageKind;
 use sgs_scene::Layout;
 use std::path::Path;
 
-/// What a directory holds.
+/// Contents of a directory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Contents {
-    /// It does not exist, or holds nothing.
+    /// Missing or empty.
     Nothing,
-    /// It is a file.
+    /// File instead of a directory.
     File,
     /// A scene.
     Scene(Layout),
     /// A run.
     Run(RunContents),
-    /// Other files, of which this is the first by name.
+    /// Other files; holds the first name in order.
     Other(String),
 }
 
-/// What a run directory holds.
+/// Contents of a run directory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RunContents {
-    /// A geometry stage that reached a checkpoint, or geometry from elsewhere.
+    /// Geometry stage with a checkpoint, or geometry from elsewhere.
     pub geometry: bool,
-    /// An intrinsic stage that reached a checkpoint.
+    /// Intrinsic stage with a checkpoint, or its lights.
     pub materials: bool,
 }
 
@@ -49,23 +49,24 @@ impl Contents {
 }
 
 impl RunContents {
-    /// Inspects a directory; `None` if it is no run directory.
+    /// Inspects a directory; `None` if it is not a run directory.
     pub fn of(root: &Path) -> Option<RunContents> {
         let run = RunDirectory::open(root).ok()?;
         let geometry = run.checkpoint(StageKind::Geometry).is_file() || run.path("scene.ply").is_file();
         let materials = run.checkpoint(StageKind::Intrinsic).is_file() || run.path("lights.json").is_file();
-        // Other programs have files of this name, too.
+        // `config.toml` alone is no evidence: other programs have files of this name.
         (geometry || materials || run.path("checkpoint").is_dir()).then_some(RunContents { geometry, materials })
     }
 
-    /// Whether replacing the run would lose what was trained.
+    /// Returns whether replacing the run would lose trained data.
     pub fn is_trained(self) -> bool {
         self.geometry || self.materials
     }
 }
 
-/// Names of the files and folders of a directory, in order. Hidden ones, the lock among them, and an empty `checkpoint` folder do
-/// not count.
+/// Returns the names of the files and folders of a directory in order.
+///
+/// Hidden files, among them the lock, `lost+found` and an empty `checkpoint` folder do not count.
 pub fn entries(root: &Path) -> Vec<String> {
     let is_empty = |path: &Path| path.is_dir() && std::fs::read_dir(path).is_ok_and(|mut d| d.next().is_none());
     let all = std::fs::read_dir(root).into_iter().flatten().flatten();
@@ -81,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn directories_are_told_apart() {
+    fn kinds_of_directories_are_recognized() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path();
         let put = |name: &str| {

@@ -1,11 +1,11 @@
-//! Between the scene on disk and the scene on the GPU: cameras, splats, packed pixels.
+//! Conversion between scenes on disk and on the GPU: cameras, splats, packed pixels.
 
 use sgs_passes::loss::octahedral_encode;
 use sgs_passes::pipeline::Camera;
 use sgs_passes::scene::{GaussianData, Group, Model};
 use sgs_scene::Splats;
 
-/// A camera as kernels take it; tiles are filled in where it is used.
+/// Converts a camera to the layout of the kernels. Each use fills in `tiles`.
 pub fn camera(c: &sgs_scene::Camera) -> Camera {
     let row = |i: usize| {
         let r = c.rotation.row(i);
@@ -22,7 +22,7 @@ pub fn camera(c: &sgs_scene::Camera) -> Camera {
     }
 }
 
-/// Splats as the GPU takes them, for a model (missing normals become zeros, missing bands zeros).
+/// Converts splats to the GPU layout of a model. Missing normals and bands become zeros.
 pub fn gaussian_data(s: &Splats, model: Model) -> GaussianData {
     let mut d = GaussianData::default();
     for group in model.groups() {
@@ -47,7 +47,7 @@ pub fn gaussian_data(s: &Splats, model: Model) -> GaussianData {
     d
 }
 
-/// The other way round.
+/// Converts the GPU layout back to splats.
 pub fn splats(d: &GaussianData, model: Model) -> Splats {
     let triples = |g: Group| d.group(g).as_chunks::<3>().0.to_vec();
     let mut s = Splats {
@@ -65,7 +65,7 @@ pub fn splats(d: &GaussianData, model: Model) -> Splats {
     s
 }
 
-/// A photograph, RGBA8, red in the low byte. Alpha is 0 where the mask says that a pixel does not count, else 255.
+/// Packs a photograph to RGBA8 with red in the low byte. Alpha is 0 where the mask excludes a pixel, else 255.
 pub fn pack_image(image: &sgs_scene::Image, mask: Option<&sgs_scene::Image>) -> Vec<u32> {
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u32;
     let alpha = |i: usize| if mask.is_none_or(|m| m.data[i] > 0.5) { 0xff00_0000 } else { 0 };
@@ -73,7 +73,7 @@ pub fn pack_image(image: &sgs_scene::Image, mask: Option<&sgs_scene::Image>) -> 
     image.data.chunks_exact(image.channels as usize).enumerate().map(pack).collect()
 }
 
-/// Normals (world space), octahedral in two 16-bit numbers; 0 where there is none.
+/// Packs world-space normals to octahedral 2 × 16 bits; 0 marks a missing normal.
 pub fn pack_normals(image: &sgs_scene::Image) -> Vec<u32> {
     image.data.chunks_exact(3).map(|n| octahedral_encode([n[0], n[1], n[2]])).collect()
 }
@@ -84,7 +84,7 @@ mod tests {
     use sgs_scene::Image;
 
     #[test]
-    fn alpha_says_what_counts() {
+    fn mask_sets_alpha() {
         let image = Image::from_data(2, 1, 3, vec![0.0, 0.5, 1.0, 1.0, 2.0, -1.0]).unwrap();
         assert_eq!(pack_image(&image, None), [0xffff_8000, 0xff00_ffff]);
         let mask = Image::from_data(2, 1, 1, vec![0.0, 1.0]).unwrap();

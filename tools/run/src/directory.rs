@@ -1,4 +1,4 @@
-//! The run directory: what training leaves, and where.
+//! Layout and files of a run directory.
 
 use crate::error::{Result, RunError, error, remove};
 use crate::rollback::RollbackFiles;
@@ -10,23 +10,23 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// The file with the semantic head of a run.
+/// Name of the file with the semantic head.
 const SEMANTICS: &str = "semantics.safetensors";
 
-/// What says that a stage has diverged.
+/// Name of the file that marks a diverged stage.
 const DIVERGED: &str = "diverged.json";
 
-/// A run directory.
+/// Run directory.
 #[derive(Clone, Debug)]
 pub struct RunDirectory {
     root: PathBuf,
 }
 
 impl RunDirectory {
-    /// Makes the directory, or takes one that is there.
+    /// Creates the directory, or uses an existing one.
     ///
     /// # Errors
-    /// If it cannot be made.
+    /// If the directory cannot be created.
     pub fn create(root: &Path) -> Result<RunDirectory> {
         std::fs::create_dir_all(root.join("checkpoint")).map_err(|e| error(root, format!("cannot be made: {e}")))?;
         let run = RunDirectory { root: root.to_owned() };
@@ -37,7 +37,7 @@ impl RunDirectory {
     /// Opens an existing run.
     ///
     /// # Errors
-    /// If it is not a run directory.
+    /// If the directory is not a run directory.
     pub fn open(root: &Path) -> Result<RunDirectory> {
         if !root.join("config.toml").is_file() {
             return Err(error(root, "is not a run directory: there is no config.toml in it".into()));
@@ -45,27 +45,27 @@ impl RunDirectory {
         Ok(RunDirectory { root: root.to_owned() })
     }
 
-    /// The directory.
+    /// Returns the path of the directory.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// A file in it.
+    /// Returns the path of a file in the directory.
     pub fn path(&self, name: &str) -> PathBuf {
         self.root.join(name)
     }
 
-    /// The checkpoint of a stage.
+    /// Returns the path of a stage's checkpoint.
     pub fn checkpoint(&self, stage: StageKind) -> PathBuf {
         self.root.join("checkpoint").join(format!("{stage}.safetensors"))
     }
 
-    /// The rollback checkpoints of a stage.
+    /// Returns the rollback checkpoints of a stage.
     pub fn rollback_files(&self, stage: StageKind) -> RollbackFiles {
         RollbackFiles::beside(self.checkpoint(stage))
     }
 
-    /// The last step of a stage as a Chrome trace.
+    /// Returns the path of a stage's profile: its last step as a Chrome trace.
     pub fn profile(&self, stage: StageKind) -> PathBuf {
         self.path(match stage {
             StageKind::Geometry => "profile.json",
@@ -73,7 +73,7 @@ impl RunDirectory {
         })
     }
 
-    /// The graph of a stage as a page.
+    /// Returns the path of a stage's graph as an HTML page.
     pub fn graph(&self, stage: StageKind) -> PathBuf {
         self.path(match stage {
             StageKind::Geometry => "graph.html",
@@ -81,7 +81,9 @@ impl RunDirectory {
         })
     }
 
-    /// The stages whose steps are all finished, by the run's own summary.
+    /// Returns the stages that the run's summary reports as complete.
+    ///
+    /// A diverged run and a run without `scene.ply` have none.
     pub fn complete(&self, settings: &Settings) -> Vec<StageKind> {
         let summary = self.training_summary().unwrap_or_default();
         if !self.path("scene.ply").is_file() || self.has_diverged() {
@@ -95,7 +97,9 @@ impl RunDirectory {
         whole.map(|(stage, ..)| stage).collect()
     }
 
-    /// Refuses to train geometry further under materials: they belong to the geometry as it is.
+    /// Refuses to continue the geometry stage of a run with materials.
+    ///
+    /// Materials belong to the geometry on which they were trained.
     ///
     /// # Errors
     /// If the run has materials.
@@ -112,7 +116,7 @@ impl RunDirectory {
         Ok(())
     }
 
-    /// Says that a stage has diverged: until it is resumed, with other learning rates if one likes.
+    /// Marks a stage as diverged until it is resumed.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -120,12 +124,12 @@ impl RunDirectory {
         self.write_json(DIVERGED, about)
     }
 
-    /// Whether a stage has diverged.
+    /// Returns whether a stage has diverged.
     pub fn has_diverged(&self) -> bool {
         self.path(DIVERGED).is_file()
     }
 
-    /// Forgets that a stage has diverged.
+    /// Removes the mark of a diverged stage.
     ///
     /// # Errors
     /// If the file cannot be removed.
@@ -133,10 +137,10 @@ impl RunDirectory {
         self.remove([self.path(DIVERGED)])
     }
 
-    /// The settings it was trained with.
+    /// Returns the settings with which the run was trained.
     ///
     /// # Errors
-    /// If they cannot be read, or are none that training takes.
+    /// If the settings cannot be read or are invalid.
     pub fn settings(&self) -> Result<Settings> {
         let path = self.path("config.toml");
         let text = std::fs::read_to_string(&path).map_err(|e| error(&path, format!("cannot be read: {e}")))?;
@@ -147,35 +151,39 @@ impl RunDirectory {
         settings.map_err(|e| error(&path, one_line(&e.to_string())))
     }
 
-    /// Where the semantic head is, if the run has one ([`crate::SemanticHead`]).
+    /// Returns the path of the semantic head ([`crate::SemanticHead`]).
+    ///
+    /// Not every run has this file.
     pub fn semantics(&self) -> PathBuf {
         self.path(SEMANTICS)
     }
 
-    /// Removes what an earlier training left, so that nothing can be taken for a result of the one that begins.
+    /// Removes all results of an earlier training.
+    ///
+    /// No stale file can be mistaken for a result of the new training.
     ///
     /// # Errors
-    /// If something cannot be removed.
+    /// If a file cannot be removed.
     pub fn forget(&self) -> Result<()> {
         let names = ["scene.ply", SEMANTICS, "log.jsonl", DIVERGED, "profile.json", "graph.html"];
-        // The checkpoint goes first: were it left with other settings, resuming would go on from it. A summary that is damaged is
-        // in nobody's way.
+        // The checkpoint goes first: otherwise a resumed training could continue from it with other settings.
+        // `training.json` goes before `forget_intrinsic`, which fails if it is damaged.
         self.remove([self.checkpoint(StageKind::Geometry), self.path("training.json")])?;
         self.rollback_files(StageKind::Geometry).remove()?;
         self.forget_intrinsic()?;
         self.remove(names.map(|n| self.path(n)))
     }
 
-    /// Removes what an earlier intrinsic stage left.
+    /// Removes the results of an earlier intrinsic stage.
     ///
     /// # Errors
-    /// If something cannot be removed, or `training.json` is damaged.
+    /// If a file cannot be removed, or `training.json` is damaged.
     pub fn forget_intrinsic(&self) -> Result<()> {
         let results = ["lights.json", "environment.exr", "visibility.safetensors", "metrics.json"];
         let names = results.into_iter().chain(["profile-intrinsic.json", "graph-intrinsic.html"]);
         self.remove(std::iter::once(self.checkpoint(StageKind::Intrinsic)).chain(names.map(|n| self.path(n))))?;
         self.rollback_files(StageKind::Intrinsic).remove()?;
-        // What the geometry came to stays known.
+        // The summary of the geometry stage remains.
         let serde_json::Value::Object(mut all) = self.training_summary()? else { return Ok(()) };
         if all.remove("intrinsic").is_none() {
             return Ok(());
@@ -187,21 +195,21 @@ impl RunDirectory {
         paths.into_iter().try_for_each(|path| remove(&path))
     }
 
-    /// Removes files that a killed training had begun to write. They are incomplete, and only take up room.
+    /// Removes incomplete files of a killed training, which only take up space.
     fn sweep(&self) {
         for folder in [self.root.clone(), self.root.join("checkpoint")] {
             for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
                 let name = entry.file_name();
                 let name = name.to_string_lossy();
                 if name.starts_with('.') && name.ends_with(".tmp") {
-                    // One that stays does no harm.
+                    // A file that cannot be removed is harmless.
                     let _ = std::fs::remove_file(entry.path());
                 }
             }
         }
     }
 
-    /// Writes the settings.
+    /// Writes the settings to `config.toml`.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -211,7 +219,7 @@ impl RunDirectory {
         self.write(&path, text.as_bytes())
     }
 
-    /// Writes something as JSON.
+    /// Writes a value as JSON.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -221,10 +229,10 @@ impl RunDirectory {
         self.write(&path, text.as_bytes())
     }
 
-    /// `training.json`, or null where there is none.
+    /// Reads `training.json`; null if the file does not exist.
     ///
     /// # Errors
-    /// If it is damaged.
+    /// If the file is damaged.
     pub fn training_summary(&self) -> Result<serde_json::Value> {
         let path = self.path("training.json");
         match std::fs::read_to_string(&path) {
@@ -233,7 +241,10 @@ impl RunDirectory {
         }
     }
 
-    /// Writes the summary of a stage into `training.json`. A later stage keeps the summaries of earlier ones.
+    /// Writes the summary of a stage into `training.json`.
+    ///
+    /// The summary of the intrinsic stage is added to that of the geometry stage. A new summary of the geometry stage
+    /// replaces both.
     ///
     /// # Errors
     /// If the file is damaged or cannot be written.
@@ -255,10 +266,12 @@ impl RunDirectory {
         Ok(sgs_scene::atomic_write(path, |f| f.write_all(bytes))?)
     }
 
-    /// Opens `log.jsonl` for a stage that continues after `step`. Drops lines after that step, and lines of later stages.
+    /// Opens `log.jsonl` for a stage that continues after `step`.
+    ///
+    /// Drops lines after that step, and lines of later stages.
     ///
     /// # Errors
-    /// If it cannot be written.
+    /// If the file cannot be written.
     pub fn open_log(&self, stage: StageKind, step: u32) -> Result<File> {
         let until = u64::from(step);
         match stage {

@@ -1,4 +1,4 @@
-//! Errors of runs: one sentence each, naming what to do.
+//! Errors of runs. Each is one sentence that states what to do.
 
 use sgs_config::ConfigError;
 use std::path::{Path, PathBuf};
@@ -6,43 +6,43 @@ use std::path::{Path, PathBuf};
 /// Errors of this crate.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// The GPU side failed.
+    /// Failure of the GPU engine.
     #[error(transparent)]
     Engine(#[from] sgs_engine::Error),
-    /// The scene cannot be used.
+    /// Unusable scene.
     #[error(transparent)]
     Scene(#[from] sgs_scene::SceneError),
-    /// A setting is wrong.
+    /// Invalid setting.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// A file of a run cannot be used.
+    /// Unusable file of a run.
     #[error("\"{path}\": {reason}.", path = path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// What is wrong with the file.
         reason: String,
     },
-    /// Another process writes into the directory.
+    /// Directory that another process writes into.
     #[error("\"{path}\" is locked: {reason}.", path = path.display())]
     Locked {
-        /// The directory.
+        /// Path of the directory.
         path: PathBuf,
-        /// Who holds it, and what to do.
+        /// Holder of the lock, and what to do.
         reason: String,
     },
-    /// The run cannot do what it was asked for.
+    /// Request that the run cannot fulfill.
     #[error("{0}")]
     Refused(String),
 }
 
 impl RunError {
-    /// Makes an error about a file.
+    /// Creates an error about a file.
     pub fn file(path: &Path, reason: String) -> RunError {
         RunError::File { path: path.to_owned(), reason }
     }
 
-    /// Whether the device's memory did not suffice.
+    /// Returns whether device memory ran out.
     pub fn is_out_of_memory(&self) -> bool {
         matches!(self, RunError::Engine(error) if error.is_out_of_memory())
     }
@@ -51,10 +51,10 @@ impl RunError {
 /// Result with this crate's error.
 pub type Result<T> = std::result::Result<T, RunError>;
 
-/// Removes a file; a missing one is no error.
+/// Removes a file; a missing file is no error.
 ///
 /// # Errors
-/// If it cannot be removed.
+/// If the file cannot be removed.
 pub fn remove(path: &Path) -> Result<()> {
     match std::fs::remove_file(path) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(error(path, format!("cannot be removed: {e}"))),

@@ -1,7 +1,8 @@
-//! Gaussians and light from files of this and other programs, and to them: PLY in its dialects, glTF.
+//! Exchange of Gaussians and light with other programs: PLY dialects and glTF.
 //!
-//! Files hold Gaussians; light is inside of glTF, and beside a PLY as `NAME.lights.json`; surroundings are always beside, as
-//! `NAME.environment.exr`. What each format keeps and loses is in docs/reference/exchange.md.
+//! Gaussians are in the file itself. glTF contains its lights; a PLY has them beside it in `NAME.lights.json`. The
+//! environment map is always beside the file in `NAME.environment.exr`. docs/reference/exchange.md lists what each
+//! format keeps and loses.
 
 use crate::error::{Result, RunError};
 use crate::lights::{LightFile, LightRow, LobeRow, read_lights, write_lights};
@@ -14,20 +15,20 @@ use sgs_scene::{GltfScene, Placement, PlyDialect, PointLight, Splats, write_gltf
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-/// What a file holds.
+/// Contents of an exchange file.
 #[derive(Clone, Debug)]
 pub struct Exchange {
-    /// Its Gaussians.
+    /// Gaussians of the file.
     pub splats: Splats,
-    /// Its lamps: in it, or beside it.
+    /// Lights in the file or beside it.
     pub lights: Option<LightFile>,
-    /// Its surroundings, which are beside it: a latitude-longitude picture.
+    /// Path of the environment map beside the file, a latitude-longitude image.
     pub environment: Option<PathBuf>,
-    /// What kind of file it is: a name of [`PlyDialect`], or `gltf`.
+    /// Kind of the file: a name of [`PlyDialect`], or `gltf`.
     pub format: &'static str,
 }
 
-/// `NAME.WHAT` beside `NAME.ply` or the like.
+/// Returns `NAME.WHAT` beside `NAME.ply` or another file.
 fn beside(path: &Path, what: &str) -> PathBuf {
     path.with_extension(what)
 }
@@ -41,10 +42,12 @@ fn is_gltf(path: &Path) -> Result<bool> {
     Ok(&first[..have] == b"glTF" || text.first() == Some(&b'{'))
 }
 
-/// Reads Gaussians from a file of any known kind, recognized by what it holds. What is left out is said as a warning.
+/// Reads Gaussians from a file of any known kind, recognized by its content.
+///
+/// Logs a warning for each element of a glTF file that is left out.
 ///
 /// # Errors
-/// If it is of no known kind, or damaged.
+/// If the file is of no known kind or damaged.
 pub fn read_splats(path: &Path) -> Result<Splats> {
     if !is_gltf(path)? {
         return Ok(Splats::read_ply(path)?);
@@ -63,7 +66,7 @@ fn gltf(path: &Path) -> Result<GltfScene> {
 /// Reads Gaussians and light from a file of any known kind.
 ///
 /// # Errors
-/// If it, or what lies beside it, is of no known kind or damaged.
+/// If the file or its lights are of no known kind or damaged.
 pub fn read_exchange(path: &Path) -> Result<Exchange> {
     let environment = Some(beside(path, "environment.exr")).filter(|file| file.is_file());
     if is_gltf(path)? {
@@ -77,27 +80,30 @@ pub fn read_exchange(path: &Path) -> Result<Exchange> {
     Ok(Exchange { splats, lights, environment, format: dialect.name() })
 }
 
-/// What lights the Gaussians of a file: the lamps in it or beside it, whose shadows are traced, and the surroundings beside
-/// it, of `size` texels along an edge.
+/// Reads the light of a file: lights and environment map in it or beside it.
+///
+/// Shadows of the lights are traced. The environment map has `size` texels per edge of a cube face.
 ///
 /// # Errors
 /// If one of the files is damaged.
 pub fn read_light(path: &Path, size: u32) -> Result<RunLight> {
-    let (lamps, surroundings) = (beside(path, "lights.json"), beside(path, "environment.exr"));
+    let (light_table, environment_map) = (beside(path, "lights.json"), beside(path, "environment.exr"));
     let lights = match is_gltf(path)? {
         true => lights_of(path, &GltfScene::read(path)?)?,
-        false if lamps.is_file() => Some(read_lights(&lamps)?),
+        false if light_table.is_file() => Some(read_lights(&light_table)?),
         false => None,
     };
-    let environment = if surroundings.is_file() { Some(Texels::read(&surroundings, size)?) } else { None };
+    let environment = if environment_map.is_file() { Some(Texels::read(&environment_map, size)?) } else { None };
     let visibility = if lights.is_some() { Visibility::Traced(Rays::default()) } else { Visibility::None };
     Ok(RunLight { lights, environment, visibility })
 }
 
-/// Writes Gaussians and light as glTF where `dialect` is none, or as PLY; gives all files that were written.
+/// Writes Gaussians and light as PLY or glTF. Returns all files written.
+///
+/// Writes glTF if `dialect` is `None`.
 ///
 /// # Errors
-/// If the dialect has no place for them, or a file cannot be written.
+/// If the dialect cannot represent the Gaussians, or a file cannot be written.
 pub fn write_exchange(
     path: &Path,
     splats: &Splats,
@@ -132,7 +138,7 @@ pub fn write_exchange(
     Ok(written)
 }
 
-/// All sets of Gaussians where they stand.
+/// Transforms and joins all sets of Gaussians.
 fn joined(parts: Vec<(Splats, Placement)>) -> Splats {
     let stand = |(splats, place): (Splats, Placement)| match place == Placement::NONE {
         true => splats,
@@ -146,21 +152,21 @@ fn joined(parts: Vec<(Splats, Placement)>) -> Splats {
     .unwrap_or_default()
 }
 
-/// What this project adds to all lights together.
+/// SGS extension data of all lights together.
 #[derive(Serialize, Deserialize)]
 struct Together {
     format: String,
     normalizer: f32,
 }
 
-/// What this project adds to a light.
+/// SGS extension data of a light.
 #[derive(Serialize, Deserialize)]
 struct Beyond {
     gain: f32,
     lobes: Vec<LobeRow>,
 }
 
-/// A light as a point that sends its mean in all directions.
+/// Converts a light to a point light of its mean intensity.
 ///
 /// The mean of `exp(s (cos - 1))` over the sphere is `(1 - exp(-2 s)) / (2 s)`.
 fn point(file: &LightFile, light: &LightRow) -> PointLight {
@@ -174,7 +180,9 @@ fn point(file: &LightFile, light: &LightRow) -> PointLight {
     PointLight { position: light.position, color, intensity: most as f32, extras: Some(json!({"sgs": beyond})) }
 }
 
-/// The lights of a glTF file: this project's with all their lobes, others with one that is the same all around.
+/// Returns the lights of a glTF file.
+///
+/// Lights written by SGS have all their lobes. Other lights have one isotropic lobe.
 fn lights_of(path: &Path, scene: &GltfScene) -> Result<Option<LightFile>> {
     if scene.lights.is_empty() {
         return Ok(None);

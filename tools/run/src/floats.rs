@@ -1,13 +1,16 @@
-//! 32-bit numbers of a shape, as they go into safetensors files; and such files with the same bytes for the same numbers.
+//! Tensors for safetensors files, and byte-identical files for equal tensors.
 
 use safetensors::{Dtype, SafeTensorError, View};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 
-/// A file of tensors. `safetensors` writes what its header says in the order of a hash map, which is another one each time;
-/// here names stand in their own order, so that two equal runs leave equal files.
+/// Serializes tensors to the safetensors format with sorted metadata.
+///
+/// The `safetensors` crate writes metadata in the random order of a hash map. Sorted keys give equal runs equal
+/// files.
 ///
 /// # Errors
+/// If names repeat, or shapes do not match the data.
 /// If names repeat, or shapes do not fit their numbers.
 pub fn serialize<N: AsRef<str> + Ord + std::fmt::Display, V: View>(
     tensors: impl IntoIterator<Item = (N, V)>,
@@ -21,17 +24,17 @@ pub fn serialize<N: AsRef<str> + Ord + std::fmt::Display, V: View>(
     let mut said: BTreeMap<String, serde_json::Value> = serde_json::from_slice(header)?;
     said.insert(METADATA.to_owned(), serde_json::to_value(sorted)?);
     let text = serde_json::to_vec(&said)?;
-    // The same names and numbers in another order are as long; what is over is the padding of the header.
+    // Sorting keys does not change the length of the header, except for its padding.
     let (to, padding) = header.split_at_mut_checked(text.len()).ok_or(SafeTensorError::InvalidHeaderLength)?;
     to.copy_from_slice(&text);
     padding.fill(b' ');
     Ok(bytes)
 }
 
-/// What the header calls what is said of the file as a whole.
+/// Header key of the metadata.
 const METADATA: &str = "__metadata__";
 
-/// Numbers and their shape.
+/// 32-bit floats and their shape.
 pub struct Floats<'a>(pub &'a [f32], pub Vec<usize>);
 
 impl View for Floats<'_> {
@@ -49,7 +52,7 @@ impl View for Floats<'_> {
     }
 }
 
-/// 32-bit numbers, floats or not.
+/// 32-bit tensor of floats or words.
 pub enum Numbers<'a> {
     /// 32-bit floats and their shape.
     Floats(Floats<'a>),
@@ -90,7 +93,7 @@ mod tests {
     use safetensors::SafeTensors;
 
     #[test]
-    fn equal_numbers_make_equal_files_that_others_read() {
+    fn equal_tensors_give_identical_valid_files() {
         let numbers = [1.0, -2.5, 3.0];
         let write = |a: f32| {
             let meta = (0..20).map(|i| (format!("key{i}"), format!("value \"{i}\""))).collect();

@@ -1,11 +1,13 @@
-//! Spherical harmonics on the host: their values, their rotation, and small least-squares problems.
+//! Spherical harmonics on the host: values, rotation, and small least-squares problems.
 
 use glam::{DQuat, DVec3};
 
-/// Value of the constant one.
+/// Value of the constant basis function.
 pub const CONSTANT: f64 = 0.282_094_791_773_878_14;
 
-/// All 16 functions up to degree 3 in a unit direction, in the order and sign of 3DGS files.
+/// Evaluates the 16 basis functions up to degree 3 in a unit direction.
+///
+/// Order and signs match 3DGS files.
 pub fn basis(d: DVec3) -> [f64; 16] {
     let DVec3 { x, y, z } = d;
     let (xx, yy, zz) = (x * x, y * y, z * z);
@@ -32,11 +34,11 @@ pub fn basis(d: DVec3) -> [f64; 16] {
     ]
 }
 
-/// What becomes of the coefficients of bands 1 to 3 when what they describe turns: row by row, band by band.
+/// Rotation of the coefficients of bands 0 to 3: one row-major matrix per band.
 pub struct Rotation([Vec<f64>; 4]);
 
 impl Rotation {
-    /// Of a unit quaternion.
+    /// Computes the rotation of a unit quaternion.
     pub fn of(q: DQuat) -> Rotation {
         let directions = spread(48);
         let pairs: Vec<_> = directions.iter().map(|d| (basis(*d), basis(q.inverse() * *d))).collect();
@@ -54,7 +56,7 @@ impl Rotation {
         }))
     }
 
-    /// Turns a band of one splat after the other: `2 band + 1` coefficients of three channels.
+    /// Rotates a band of all splats in place: `2 band + 1` coefficients of three channels each.
     pub fn turn(&self, band: usize, coefficients: &mut [f32]) {
         let n = 2 * band + 1;
         for splat in coefficients.chunks_exact_mut(3 * n) {
@@ -68,7 +70,7 @@ impl Rotation {
     }
 }
 
-/// Unit vectors spread evenly.
+/// Returns evenly distributed unit vectors (Fibonacci lattice).
 fn spread(count: usize) -> Vec<DVec3> {
     let golden = std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
     let at = |i: usize| {
@@ -79,7 +81,7 @@ fn spread(count: usize) -> Vec<DVec3> {
     (0..count).map(at).collect()
 }
 
-/// A least-squares problem of few unknowns, as its normal equations.
+/// Normal equations of a least-squares problem with few unknowns.
 pub struct Least {
     n: usize,
     matrix: Vec<f64>,
@@ -87,12 +89,12 @@ pub struct Least {
 }
 
 impl Least {
-    /// Of so many unknowns.
+    /// Creates a problem of `n` unknowns.
     pub fn new(n: usize) -> Least {
         Least { n, matrix: vec![0.0; n * n], right: vec![0.0; n] }
     }
 
-    /// Adds the wish that the row times the unknowns is the value.
+    /// Adds a weighted equation: `row` times the unknowns equals `value`.
     pub fn add(&mut self, row: &[f64], value: f64, weight: f64) {
         for (i, a) in row.iter().enumerate() {
             row.iter().enumerate().for_each(|(j, b)| self.matrix[i * self.n + j] += weight * a * b);
@@ -100,7 +102,7 @@ impl Least {
         }
     }
 
-    /// The unknowns; `ridge` is how strongly they are pulled to zero, and keeps the problem solvable.
+    /// Solves for the unknowns. `ridge` is the Tikhonov weight that keeps the problem solvable.
     pub fn solve(&self, ridge: f64) -> Vec<f64> {
         let n = self.n;
         let mut l = vec![0.0; n * n];
@@ -127,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn functions_are_orthonormal_and_turn_with_what_they_describe() {
+    fn functions_are_orthonormal_and_rotate_with_the_signal() {
         let directions = spread(20_000);
         for i in 0..16 {
             for j in 0..16 {

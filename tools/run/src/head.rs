@@ -1,8 +1,7 @@
-//! What gives semantic features their meaning after training: the decoder, and the classes that it speaks of, in one file
-//! of a run.
+//! Semantic head of a run: decoder and classes, in one file.
 //!
-//! Promises: what was saved is loaded bit by bit; a file that is missing, damaged, or of another shape is refused in one
-//! sentence that says which of these. Leaves it to others to run it on a device.
+//! Guarantees: a saved head is loaded bit for bit. A missing, damaged or misshapen file is refused with a sentence
+//! that states which. Inference on a device is in other modules.
 
 use crate::error::{Result, RunError};
 use crate::floats::Floats;
@@ -14,25 +13,25 @@ use sgs_scene::TextEmbeddings;
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
-/// What the file says it is.
+/// Format identifier in the file.
 const FORMAT: &str = "sgs-semantics-1";
 
-/// The semantic head of a run.
+/// Semantic head of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SemanticHead {
-    /// The decoder: 512 rows of 32 weights and a bias.
+    /// Decoder: 512 rows of 32 weights and a bias.
     pub decoder: Vec<f32>,
-    /// The classes and their texts, 512 wide, of any length.
+    /// Classes and their text embeddings, 512 wide, of any length.
     pub text: TextEmbeddings,
-    /// Logits are divided by it before the softmax.
+    /// Divisor of the logits before the softmax.
     pub temperature: f32,
 }
 
 impl SemanticHead {
-    /// Writes the head beside `path`, and then there.
+    /// Writes the head atomically.
     ///
     /// # Errors
-    /// If the head could not be loaded again, or the file cannot be written; an earlier one stays whole.
+    /// If the head would not load again, or the file cannot be written. An existing file then remains unchanged.
     pub fn save(&self, path: &Path) -> Result<()> {
         let fail = |reason: String| file(path, reason);
         self.check().map_err(fail)?;
@@ -40,7 +39,7 @@ impl SemanticHead {
         let meta = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("labels".to_owned(), labels),
-            // The shortest text that is read as the same number.
+            // Shortest text that parses to the same number.
             ("temperature".to_owned(), self.temperature.to_string()),
         ]);
         let tensors = [
@@ -52,10 +51,10 @@ impl SemanticHead {
         Ok(())
     }
 
-    /// Reads what [`SemanticHead::save`] wrote.
+    /// Reads a file written by [`SemanticHead::save`].
     ///
     /// # Errors
-    /// If there is no such file, or it does not hold a head.
+    /// If the file does not exist or does not hold a head.
     pub fn load(path: &Path) -> Result<SemanticHead> {
         let fail = |reason: String| file(path, reason);
         let bytes = std::fs::read(path).map_err(|e| match e.kind() {
@@ -88,7 +87,7 @@ impl SemanticHead {
         Ok(head)
     }
 
-    /// What is wrong with it, if anything.
+    /// Returns the first problem as an error.
     fn check(&self) -> std::result::Result<(), String> {
         let (decoder, text) = (&self.decoder, &self.text);
         let labels = &text.labels;
@@ -120,7 +119,9 @@ impl SemanticHead {
         Ok(())
     }
 
-    /// The probability of a class, by softmax, where features decode to its own text: about the most that it gets.
+    /// Returns about the maximum probability that a class reaches.
+    ///
+    /// This is its softmax probability for features that decode to its own text embedding.
     pub fn peak(&self, class: usize) -> f64 {
         let unit = normalize_embeddings(&self.text.data);
         let texts: Vec<&[f32]> = unit.chunks(EMBEDDING).collect();
@@ -130,10 +131,10 @@ impl SemanticHead {
         1.0 / texts.iter().map(above).sum::<f64>()
     }
 
-    /// The number of a class by its name.
+    /// Returns the index of a class.
     ///
     /// # Errors
-    /// If there is none of that name; the sentence holds the names nearest to it.
+    /// If no class has this name. The sentence lists the most similar names.
     pub fn class(&self, name: &str) -> Result<usize> {
         let labels = &self.text.labels;
         if let Some(class) = labels.iter().position(|label| label == name) {
@@ -190,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_head_comes_back_as_it_was() {
+    fn head_roundtrips_bit_for_bit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("semantics.safetensors");
         for labels in [&["wall"][..], &["wall", "sofa, \"big\"", "дверь", ""]] {
@@ -205,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_fault_has_its_own_message() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("semantics.safetensors");
         let error = || SemanticHead::load(&path).unwrap_err().to_string();
@@ -213,7 +214,7 @@ mod tests {
         std::fs::write(&path, b"not a head at all").unwrap();
         assert!(error().contains("damaged or not a semantic head"), "{}", error());
 
-        // What would not be read again is not written, and the file stays what it was.
+        // A head that would not load again is not written, and the file stays unchanged.
         let refused = |change: fn(&mut SemanticHead)| {
             let mut head = head(&["wall", "sofa"]);
             change(&mut head);
@@ -230,7 +231,7 @@ mod tests {
         assert!(refused(|h| (h.text.labels.clear(), h.text.data.clear()).0).contains("there are no classes"));
         assert_eq!(std::fs::read(&path).unwrap(), b"not a head at all");
 
-        // The same when another program wrote them.
+        // Files of other programs are refused for the same reasons.
         let write = |change: &dyn Fn(&mut Meta, &mut Tensors)| {
             let h = head(&["wall", "sofa"]);
             let mut meta = HashMap::from([
@@ -259,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_cut_or_changed_anywhere_is_no_panic() {
+    fn truncated_or_corrupted_files_do_not_panic() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a");
         head(&["wall"]).save(&path).unwrap();
@@ -277,10 +278,10 @@ mod tests {
     }
 
     #[test]
-    fn the_peak_is_the_softmax_of_the_text_itself() {
+    fn peak_is_the_softmax_of_the_class_text() {
         let mut h = head(&["a", "b", "c"]);
         h.text.data.fill(0.0);
-        // Of any length: along two axes, and between them.
+        // Embeddings of different lengths: along two axes, and between them.
         (h.text.data[0], h.text.data[EMBEDDING + 1]) = (2.0, 5.0);
         (h.text.data[2 * EMBEDDING], h.text.data[2 * EMBEDDING + 1]) = (3.0, 3.0);
         h.temperature = 0.5;
@@ -293,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn classes_by_name() {
+    fn classes_are_found_by_name_or_similar_names_suggested() {
         let h = head(&["wall", "sofa", "floor lamp", "lamp", "table"]);
         assert_eq!(h.class("lamp").unwrap(), 3);
         let error = |name: &str| h.class(name).unwrap_err().to_string();

@@ -1,6 +1,6 @@
-//! A trained run: its directory, its files, and what renders and shades it.
+//! Trained runs: directory, files, rendering and shading.
 //!
-//! Knows what training leaves and how to read it back. Knows no schedule and trains nothing.
+//! Reads everything that training writes. Contains no schedule and no training.
 
 mod classify;
 mod contents;

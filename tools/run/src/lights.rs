@@ -1,4 +1,4 @@
-//! `lights.json` and `environment.exr`: what other programs read, and what pictures under other lights start from.
+//! Light files of a run: `lights.json`.
 
 use crate::error::{Result, RunError};
 use serde::{Deserialize, Serialize};
@@ -6,51 +6,52 @@ use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_scene::Unit;
 use std::path::Path;
 
-/// What stands first in the file.
+/// Format identifier of the file.
 const FORMAT: &str = "sgs-lights-1";
 
-/// Most lights and lobes that a file may hold.
+/// Maximum number of lights in a file.
 pub const MOST: usize = 1 << 16;
 
-/// `lights.json`.
+/// Content of `lights.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LightFile {
-    /// `sgs-lights-1`.
+    /// Format identifier: `sgs-lights-1`.
     pub format: String,
-    /// Factor of all light, whatever becomes of single ones: radiance is this times the sum over the lights of
-    /// `gain * sum over lobes of amplitude * exp(sharpness * (direction . axis - 1)) / max(distance^2, 0.001)`, where
-    /// direction points from the surface to the light.
+    /// Common factor of all lights.
+    ///
+    /// Radiance is this times the sum over the lights of `gain * sum over lobes of amplitude * exp(sharpness *
+    /// (direction . axis - 1)) / max(distance^2, 0.001)`. `direction` points from the surface to the light.
     pub normalizer: f32,
-    /// The lights.
+    /// Lights of the file.
     pub lights: Vec<LightRow>,
 }
 
-/// A light.
+/// Point light with directional lobes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LightRow {
-    /// Place in the world.
+    /// Position in world space.
     pub position: [f32; 3],
-    /// Factor of its light; 0 is off.
+    /// Factor of the light's intensity; 0 is off.
     pub gain: f32,
-    /// Its lobes.
+    /// Lobes, whose sum is the emission.
     pub lobes: Vec<LobeRow>,
 }
 
-/// A spherical Gaussian.
+/// Spherical Gaussian lobe.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LobeRow {
-    /// Unit vector: surfaces from which the light is in this direction get most.
+    /// Unit vector. Surfaces from which the light lies in this direction receive the most.
     pub axis: [f32; 3],
-    /// How narrow it is.
+    /// Sharpness, 0 or more; larger is narrower.
     pub sharpness: f32,
     /// Linear red, green, blue.
     pub amplitude: [f32; 3],
 }
 
-/// A row of [`LightModel::row`] floats with a free axis; no lobe is a dark one.
+/// Returns a row of [`LightModel::row`] floats with a free axis. `None` gives a dark lobe.
 pub fn raw_lobe(lobe: Option<&LobeRow>) -> [f32; 7] {
     let Some(LobeRow { axis: [x, y, z], sharpness, amplitude }) = lobe else {
         return [0.0, 0.0, 1.0, 0.0, -69.0, -69.0, -69.0];
@@ -60,12 +61,12 @@ pub fn raw_lobe(lobe: Option<&LobeRow>) -> [f32; 7] {
 }
 
 impl LightFile {
-    /// Of some lights.
+    /// Creates a file of some lights.
     pub fn new(normalizer: f32, lights: Vec<LightRow>) -> LightFile {
         LightFile { format: FORMAT.to_owned(), normalizer, lights }
     }
 
-    /// From raw parameters.
+    /// Converts raw parameters to a file.
     pub fn of(model: &LightModel, normalizer: f32, positions: &[f32], lobes: &[f32], gains: &[f32]) -> LightFile {
         let row = model.row() as usize;
         let light = |i: usize| LightRow {
@@ -88,7 +89,7 @@ impl LightFile {
         LightFile { format: FORMAT.to_owned(), normalizer, lights }
     }
 
-    /// The same lights where lengths are in another unit.
+    /// Returns the same lights with lengths in another unit.
     pub fn in_unit(&self, unit: Unit) -> LightFile {
         let mut file = self.clone();
         let dimmer = unit.length().powi(-2) as f32;
@@ -99,8 +100,9 @@ impl LightFile {
         file
     }
 
-    /// Back to raw parameters with free axes: model, positions, lobes, gains. Lights with fewer lobes than others get dark
-    /// ones.
+    /// Converts to raw parameters with free axes: model, positions, lobes, gains.
+    ///
+    /// Lights with fewer lobes than others are padded with dark lobes.
     pub fn raw(&self) -> (LightModel, Vec<f32>, Vec<f32>, Vec<f32>) {
         let most = self.lights.iter().map(|l| l.lobes.len()).max().unwrap_or(1).max(1);
         let model = LightModel { lights: self.lights.len().max(1) as u32, lobes: most as u32, axes: Axes::Free };
@@ -118,10 +120,10 @@ impl LightFile {
         (model, positions, lobes, gains)
     }
 
-    /// Checks what types cannot.
+    /// Checks values that the types do not constrain.
     ///
     /// # Errors
-    /// What is wrong.
+    /// Description of the first invalid value.
     pub fn check(&self) -> std::result::Result<(), String> {
         if self.format != FORMAT {
             return Err(format!("its format is \"{}\", not \"{FORMAT}\"", self.format));
@@ -154,7 +156,7 @@ impl LightFile {
     }
 }
 
-/// Where a lobe points: unit vector.
+/// Returns the axis of a lobe as a unit vector.
 fn axis(model: &LightModel, lobe: u32, raw: &[f32]) -> [f32; 3] {
     if model.axes == Axes::Free {
         let [x, y, z] = [raw[0], raw[1], raw[2]].map(f64::from);
@@ -174,7 +176,7 @@ fn axis(model: &LightModel, lobe: u32, raw: &[f32]) -> [f32; 3] {
 /// Writes `lights.json`.
 ///
 /// # Errors
-/// If it cannot be written.
+/// If the file cannot be written.
 pub fn write_lights(path: &Path, lights: &LightFile) -> Result<()> {
     let text = serde_json::to_string_pretty(lights).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
@@ -184,7 +186,7 @@ pub fn write_lights(path: &Path, lights: &LightFile) -> Result<()> {
 /// Reads `lights.json`.
 ///
 /// # Errors
-/// If it is not there or damaged.
+/// If the file is missing or damaged.
 pub fn read_lights(path: &Path) -> Result<LightFile> {
     let text = std::fs::read_to_string(path).map_err(|e| file(path, e.to_string()))?;
     let lights: LightFile = serde_json::from_str(&text).map_err(|e| file(path, format!("not lights: {e}")))?;
@@ -201,7 +203,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lights_go_to_a_file_and_back() {
+    fn lights_roundtrip_through_raw_parameters() {
         for axes in [Axes::Free, Axes::Grid] {
             let model = LightModel { lights: 8, lobes: 12, axes };
             let positions = model.start_positions([-1.0, -2.0, 0.0], [1.0, 2.0, 3.0]);
@@ -225,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named() {
+    fn invalid_values_are_named() {
         let lobe = LobeRow { axis: [0.0, 0.0, 1.0], sharpness: 1.0, amplitude: [1.0; 3] };
         let light = LightRow { position: [0.0; 3], gain: 1.0, lobes: vec![lobe] };
         let good = LightFile { format: FORMAT.into(), normalizer: 1.0, lights: vec![light.clone(); 2] };

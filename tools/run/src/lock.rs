@@ -1,7 +1,8 @@
-//! The lock of a directory that a command writes into: one writer at a time.
+//! Lock of a directory that a command writes into: at most one writer.
 //!
-//! The lock is a file in the directory that the holder keeps locked through the operating system and that names the holder.
-//! A holder that was killed leaves the file. The next one on the same machine finds it unlocked, or its process gone, and takes it over.
+//! The lock is a file in the directory that names its holder. The holder keeps it locked through the operating
+//! system. A killed holder leaves the file behind. The next holder on the same machine takes it over if it is
+//! unlocked and its process is gone.
 
 use crate::error::{Result, RunError, error};
 use serde::{Deserialize, Serialize};
@@ -9,47 +10,49 @@ use std::fs::{File, TryLockError};
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
-/// Name of the lock's file in the directory.
+/// Name of the lock file.
 const LOCK_FILE: &str = ".lock";
 
-/// The process that holds a lock.
+/// Process that holds a lock.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LockHolder {
     /// Process id.
     pub pid: u32,
-    /// Name of its machine.
+    /// Host name.
     pub host: String,
-    /// When it started, in clock ticks since the machine booted; absent where the system does not report it.
+    /// Start time in clock ticks since boot; `None` if the system does not report it.
     pub started: Option<u64>,
-    /// The machine's boot, absent where the system does not report it.
+    /// Boot id of the machine; `None` if the system does not report it.
     pub boot: Option<String>,
 }
 
 impl LockHolder {
-    /// This process.
+    /// Returns the description of this process.
     pub fn this_process() -> LockHolder {
         let pid = std::process::id();
         let host = gethostname::gethostname().to_string_lossy().into_owned();
         LockHolder { pid, host, started: start_of(pid), boot: boot() }
     }
 
-    /// Whether the process ran on this machine.
+    /// Returns whether the process ran on this machine.
     fn is_here(&self) -> bool {
         let this = LockHolder::this_process();
-        // Containers of one machine share its boot, and a machine that was rebooted keeps its name.
+        // Containers on one machine share the boot id. A rebooted machine keeps its host name.
         self.host == this.host || self.boot.is_some() && self.boot == this.boot
     }
 
-    /// Whether the process is known to run on this machine: a process of its id that started when it did.
+    /// Returns whether the process still runs on this machine.
+    ///
+    /// A running process has the same id and the same start time.
     fn is_alive(&self) -> bool {
         self.started.is_some() && self.boot == boot() && start_of(self.pid) == self.started
     }
 }
 
-/// When a process started, in clock ticks since the machine booted.
+/// Returns the start time of a process in clock ticks since boot.
 fn start_of(pid: u32) -> Option<u64> {
     let text = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // The name of the program stands in parentheses and may hold spaces; the start is the 22nd field.
+    // The program name is in parentheses and may contain spaces; the start time is field 22.
     text.rsplit_once(')')?.1.split_whitespace().nth(19)?.parse().ok()
 }
 
@@ -58,7 +61,9 @@ fn boot() -> Option<String> {
     Some(text.trim().to_owned())
 }
 
-/// A held lock. Dropping it removes the lock's file, and the directory if the lock made it and it is still empty.
+/// Held lock of a directory.
+///
+/// Dropping it removes the lock file. Directories that the lock created are removed if they are still empty.
 #[derive(Debug)]
 pub struct DirectoryLock {
     path: PathBuf,
@@ -68,10 +73,10 @@ pub struct DirectoryLock {
 }
 
 impl DirectoryLock {
-    /// Locks a directory; makes it where it is missing.
+    /// Locks a directory; creates it if it is missing.
     ///
     /// # Errors
-    /// [`RunError::Locked`] if another process holds the lock; [`RunError::File`] if the directory or the lock's file
+    /// [`RunError::Locked`] if another process holds the lock; [`RunError::File`] if the directory or the lock file
     /// cannot be written.
     pub fn acquire(root: &Path) -> Result<DirectoryLock> {
         let made = missing_folders(root);
@@ -85,7 +90,7 @@ impl DirectoryLock {
         Ok(DirectoryLock { path, made, recovered, _file: file })
     }
 
-    /// The process that left the lock behind when it ended, if one did.
+    /// Returns the dead process whose lock was taken over, if any.
     pub fn recovered(&self) -> Option<&LockHolder> {
         self.recovered.as_ref()
     }
@@ -93,13 +98,13 @@ impl DirectoryLock {
 
 impl Drop for DirectoryLock {
     fn drop(&mut self) {
-        // A file that stays is recovered by the next holder.
+        // The next holder recovers a file that cannot be removed.
         let _ = std::fs::remove_file(&self.path);
         remove_empty(&self.made);
     }
 }
 
-/// The folders that must be made so that a directory exists, the outermost first.
+/// Returns the missing ancestors of a directory and itself, outermost first.
 fn missing_folders(root: &Path) -> Vec<PathBuf> {
     let missing = root.ancestors().take_while(|p| !p.as_os_str().is_empty() && !p.exists());
     let mut folders: Vec<PathBuf> = missing.map(Path::to_owned).collect();
@@ -107,25 +112,25 @@ fn missing_folders(root: &Path) -> Vec<PathBuf> {
     folders
 }
 
-/// Removes folders that are empty, the innermost first.
+/// Removes empty folders, innermost first.
 fn remove_empty(folders: &[PathBuf]) {
     for folder in folders.iter().rev() {
-        // A folder that holds something stays.
+        // Fails if the folder is not empty.
         let _ = std::fs::remove_dir(folder);
     }
 }
 
-/// Opens, locks and signs the lock's file. Returns it with the holder that left it behind.
+/// Opens, locks and signs the lock file. Also returns the dead holder that left it behind.
 fn lock(root: &Path, path: &Path) -> Result<(File, Option<LockHolder>)> {
     let failed = |e: std::io::Error| error(path, format!("cannot be written: {e}"));
-    // A holder that ends between opening and locking removes the file: then a new one is opened.
+    // A holder that ends between opening and locking removes the file; then a new file is opened.
     for _ in 0..100 {
         let options = || File::options().read(true).write(true).create(true).truncate(false).to_owned();
         let mut file = options().open(path).map_err(failed)?;
         match file.try_lock() {
             Ok(()) if !is_still(&file, path) => continue,
             Err(TryLockError::WouldBlock) => return Err(locked(root, holder(&mut file))),
-            // Some network file systems have no locks; the holder's name has to do.
+            // Some network file systems have no locks; the recorded holder decides.
             Ok(()) | Err(TryLockError::Error(_)) => {}
         }
         let left = holder(&mut file);
@@ -142,7 +147,7 @@ fn lock(root: &Path, path: &Path) -> Result<(File, Option<LockHolder>)> {
     Err(locked(root, None))
 }
 
-/// Whether a path still names an open file.
+/// Returns whether a path still names an open file.
 #[cfg(unix)]
 fn is_still(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -156,7 +161,7 @@ fn is_still(_: &File, _: &Path) -> bool {
     true
 }
 
-/// The holder that a lock's file names.
+/// Returns the holder recorded in a lock file.
 fn holder(file: &mut File) -> Option<LockHolder> {
     let mut text = String::new();
     file.read_to_string(&mut text).ok()?;
@@ -187,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn a_held_lock_is_refused_and_a_released_one_is_free() {
+    fn held_lock_is_refused_and_released_lock_is_free() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("a/b");
         let lock = DirectoryLock::acquire(&root).unwrap();
@@ -204,12 +209,12 @@ mod tests {
     }
 
     #[test]
-    fn a_lock_of_a_process_that_is_gone_is_recovered() {
+    fn lock_of_a_dead_process_is_recovered() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path();
         let this = LockHolder::this_process();
         let Some(started) = this.started else { return };
-        // A process of the same id that started at another time, one from before a reboot, one of another container.
+        // Same id with another start time, a process before a reboot, and a process of another container.
         let earlier = LockHolder { started: Some(started - 1), ..this.clone() };
         let rebooted = LockHolder { boot: Some("another boot".into()), ..this.clone() };
         let container = LockHolder { host: "another name".into(), ..earlier.clone() };
@@ -217,14 +222,14 @@ mod tests {
             leave(root, &left);
             assert_eq!(DirectoryLock::acquire(root).unwrap().recovered(), Some(&left));
         }
-        // One that names a process that runs is not, even where the file itself is not locked.
+        // A recorded process that still runs holds the lock even if the file itself is not locked.
         leave(root, &this);
         assert!(matches!(DirectoryLock::acquire(root), Err(RunError::Locked { .. })));
         let elsewhere = LockHolder { host: "far".into(), boot: None, ..this };
         leave(root, &elsewhere);
         let refused = DirectoryLock::acquire(root).unwrap_err().to_string();
         assert!(refused.contains(" on far ") && refused.contains("delete"), "{refused}");
-        // A file that was cut off names nobody.
+        // A truncated file names no holder.
         std::fs::write(root.join(LOCK_FILE), "{\"pid\": 1").unwrap();
         assert_eq!(DirectoryLock::acquire(root).unwrap().recovered(), None);
     }

@@ -2,16 +2,16 @@
 
 use sgs_scene::{ALBEDO_RANGE as ALBEDO, ROUGHNESS_RANGE as ROUGHNESS};
 
-/// Nearer to the ends no value comes: beyond, what is before activation would be infinite.
+/// Minimum distance from the ends of the range. Values at the ends would be infinite before activation.
 const MARGIN: f32 = 1e-4;
 
-/// The lowest albedo, and how far above it the highest lies, of a range of two ends.
+/// Converts the ends of an albedo range to its low end and its width.
 pub fn span([low, high]: [f32; 2]) -> [f32; 2] {
-    // The range of files is known to the bit.
+    // Files use exactly these constants; the difference is not bit-identical.
     if [low, high] == [0.01, 0.99] { ALBEDO } else { [low, high - low] }
 }
 
-/// Albedo before activation in another range: the same values, or the nearest.
+/// Converts raw albedo to another range. Values outside it are clamped.
 pub fn in_range(raw: Vec<f32>, from: [f32; 2], to: [f32; 2]) -> Vec<f32> {
     if from == to {
         return raw;
@@ -19,27 +19,27 @@ pub fn in_range(raw: Vec<f32>, from: [f32; 2], to: [f32; 2]) -> Vec<f32> {
     raw.into_iter().map(|raw| logit((from[0] + from[1] * sigmoid(raw) - to[0]) / to[1])).collect()
 }
 
-/// Albedo before activation; values beyond what there is become the nearest.
+/// Returns albedo before activation. Values outside the range are clamped.
 pub fn raw(value: f32) -> f32 {
     logit((value - ALBEDO[0]) / ALBEDO[1])
 }
 
-/// Roughness before activation.
+/// Returns roughness before activation.
 pub fn raw_roughness(value: f32) -> f32 {
     logit((value - ROUGHNESS[0]) / ROUGHNESS[1])
 }
 
-/// Metallic before activation.
+/// Returns metallic before activation.
 pub fn raw_metallic(value: f32) -> f32 {
     logit(value)
 }
 
-/// Albedo from before activation.
+/// Returns albedo after activation.
 pub fn value(raw: f32) -> f32 {
     ALBEDO[0] + ALBEDO[1] * sigmoid(raw)
 }
 
-/// Roughness from before activation.
+/// Returns roughness after activation.
 pub fn roughness_value(raw: f32) -> f32 {
     ROUGHNESS[0] + ROUGHNESS[1] * sigmoid(raw)
 }
@@ -49,7 +49,7 @@ fn logit(share: f32) -> f32 {
     (p / (1.0 - p)).ln()
 }
 
-/// The logistic function.
+/// Logistic function.
 pub fn sigmoid(raw: f32) -> f32 {
     1.0 / (1.0 + (-raw).exp())
 }
@@ -68,7 +68,7 @@ mod tests {
             let back = in_range(vec![there], ALBEDO, published)[0];
             assert!((back - raw).abs() < 1e-3, "{raw} {back}");
         }
-        // What is darker than the range becomes its darkest.
+        // Values below the range become its low end.
         let dark = in_range(vec![-9.0], ALBEDO, published)[0];
         assert!(dark.is_finite() && of(dark, published) < 0.0902);
         assert_eq!(in_range(vec![-9.0], ALBEDO, span([0.01, 0.99])), [-9.0]);

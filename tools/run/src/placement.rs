@@ -1,14 +1,14 @@
-//! Other scenes put into one: scaled, turned, moved, and lit by its lights.
+//! Insertion of splats into a scene: scaled, rotated, translated, and lit by its lights.
 
 use crate::harmonics::{CONSTANT, Rotation};
 use crate::materials::{raw, raw_metallic, raw_roughness};
 use glam::{DQuat, DVec3};
 use sgs_scene::{Placement, Splats, srgb_to_linear};
 
-/// Roughness of what comes without.
+/// Roughness of inserted splats that have none.
 const ROUGHNESS: f32 = 0.5;
 
-/// Scales, turns and moves splats.
+/// Scales, rotates and translates splats.
 pub fn placed(mut guest: Splats, how: &Placement) -> Splats {
     let [w, x, y, z] = how.rotation;
     let q = DQuat::from_xyzw(x, y, z, w).normalize();
@@ -27,8 +27,10 @@ pub fn placed(mut guest: Splats, how: &Placement) -> Splats {
     guest
 }
 
-/// Puts splats behind those of a host. What the guest lacks it gets: normals from its thinnest axes, albedo from its
-/// color. What the host lacks stays away, but for metallic.
+/// Appends the splats of a guest to a host.
+///
+/// Missing guest data is derived: normals are the shortest axes, albedo is the color. Guest data that the host lacks
+/// is dropped, except for metallic.
 pub fn join(host: &mut Splats, mut guest: Splats) {
     let (old, new) = (host.len(), guest.len());
     let degree = host.sh_degree().max(guest.sh_degree());
@@ -69,7 +71,7 @@ pub fn join(host: &mut Splats, mut guest: Splats) {
     host.opacity_logits.append(&mut guest.opacity_logits);
 }
 
-/// The thinnest axes, away from the middle of all.
+/// Returns the shortest axis of each splat, oriented away from the mean position.
 fn thinnest(s: &Splats) -> Vec<[f32; 3]> {
     let center = |m: &[f32; 3]| DVec3::from(m.map(f64::from));
     let middle = s.means.iter().map(center).sum::<DVec3>() / s.len().max(1) as f64;
@@ -102,8 +104,8 @@ mod tests {
     }
 
     #[test]
-    fn guests_are_scaled_turned_and_moved() {
-        // A quarter about z, twice as large, one up.
+    fn guests_are_scaled_rotated_and_translated() {
+        // A rotation of 90° about z, scale 2, translation 1 along z.
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let how = Placement { scale: 2.0, rotation: [half, 0.0, 0.0, half], translation: [0.0, 0.0, 1.0] };
         let guest = placed(one(), &how);
@@ -112,12 +114,13 @@ mod tests {
         near(&guest.log_scales[0], &[2f32.ln(), 2f32.ln() - 1.0, 2f32.ln() + 1.0]);
         near(&guest.rotations[0], &[half as f32, 0.0, 0.0, half as f32]);
         near(&guest.normals.unwrap()[0], &[0.0, 1.0, 0.0]);
-        // -y z -x with coefficients 1: the vector (-1, -1, 1) becomes (1, -1, 1), which is -y z -x with (1, 1, -1).
+        // The basis is -y, z, -x. Coefficients 1 are the vector (-1, -1, 1). Rotated, it is (1, -1, 1): coefficients
+        // (1, 1, -1).
         near(&guest.sh[1][..9], &[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0, -1.0, -1.0]);
     }
 
     #[test]
-    fn a_guest_gets_what_it_lacks() {
+    fn missing_guest_data_is_derived() {
         let mut host = Splats {
             albedo: Some(vec![[0.0; 3]]),
             roughness: Some(vec![0.0]),

@@ -1,11 +1,11 @@
-//! Rendering a view of a run.
+//! Rendering of a single view.
 
 use crate::convert::camera;
 use crate::error::Result;
-use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::pipeline::{RenderedImage, Renderer};
 use sgs_passes::scene::Gaussians;
 
-/// Renders one view with rgb, depth, and normals where the model has them.
+/// Renders a view with color, depth, and normals if the model has them.
 ///
 /// # Errors
 /// If the device fails.
@@ -14,6 +14,6 @@ pub fn render_view(
     gaussians: &Gaussians,
     view: &sgs_scene::Camera,
     background: [f32; 3],
-) -> Result<Picture> {
+) -> Result<RenderedImage> {
     Ok(renderer.render(gaussians, &camera(view), gaussians.model.sh_degree, background)?)
 }

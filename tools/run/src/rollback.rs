@@ -1,6 +1,7 @@
-//! Checkpoints that a diverged training continues from: the last validated one, and a candidate that is not validated yet.
+//! Rollback checkpoints of a diverged training: the last validated one and a candidate.
 //!
-//! Both are hard links to earlier checkpoints where the file system has links, so they take no space until the next checkpoint.
+//! Both are hard links to earlier checkpoints where the file system has links. They take no space until the next
+//! checkpoint is written.
 
 use crate::error::{Result, error, remove};
 use std::path::{Path, PathBuf};
@@ -14,13 +15,13 @@ pub struct RollbackFiles {
 }
 
 impl RollbackFiles {
-    /// Those beside a checkpoint.
+    /// Returns the rollback files beside a checkpoint.
     pub fn beside(checkpoint: PathBuf) -> RollbackFiles {
         let beside = |what: &str| checkpoint.with_extension(format!("{what}.safetensors"));
         RollbackFiles { candidate: beside("candidate"), validated: beside("validated"), checkpoint }
     }
 
-    /// Makes the current checkpoint the candidate.
+    /// Marks the current checkpoint as the candidate.
     ///
     /// # Errors
     /// If a file cannot be written.
@@ -33,7 +34,7 @@ impl RollbackFiles {
             .map_err(|e| error(&self.candidate, format!("cannot be written: {e}")))
     }
 
-    /// Replaces the validated checkpoint by the candidate. Does nothing if there is no candidate.
+    /// Replaces the validated checkpoint by the candidate. Does nothing without a candidate.
     ///
     /// # Errors
     /// If a file cannot be renamed.
@@ -46,7 +47,7 @@ impl RollbackFiles {
         }
     }
 
-    /// Drops the candidate and returns the validated checkpoint, if there is one.
+    /// Drops the candidate and returns the validated checkpoint, if any.
     ///
     /// # Errors
     /// If a file cannot be removed.
@@ -55,7 +56,7 @@ impl RollbackFiles {
         Ok(self.validated.is_file().then_some(&self.validated))
     }
 
-    /// Removes both.
+    /// Removes candidate and validated checkpoint.
     ///
     /// # Errors
     /// If a file cannot be removed.

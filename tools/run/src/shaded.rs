@@ -1,4 +1,4 @@
-//! A run with materials and lights as something that shades, and its pictures.
+//! Shading of a run with materials and lights, and its images.
 
 use crate::convert::{camera, gaussian_data};
 use crate::directory::RunDirectory;
@@ -18,32 +18,32 @@ use sgs_passes::shade::visibility::VisibilityField;
 use sgs_scene::{Image, Splats, Unit, linear_to_srgb, read_environment, srgb_to_linear};
 use std::path::Path;
 
-/// An environment as texels of a cube: its size along an edge, and `[6 * size * size * 3]` numbers.
+/// Environment map as texels of a cube map: `[6 * size * size * 3]` floats.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Texels {
-    /// Texels along an edge.
+    /// Texels per edge of a face.
     pub size: u32,
     /// Linear radiance.
     pub data: Vec<f32>,
 }
 
 impl Texels {
-    /// From a latitude-longitude picture, linear.
+    /// Reads a latitude-longitude image of linear radiance.
     ///
     /// # Errors
-    /// If it cannot be read or is none.
+    /// If the file cannot be read or is not an environment map.
     pub fn read(path: &Path, size: u32) -> Result<Texels> {
         let image = read_environment(path)?;
         Ok(Texels { size, data: latlong::to_cube(&image.data, [image.width, image.height], size) })
     }
 
-    /// One color all around.
+    /// Returns an environment map of one color.
     pub fn uniform(size: u32, color: [f32; 3]) -> Texels {
         Texels { size, data: color.repeat((6 * size * size) as usize) }
     }
 }
 
-/// Puts splats with materials, lights and surroundings into device memory.
+/// Uploads splats with materials, lights and environment map to the device.
 ///
 /// # Errors
 /// If the splats have no materials or normals, or memory runs out.
@@ -60,7 +60,7 @@ pub fn shaded_scene(
     if splats.normals.is_none() {
         return Err(missing("normals"));
     }
-    // Scenes that are small in their own unit would lie within the least distance of a light.
+    // Scenes that are small in their own unit would lie within the minimum distance of a light.
     let unit = Unit::of_splats(splats);
     let scaled = (unit != Unit::OWN).then(|| splats.clone().in_unit(unit));
     let splats = scaled.as_ref().unwrap_or(splats);
@@ -111,10 +111,10 @@ pub fn shaded_scene(
     })
 }
 
-/// Puts surroundings into device memory.
+/// Uploads an environment map to the device.
 ///
 /// # Errors
-/// If there can be none of this size, or memory runs out.
+/// If the size is not supported, or memory runs out.
 pub fn shaded_environment(device: &Device, texels: &Texels) -> Result<ShadedEnvironment> {
     let options = EnvironmentOptions { smoothness: None, ..EnvironmentOptions::default() };
     let tables = Environment::new(texels.size, &options).map_err(|e| RunError::Refused(e.to_string()))?;
@@ -123,30 +123,30 @@ pub fn shaded_environment(device: &Device, texels: &Texels) -> Result<ShadedEnvi
     Ok(ShadedEnvironment { tables, memory, texels })
 }
 
-/// What lights a run, as its files have it.
+/// Light of a run, read from its files.
 #[derive(Clone, Debug, Default)]
 pub struct RunLight {
-    /// Lamps.
+    /// Point lights.
     pub lights: Option<LightFile>,
-    /// Surroundings.
+    /// Environment map.
     pub environment: Option<Texels>,
-    /// What lamps see.
+    /// Shadows of the lights.
     pub visibility: Visibility,
 }
 
-/// What lamps see.
+/// Shadows of the lights.
 #[derive(Clone, Debug, Default)]
 pub enum Visibility {
-    /// Everything: nothing is in their way.
+    /// No shadows.
     #[default]
     None,
-    /// What training has learned of the lamps where they are.
+    /// Visibility field, trained for the lights at their positions.
     Learned(Box<VisibilityFile>),
-    /// What rays through the Gaussians find.
+    /// Rays through the Gaussians.
     Traced(Rays),
 }
 
-/// What lights a run: its lamps, its surroundings and what lamps see, as its files have them.
+/// Reads the light of a run: lights, environment map and visibility.
 ///
 /// # Errors
 /// If a file is damaged.
@@ -165,7 +165,7 @@ pub fn light_of(run: &RunDirectory, settings: &Settings) -> Result<RunLight> {
     Ok(RunLight { lights, environment, visibility })
 }
 
-/// Shades views of one scene.
+/// Shading of views of one scene.
 pub struct Shading {
     device: Device,
     scene: ShadedScene,
@@ -184,7 +184,7 @@ impl Shading {
         Ok(Shading { device: device.clone(), scene, shader, covered: Vec::new() })
     }
 
-    /// The same without how much of the lights pixels see, which takes as long as shading.
+    /// Omits the mean visibility of the lights per pixel. It costs as much as shading.
     pub fn without_visibility(mut self) -> Shading {
         self.shader = self.shader.without_visibility();
         self
@@ -198,7 +198,7 @@ impl Shading {
         self.shade_from(&camera(view))
     }
 
-    /// As [`Shading::shade`], from a camera as kernels take it.
+    /// Shades a view as [`Shading::shade`], from a camera in the layout of the kernels.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -208,7 +208,7 @@ impl Shading {
         Ok(view)
     }
 
-    /// Shades a view without readback and returns the seconds that takes.
+    /// Shades a view without readback and returns the elapsed seconds.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -216,8 +216,9 @@ impl Shading {
         Ok(self.shader.time(&self.scene, &camera(view))?)
     }
 
-    /// Light of the lamps alone, as [`ShadedView::direct`]: over and over from one place with other gains, where it takes little more than
-    /// the lamps that are on.
+    /// Returns the light from point lights only, as [`ShadedView::direct`].
+    ///
+    /// Repeated calls with the same view and other gains cost little more than the lights that are on.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -226,7 +227,9 @@ impl Shading {
         Ok(Image { width: view.width, height: view.height, channels: 3, data })
     }
 
-    /// The same, 3 floats a pixel, from a camera as kernels take it.
+    /// Returns the values of [`Shading::direct`] for a camera of the kernels.
+    ///
+    /// Returns 3 floats per pixel.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -239,7 +242,9 @@ impl Shading {
         Ok(direct)
     }
 
-    /// What each splat, alone and at its center, sends to a place: linear red, green, blue.
+    /// Returns the linear RGB that each splat sends to `from`.
+    ///
+    /// Each splat is shaded alone, at its center.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -257,10 +262,10 @@ impl Shading {
         Ok(light)
     }
 
-    /// Takes other factors of the lights, one for each; 0 is off.
+    /// Sets the gain of each light; 0 is off.
     ///
     /// # Errors
-    /// If there are not as many lights, or the device fails.
+    /// If the number of gains differs from the number of lights, or the device fails.
     pub fn set_gains(&mut self, device: &Device, gains: &[f32]) -> Result<()> {
         let lights = self.scene.lights.as_ref().map_or(0, |l| l.model.lights as usize);
         if gains.len() != lights {
@@ -274,17 +279,17 @@ impl Shading {
         Ok(())
     }
 
-    /// The scene.
+    /// Returns the scene.
     pub fn scene(&self) -> &ShadedScene {
         &self.scene
     }
 }
 
-/// A shaded view as images.
+/// Channels of a shaded view as images.
 #[derive(Clone, Debug)]
 pub struct ShadedView(pub Shaded);
 
-/// Pixels that are less opaque have no materials.
+/// Minimum opacity of a pixel that has materials.
 const LEAST_COVERAGE: f32 = 1e-3;
 
 impl ShadedView {
@@ -296,43 +301,43 @@ impl ShadedView {
         self.0.coverage.len()
     }
 
-    /// How much of the lights each pixel sees; none where nothing is in their way.
+    /// Returns the mean visibility of the lights per pixel; `None` if not computed.
     pub fn visibility(&self) -> Option<Image> {
         (!self.0.visibility.is_empty()).then(|| self.image(1, self.0.visibility.clone()))
     }
 
-    /// Linear albedo.
+    /// Returns linear albedo.
     pub fn albedo(&self) -> Image {
         self.image(3, self.0.materials.chunks_exact(4).flat_map(|m| [m[0], m[1], m[2]]).collect())
     }
 
-    /// Roughness.
+    /// Returns roughness.
     pub fn roughness(&self) -> Image {
         self.image(1, self.0.materials.chunks_exact(4).map(|m| m[3]).collect())
     }
 
-    /// Metallic; zero where nothing says so.
+    /// Returns metallic; zero if the scene has none.
     pub fn metallic(&self) -> Image {
         let none = self.0.metallic.is_empty();
         self.image(1, if none { vec![0.0; self.pixels()] } else { self.0.metallic.clone() })
     }
 
-    /// Opacity.
+    /// Returns opacity.
     pub fn coverage(&self) -> Image {
         self.image(1, self.0.coverage.clone())
     }
 
-    /// Unit normals, world.
+    /// Returns unit normals in world space.
     pub fn normal(&self) -> Image {
         self.image(3, self.0.normals.clone())
     }
 
-    /// Where there is a surface, in one channel.
+    /// Returns 1 where there is a surface, else 0, in one channel.
     pub fn surface(&self) -> Image {
         self.image(1, self.0.coverage.iter().map(|c| if *c >= LEAST_COVERAGE { 1.0 } else { 0.0 }).collect())
     }
 
-    /// Opacity where there is a surface, else 0: what light is multiplied by.
+    /// Returns opacity where there is a surface, else 0. Light is multiplied by it.
     pub fn covered(&self) -> Vec<f32> {
         self.0.coverage.iter().map(|c| if *c >= LEAST_COVERAGE { *c } else { 0.0 }).collect()
     }
@@ -349,23 +354,25 @@ impl ShadedView {
         self.image(3, (0..self.pixels()).flat_map(pixel).collect())
     }
 
-    /// All light, linear, over a background that is display-referred.
+    /// Returns all linear light over a display-referred background.
     pub fn radiance(&self, background: [f32; 3]) -> Image {
         self.over(&[&self.0.direct, &self.0.ambient], background)
     }
 
-    /// Light of lamps, linear, over black.
+    /// Returns the linear light from point lights over black.
     pub fn direct(&self) -> Image {
         self.over(&[&self.0.direct], [0.0; 3])
     }
 
-    /// Light of the surroundings, linear, over black.
+    /// Returns the linear light of the environment map over black.
     pub fn ambient(&self) -> Image {
         self.over(&[&self.0.ambient], [0.0; 3])
     }
 
-    /// Light of the surroundings on surfaces, over the surroundings themselves where there is no surface, linear.
-    pub fn surroundings(&self) -> Image {
+    /// Returns the linear light of the environment map on surfaces.
+    ///
+    /// The background is the map itself.
+    pub fn environment_map(&self) -> Image {
         let mut image = self.ambient();
         for (p, color) in image.data.chunks_exact_mut(3).enumerate() {
             let c = if self.0.coverage[p] >= LEAST_COVERAGE { self.0.coverage[p] } else { 0.0 };
@@ -375,12 +382,12 @@ impl ShadedView {
         image
     }
 
-    /// Diffuse light, linear, over black.
+    /// Returns linear diffuse light over black.
     pub fn diffuse(&self) -> Image {
         self.over(&[&self.0.direct_diffuse, &self.0.ambient_diffuse], [0.0; 3])
     }
 
-    /// Specular light, linear, over black.
+    /// Returns linear specular light over black.
     pub fn specular(&self) -> Image {
         let all = self.over(&[&self.0.direct, &self.0.ambient], [0.0; 3]);
         let diffuse = self.diffuse();
@@ -389,7 +396,7 @@ impl ShadedView {
     }
 }
 
-/// A linear picture as a screen shows it.
+/// Converts a linear image to display values.
 pub fn displayed(linear: &Image) -> Image {
     let data = linear.data.iter().map(|v| linear_to_srgb(v.clamp(0.0, 1.0))).collect();
     Image { data, ..linear.clone() }

@@ -1,4 +1,4 @@
-//! Shadows traced through a run's own Gaussians.
+//! Shadow rays traced through the Gaussians of a run.
 
 use crate::convert::gaussian_data;
 use crate::error::{Result, RunError};
@@ -8,17 +8,19 @@ use sgs_passes::scene::Model;
 use sgs_passes::shade::traced::{TracedMemory, TracedShape, TracedTree};
 use sgs_scene::Splats;
 
-/// Where rays begin and end, in units of the middle one of the Gaussians' largest standard deviations.
+/// Ends of shadow rays.
+///
+/// The unit is the median over the Gaussians of their largest standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rays {
-    /// How far above surfaces they begin.
+    /// Distance of the origin above the surface.
     pub offset: f32,
-    /// How far before the light they end.
+    /// Distance of the end from the light.
     pub clearance: f32,
 }
 
 impl Rays {
-    /// Those of settings.
+    /// Returns the rays of the settings.
     pub fn of(settings: &VisibilitySettings) -> Rays {
         Rays { offset: settings.offset, clearance: settings.clearance }
     }
@@ -30,10 +32,10 @@ impl Default for Rays {
     }
 }
 
-/// Puts the Gaussians that show anywhere into a tree.
+/// Builds a tree of the visible Gaussians and uploads it.
 ///
 /// # Errors
-/// If too many lie in one place, or memory runs out.
+/// If too many Gaussians lie in one place, or memory runs out.
 pub fn traced(device: &Device, splats: &Splats, rays: Rays) -> Result<(TracedMemory, TracedShape)> {
     let model = Model { sh_degree: 0, normals: false, semantics: false };
     let tree = TracedTree::new(&gaussian_data(splats, model)).map_err(|e| RunError::Refused(e.to_string()))?;
@@ -42,9 +44,11 @@ pub fn traced(device: &Device, splats: &Splats, rays: Rays) -> Result<(TracedMem
     Ok((TracedMemory::new(device, &tree)?, shape))
 }
 
-/// The middle one of the largest standard deviations of Gaussians that are opaque enough to show.
+/// Returns the median of the largest standard deviations.
+///
+/// Only Gaussians with an opacity logit above -2 count.
 fn size(splats: &Splats) -> f32 {
-    // What is no number in one axis is no size.
+    // A Gaussian with a NaN in any axis has no size.
     let or_nan = |m: f32, v: &f32| if m.is_nan() || v.is_nan() { f32::NAN } else { m.max(*v) };
     let largest = |i: usize| splats.log_scales[i].iter().fold(f32::NEG_INFINITY, or_nan);
     let shown = (0..splats.len()).filter(|&i| splats.opacity_logits[i] > -2.0);
@@ -61,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_size_is_that_of_usual_gaussians() {
+    fn ray_unit_is_the_median_size() {
         let mut splats = Splats {
             means: vec![[0.0; 3]; 5],
             log_scales: [1.0_f32, 2.0, 3.0, 500.0, f32::NAN].map(|s| [s.ln(), -9.0, -9.0]).to_vec(),

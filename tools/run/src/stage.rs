@@ -1,9 +1,9 @@
-//! The stages that leave files in a run.
+//! Training stages.
 
 use serde::Serialize;
 use std::fmt;
 
-/// The stages of training, in their order.
+/// Stages of training, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum StageKind {
@@ -14,7 +14,7 @@ pub enum StageKind {
 }
 
 impl StageKind {
-    /// Name in settings, logs and files.
+    /// Returns the name in settings, logs and files.
     pub fn name(self) -> &'static str {
         match self {
             StageKind::Geometry => "geometry",

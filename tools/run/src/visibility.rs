@@ -1,7 +1,7 @@
-//! The visibility field of a run, in one file: tables by level, network, box.
+//! Visibility field of a run in one file: tables per level, network, box.
 //!
-//! Promises: what was saved is loaded bit by bit; a file that is missing, damaged, or of another shape is refused in one
-//! sentence that says which of these. Leaves it to others to run it on a device.
+//! Guarantees: a saved field is loaded bit for bit. A missing, damaged or misshapen file is refused with a sentence
+//! that states which. Inference on a device is in other modules.
 
 use crate::error::{Result, RunError};
 use crate::floats::Floats;
@@ -11,35 +11,35 @@ use sgs_passes::shade::visibility::{FIELD_FEATURES, FIELD_WIDTH, FieldConfig};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What the file says it is.
+/// Format identifier in the file.
 const FORMAT: &str = "sgs-visibility-1";
 
-/// A trained field.
+/// Trained visibility field.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VisibilityFile {
-    /// Its shape.
+    /// Dimensions of the field.
     pub config: FieldConfig,
-    /// Lower corner of the box, world.
+    /// Lower corner of the box in world space.
     pub low: [f32; 3],
     /// Upper corner.
     pub high: [f32; 3],
-    /// Two features an entry, level after level.
+    /// Two features per entry, level by level.
     pub tables: Vec<f32>,
-    /// Rows of the first layer (features, direction, distance), of the second, and the last.
+    /// Weights of the three layers. Inputs of the first: features, direction, distance.
     pub mlp: Vec<f32>,
 }
 
 impl VisibilityFile {
-    /// The same field without its finest levels, of which so many stay.
+    /// Returns the field reduced to its `levels` coarsest levels.
     pub fn first_levels(&self, levels: u32) -> VisibilityFile {
         let [tables, mlp] = self.config.numbers_of_first_levels(levels, 1, [&self.tables, &self.mlp]);
         VisibilityFile { config: self.config.first_levels(levels), tables, mlp, ..*self }
     }
 
-    /// Writes the field beside `path`, and then there.
+    /// Writes the field atomically.
     ///
     /// # Errors
-    /// If it could not be loaded again, or the file cannot be written; an earlier one stays whole.
+    /// If the field would not load again, or the file cannot be written. An existing file then remains unchanged.
     pub fn save(&self, path: &Path) -> Result<()> {
         let fail = |reason: String| file(path, reason);
         self.check().map_err(fail)?;
@@ -70,10 +70,10 @@ impl VisibilityFile {
         Ok(())
     }
 
-    /// Reads what [`VisibilityFile::save`] wrote.
+    /// Reads a file written by [`VisibilityFile::save`].
     ///
     /// # Errors
-    /// If there is no such file, or it does not hold a field.
+    /// If the file does not exist or does not hold a field.
     pub fn load(path: &Path) -> Result<VisibilityFile> {
         let fail = |reason: String| file(path, reason);
         let bytes = std::fs::read(path).map_err(|e| match e.kind() {
@@ -119,7 +119,7 @@ impl VisibilityFile {
         Ok(field)
     }
 
-    /// What is wrong with it, if anything.
+    /// Returns the first problem as an error.
     fn check(&self) -> std::result::Result<(), String> {
         self.config.check().map_err(|e| e.to_string())?;
         let table = self.config.entries() as usize * FIELD_FEATURES;
@@ -138,7 +138,7 @@ impl VisibilityFile {
     }
 }
 
-/// Of how many levels there are the first, where that are not all.
+/// Metadata key of the original number of levels, if the field was reduced.
 const OF: &str = "of_levels";
 
 /// Names of the sizes in the metadata.
@@ -148,7 +148,7 @@ fn table_name(level: usize) -> String {
     format!("table.{level}")
 }
 
-/// The network's tensors, in the order of their numbers.
+/// Returns names and shapes of the network's tensors, in the order of `mlp`.
 fn layers(config: &FieldConfig) -> [(&'static str, [usize; 2]); 3] {
     let width = FIELD_WIDTH;
     [("first", [width, config.inputs()]), ("second", [width, width]), ("last", [1, width])]
@@ -158,7 +158,7 @@ fn file(path: &Path, reason: String) -> RunError {
     RunError::File { path: path.to_owned(), reason }
 }
 
-/// The box of a field in its uniform.
+/// Returns the uniform with the box of a field.
 pub fn field_box(low: [f32; 3], high: [f32; 3]) -> FieldStep {
     let inverse = std::array::from_fn(|i| 1.0 / (high[i] - low[i]).max(1e-20));
     FieldStep { box_min: low, box_max: high, box_inverse: inverse, ..FieldStep::default() }
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_comes_back_as_it_was() {
+    fn field_roundtrips_bit_for_bit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("visibility.safetensors");
         let mut saved = field();
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn a_field_without_its_finest_levels_comes_back() {
+    fn reduced_field_roundtrips() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("visibility.safetensors");
         let few = field().first_levels(2);
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_fault_has_its_own_message() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("visibility.safetensors");
         let error = || VisibilityFile::load(&path).err().map_or_else(|| "loaded".to_owned(), |e| e.to_string());
@@ -226,7 +226,7 @@ mod tests {
         assert!(refused(|f| f.high[1] = f.low[1]).contains("is none"));
         assert!(refused(|f| f.config.levels = 0).contains("1 to 16 levels"));
         assert_eq!(std::fs::read(&path).unwrap(), b"not a field at all");
-        // Numbers that do not fit what the metadata says.
+        // Data that contradicts the metadata.
         let other = field();
         other.save(&path).unwrap();
         let whole = std::fs::read(&path).unwrap();
@@ -239,7 +239,7 @@ mod tests {
             std::fs::write(&path, &whole[..length]).unwrap();
             assert!(VisibilityFile::load(&path).is_err(), "{length}");
         }
-        // The format itself allows numbers that are none.
+        // The format itself allows NaN.
         let bits = other.mlp[0].to_le_bytes();
         let at = whole.windows(4).position(|w| w == bits).unwrap();
         let mut changed = whole.clone();

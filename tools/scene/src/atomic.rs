@@ -1,7 +1,7 @@
-//! Writing files so that nothing is lost.
+//! Atomic writes of files.
 //!
-//! The content goes to a new file beside the target, reaches the disk, and only then takes the target's name. After a
-//! kill, a crash or a full disk the target is either the old file or the new one, never a part of either.
+//! Content goes to a temporary file beside the target, is flushed to the disk, and is then renamed to the target. After
+//! a kill, a crash or a full disk, the target is either the old file or the complete new file.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -10,10 +10,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::error::{Result, SceneError, io_error};
 
-/// Tells apart the temporary files of one process that writes the same target from several threads.
+/// Counter for unique temporary file names. Threads of one process may write the same target at the same time.
 static COUNTER: AtomicU64 = AtomicU64::new(0);
 
-/// Removes the temporary file unless it was renamed into place.
+/// Temporary file that is removed on drop unless it was renamed into place.
 struct Temporary {
     path: PathBuf,
     placed: bool,
@@ -22,15 +22,16 @@ struct Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if !self.placed {
-            // Nothing can be done about a failure here, and the error that led here is the one to report.
+            // A failure here cannot be handled, and the original error is the one to report.
             let _ = fs::remove_file(&self.path);
         }
     }
 }
 
-/// Writes `path` through `write`: beside it, flushed to the disk, then renamed into place.
+/// Writes `path` atomically with the content that `write` produces. The content goes to a temporary file beside `path`,
+/// is flushed to the disk, and is then renamed into place.
 ///
-/// The parent directory must exist. When `write` fails, the temporary file is removed and `path` is untouched.
+/// The parent directory must exist. If `write` fails, the temporary file is removed and `path` is unchanged.
 pub fn atomic_write(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<()> {
     let Some(name) = path.file_name() else {
         return Err(SceneError::Io {
@@ -57,8 +58,8 @@ pub fn atomic_write(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io:
 
     fs::rename(&temporary.path, path).map_err(io_error("write", path))?;
     temporary.placed = true;
-    // The rename itself survives a power cut only once the directory is on the disk. Some file systems cannot sync a
-    // directory; the file is complete all the same.
+    // The rename survives a power cut only after the directory is flushed to the disk. Some file systems cannot sync a
+    // directory; the file is complete in either case.
     if let Ok(directory) = File::open(directory) {
         let _ = directory.sync_all();
     }
@@ -87,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failed_write_keeps_the_old_file() {
+    fn failed_write_keeps_the_old_file() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.txt");
         atomic_write(&path, |w| w.write_all(b"old")).unwrap();
@@ -103,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_directory_is_named() {
+    fn missing_directory_is_named_in_the_error() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("none/a.txt");
         let error = atomic_write(&path, |w| w.write_all(b"x")).unwrap_err().to_string();
@@ -112,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn threads_that_write_the_same_file_leave_one_whole_file() {
+    fn concurrent_writers_leave_one_complete_file() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.txt");
         std::thread::scope(|scope| {

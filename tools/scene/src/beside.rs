@@ -1,7 +1,7 @@
-//! Files that a layout keeps beside its photographs: a mask of what counts, and ground truth.
+//! Files that a layout stores beside its photographs: masks and ground truth.
 //!
-//! Readers list them; nothing is read before it is asked for. The mask belongs to the photograph. Ground truth is reached
-//! through [`GroundTruth`](crate::GroundTruth) alone, so code that trains cannot come upon it.
+//! Readers only list these files; they are read on request. The mask belongs to the photograph. Ground truth is
+//! reachable only through [`GroundTruth`](crate::GroundTruth), so training code cannot read it by accident.
 
 use std::path::{Path, PathBuf};
 
@@ -9,47 +9,47 @@ use crate::error::{Result, SceneError};
 use crate::ground_truth::GroundTruthKind;
 use crate::maps::NormalFrame;
 
-/// What lies beside one photograph.
+/// Files stored beside one photograph.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Beside {
-    /// Whether the layout holds the view out, where it says.
+    /// Whether the layout assigns the view to the test set; `None` if the layout does not say.
     pub(crate) test: Option<bool>,
-    /// Where pixels of the photograph are valid: above one half.
+    /// Mask of valid pixels of the photograph; values above one half are valid.
     pub(crate) mask: Option<PathBuf>,
-    /// Maps to measure against, at most one of each kind.
+    /// Ground-truth maps, at most one of each kind.
     pub(crate) truth: Vec<TruthFile>,
-    /// The same view under other lightings, by their names.
+    /// Images of the same view under other lightings: name and path.
     pub(crate) relit: Vec<(String, PathBuf)>,
 }
 
-/// A map to measure against.
+/// Ground-truth map of one view.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct TruthFile {
-    /// What it shows.
+    /// Quantity that the map shows.
     pub(crate) kind: GroundTruthKind,
-    /// The file.
+    /// Path of the file.
     pub(crate) path: PathBuf,
-    /// How it says so.
+    /// Encoding of the quantity in the file.
     pub(crate) form: Form,
 }
 
-/// How a file stores a map.
+/// Encoding of a map in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Form {
-    /// Color, linear in files of any kind.
+    /// Linear color, in files of any format.
     LinearColor,
-    /// Vectors in this frame.
+    /// Normals in the given frame.
     Normal(NormalFrame),
-    /// Depth of a definition that is yet to be found out.
+    /// Depth whose definition is detected later.
     Depth,
-    /// The channel with this number.
+    /// Single channel with this index.
     Channel(u32),
-    /// The alpha channel.
+    /// Alpha channel.
     Alpha,
 }
 
 impl Beside {
-    /// Adds a map if its file exists and there is none of its kind yet.
+    /// Adds a map if its file exists and no map of its kind is listed.
     pub(crate) fn add(&mut self, kind: GroundTruthKind, path: PathBuf, form: Form) {
         if path.is_file() && self.truth.iter().all(|file| file.kind != kind) {
             self.truth.push(TruthFile { kind, path, form });
@@ -57,7 +57,7 @@ impl Beside {
     }
 }
 
-/// Refuses a map that does not have the size of its photograph.
+/// Returns an error if a map does not have the size of its photograph.
 pub(crate) fn check_size(path: &Path, size: (u32, u32), image: &Path, expected: (u32, u32)) -> Result<()> {
     if size == expected {
         return Ok(());

@@ -1,8 +1,9 @@
-//! What the numbers of a depth map mean: their unit, and whether they measure along the optical axis or along the ray.
+//! Definition of a depth map: its unit, and depth along the axis or the ray.
 //!
-//! Data sets seldom say, and a mistake is hard to see. But two views of the same surface decide it: a point of one view,
-//! placed with the right definition, has the depth that the other view shows where it falls. The definition under which
-//! most points agree is taken, if it is clearly the best; otherwise there is none, and depth is not measured.
+//! Data sets rarely document the definition, and a wrong one is hard to notice. Two views of the same surface determine
+//! it. A point unprojected from one view with the correct definition has the depth that the other view shows at its
+//! projection. The definition with the smallest disagreement is selected if it is clearly the best. Otherwise no
+//! definition is selected, and depth is not evaluated.
 
 use glam::{DVec2, DVec3};
 
@@ -10,20 +11,20 @@ use crate::camera::Camera;
 use crate::error::Result;
 use crate::image::Image;
 
-/// What the numbers of a depth map mean.
+/// Meaning of the values of a depth map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DepthDefinition {
-    /// The scene's units in one unit of the map.
+    /// Scene units per unit of the map.
     pub unit: f64,
-    /// Whether the map holds distances from the camera instead of depths along its axis.
+    /// Whether the map stores distances along rays instead of depths along the axis.
     pub along_ray: bool,
 }
 
 impl DepthDefinition {
-    /// Millimeters along the axis in a scene of meters, as InteriorVerse documents.
+    /// Millimeters along the axis in a scene in meters, as InteriorVerse documents.
     pub(crate) const INTERIORVERSE: Self = Self { unit: 1e-3, along_ray: false };
 
-    /// Camera z in the scene's unit of a value at a pixel (continuous coordinates).
+    /// Converts a map value at a pixel to camera z in scene units. `pixel` is in continuous coordinates.
     pub(crate) fn z(self, camera: &Camera, pixel: DVec2, value: f64) -> f64 {
         let stretch = if self.along_ray {
             DVec3::new((pixel.x - camera.cx) / camera.fx, (pixel.y - camera.cy) / camera.fy, 1.0).length()
@@ -34,34 +35,34 @@ impl DepthDefinition {
     }
 }
 
-/// Units that data sets use, in the scene's.
+/// Candidate units of a map, in scene units.
 const UNITS: [f64; 4] = [1.0, 1e-3, 1e-2, 1e-1];
-/// Points of a row and of a column that are tried.
+/// Number of tested points per row and per column.
 const GRID: u32 = 24;
-/// Pairs of views that are tried.
+/// Largest number of tested view pairs.
 const PAIRS: usize = 8;
-/// How far apart the views of a pair must stand at least, of the largest distance. Without parallax everything agrees.
+/// Smallest distance of a pair's cameras, relative to the largest distance. Without parallax, every definition agrees.
 const APART: f64 = 0.25;
-/// Fewer points than this decide nothing.
+/// Smallest number of point comparisons for a decision.
 const FEWEST: usize = 200;
-/// The largest disagreement of a definition that is believed, relative to depth.
+/// Largest accepted median disagreement, relative to depth.
 const AGREES: f64 = 0.03;
-/// How much worse all others must be.
+/// Smallest ratio of the second-best disagreement to the best.
 const CLEARLY: f64 = 1.5;
 
-/// What was found out about a set of depth maps.
+/// Result of the detection for a set of depth maps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Verdict {
-    /// This is what they mean.
+    /// One definition is clearly the best.
     Clear(DepthDefinition),
-    /// They share too little to tell.
+    /// The views overlap too little to decide.
     Untested,
-    /// They disagree with the cameras under every definition, or agree under several.
+    /// No definition agrees with the cameras, or several do.
     Unclear,
 }
 
-/// Finds out what the maps of these cameras mean. `load` gives the map of a camera as stored, of any size, zero where it
-/// has no value.
+/// Detects the definition of the depth maps of these cameras. `load` returns the stored map of a camera by index, at
+/// any size, with 0 where the map has no value.
 pub(crate) fn find(cameras: &[Camera], load: impl Fn(usize) -> Result<Option<Image>>) -> Result<Verdict> {
     let mut scores: Vec<(DepthDefinition, Vec<f64>)> = UNITS
         .iter()
@@ -96,7 +97,8 @@ pub(crate) fn find(cameras: &[Camera], load: impl Fn(usize) -> Result<Option<Ima
     }
 }
 
-/// Of the cameras that stand well apart from this one, the one that looks most nearly in its direction.
+/// Selects a partner for a camera among those far enough from it. Returns the one with the most similar viewing
+/// direction.
 fn partner(cameras: &[Camera], from: usize) -> Option<usize> {
     let here = &cameras[from];
     let farthest = cameras.iter().map(|c| c.position().distance(here.position())).fold(0.0, f64::max);
@@ -107,7 +109,8 @@ fn partner(cameras: &[Camera], from: usize) -> Option<usize> {
     })
 }
 
-/// The relative disagreement of points of the first view with the second.
+/// Compares points of the first view with the map of the second. Appends the relative disagreements in depth to
+/// `found`.
 fn compare(definition: DepthDefinition, a: (&Camera, &Image), b: (&Camera, &Image), found: &mut Vec<f64>) {
     let camera_of = |(camera, map): (&Camera, &Image)| camera.scaled(map.width, map.height);
     let (from, to) = (camera_of(a), camera_of(b));
@@ -131,7 +134,7 @@ fn compare(definition: DepthDefinition, a: (&Camera, &Image), b: (&Camera, &Imag
     }
 }
 
-/// The value of a map between the centers of its pixels; `None` where one of the four has none.
+/// Interpolates a map bilinearly at a continuous position. Returns `None` if one of the four pixels has no value.
 fn between(map: &Image, at: DVec2) -> Option<f64> {
     let last = DVec2::new(f64::from(map.width - 1), f64::from(map.height - 1));
     let place = (at - 0.5).clamp(DVec2::ZERO, last);
@@ -149,7 +152,7 @@ mod tests {
 
     use super::*;
 
-    /// Cameras in a room of 4×3×5 units, and their maps under a definition.
+    /// Returns cameras in a 4×3×5 unit room and their depth maps under a definition.
     fn room(definition: DepthDefinition) -> (Vec<Camera>, Vec<Image>) {
         let cameras: Vec<Camera> = (0..5)
             .map(|i| {
@@ -191,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn every_definition_is_told_from_every_other() {
+    fn every_definition_is_detected() {
         for unit in UNITS {
             for along_ray in [false, true] {
                 let definition = DepthDefinition { unit, along_ray };
@@ -203,11 +206,11 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_told_is_not_guessed() {
+    fn undecidable_definitions_are_not_guessed() {
         let (cameras, maps) = room(DepthDefinition::INTERIORVERSE);
         assert_eq!(find(&cameras[..1], |i| Ok(Some(maps[i].clone()))).unwrap(), Verdict::Untested);
         assert_eq!(find(&cameras, |_| Ok(None)).unwrap(), Verdict::Untested);
-        // Maps of a scene of another size agree under no definition.
+        // Maps of a scene of a different size agree under no definition.
         let wrong = |i: usize| {
             let mut map = maps[i].clone();
             map.data.iter_mut().for_each(|v| *v *= 2.7);

@@ -1,122 +1,122 @@
-//! What can be wrong with a scene on disk, said in one sentence each.
+//! Errors of scenes on disk.
 //!
-//! Every message names the file, the place in it as far as it is known (line, frame, vertex, byte), the values that are
-//! wrong, and what to do. The variants tell callers which kind of input is at fault; the sentence is made where the
-//! fault is found, because only there are all the values at hand.
+//! Every message is one sentence. Messages name the file, the place in it if known (line, frame, vertex, byte), the
+//! wrong values, and the remedy. Variants distinguish kinds of input. The message is built where the error is detected,
+//! because all values are available there.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a scene, or one file of it, cannot be read or written.
+/// Reason why a scene or one of its files cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
-    /// The operating system refused.
+    /// An operating system call failed.
     #[error("cannot {action} {}: {cause}", path.display())]
     Io {
-        /// What was attempted, as a verb: "read", "write", "rename".
+        /// Attempted action as a verb: "read", "write", "rename".
         action: &'static str,
-        /// The file or directory.
+        /// File or directory.
         path: PathBuf,
-        /// The system's answer.
+        /// Error of the operating system.
         cause: io::Error,
     },
-    /// The directory is not a scene in any known layout, or not a directory.
+    /// The path is not a directory, or the directory has no known scene layout.
     #[error("{} {problem}", path.display())]
     NotAScene {
-        /// The directory that was given.
+        /// Requested directory.
         path: PathBuf,
-        /// What is missing and what to do.
+        /// Missing content and the remedy.
         problem: String,
     },
-    /// A JSON file is not valid, or does not have the fields that it needs.
+    /// A JSON file is invalid or lacks required fields.
     #[error("{}, line {line}, column {column}: {problem}", path.display())]
     Json {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// Column, from 1 (0 where the parser does not know it).
+        /// Column, from 1; 0 if the parser does not know it.
         column: usize,
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
-    /// A file that lists cameras is readable, but says something impossible.
+    /// A camera file is readable but has invalid content.
     #[error("{}{}{place}: {problem}", path.display(), if place.is_empty() { "" } else { ", " })]
     Cameras {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The frame, line, camera or byte; empty for the file as a whole.
+        /// Frame, line, camera or byte; empty for the whole file.
         place: String,
-        /// What is wrong and what to do.
+        /// Description of the problem and what to do.
         problem: String,
     },
     /// An image or a per-pixel map cannot be used.
     #[error("{}: {problem}", path.display())]
     Image {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong and what to do.
+        /// Description of the problem and what to do.
         problem: String,
     },
-    /// An image is not of the size its camera was calibrated for.
+    /// An image does not have the size its camera was calibrated for.
     #[error(
         "{} is {}×{} pixels, but {} gives {}×{} for its camera; resize the images or correct the camera's size and \
          intrinsics",
         path.display(), image.0, image.1, declared_in.display(), camera.0, camera.1
     )]
     ImageSize {
-        /// The image.
+        /// Path of the image.
         path: PathBuf,
-        /// Its width and height.
+        /// Width and height of the image.
         image: (u32, u32),
-        /// The camera's width and height.
+        /// Width and height of the camera.
         camera: (u32, u32),
-        /// The file that describes the camera.
+        /// File that describes the camera.
         declared_in: PathBuf,
     },
-    /// A PLY or COLMAP point file cannot be used.
+    /// A PLY, glTF or COLMAP point file cannot be used.
     #[error("{}{}{place}: {problem}", path.display(), if place.is_empty() { "" } else { ", " })]
     Points {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The header line, vertex or byte; empty for the file as a whole.
+        /// Header line, vertex or byte; empty for the whole file.
         place: String,
-        /// What is wrong and what to do.
+        /// Description of the problem and what to do.
         problem: String,
     },
-    /// The split into training and test views is impossible.
+    /// The split into training and test views is invalid.
     #[error("{}: {problem}", path.display())]
     Split {
-        /// `split.json`, or the scene where there is none.
+        /// Path of `split.json`, or of the scene if that file does not exist.
         path: PathBuf,
-        /// What is wrong and what to do.
+        /// Description of the problem and what to do.
         problem: String,
     },
-    /// Values in memory that no file could be made from.
+    /// Values in memory cannot be stored in a file.
     #[error("{what}: {problem}")]
     Data {
-        /// The object, for instance "the splats".
+        /// Name of the object, for instance "the splats".
         what: &'static str,
-        /// What is wrong.
+        /// Description of the problem.
         problem: String,
     },
-    /// An option has a value that means nothing.
+    /// An option has an invalid value.
     #[error("{option} is {value}, but {expected}")]
     Option {
-        /// The option, by its name on the command line.
+        /// Name of the option on the command line.
         option: &'static str,
-        /// The value.
+        /// Value of the option.
         value: String,
-        /// What it must be.
+        /// Requirement on the value.
         expected: &'static str,
     },
 }
 
-/// The result of everything in this crate that reads or writes.
+/// Result of the reading and writing functions of this crate.
 pub type Result<T, E = SceneError> = std::result::Result<T, E>;
 
-/// Makes the function that turns a system error into [`SceneError::Io`], for `map_err`.
+/// Returns a closure for `map_err` that creates a [`SceneError::Io`].
 pub(crate) fn io_error(action: &'static str, path: &Path) -> impl FnOnce(io::Error) -> SceneError {
     let path = path.to_path_buf();
     move |cause| SceneError::Io { action, path, cause }

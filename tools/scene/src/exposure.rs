@@ -1,24 +1,25 @@
-//! The exposure of linear images: one factor for a whole scene, so that its views stay comparable.
+//! Exposure of linear images: one factor per scene keeps its views comparable.
 //!
-//! A camera is exposed for most of what it sees and lets lamps clip. Here the luminance that a fifth of the pixels exceed
-//! is to lie between a quarter of white and white. Where it does, images stay as they are; elsewhere they are multiplied
-//! by the power of two nearest to one that brings it there. Only training views have a say.
+//! Like a camera, the exposure suits most of the scene and lets bright light sources clip. The luminance exceeded by a
+//! fifth of the pixels should lie between a quarter of white and white. If it does, images stay unchanged. Otherwise
+//! they are multiplied by the power of two nearest to 1 that brings it into this range. Only training views are
+//! measured.
 
 use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::view::View;
 
-/// The most images that are looked at.
+/// Largest number of measured images.
 const IMAGES: usize = 16;
-/// The most pixels of each.
+/// Largest number of measured pixels per image.
 const PIXELS: usize = 16_384;
-/// The share of pixels that are darker than the measured luminance.
+/// Fraction of pixels that are darker than the measured luminance.
 const SHARE: f64 = 0.8;
-/// Where that luminance may lie; two stops, so that some power of two always fits.
+/// Target range of that luminance; two stops wide, so a power of two always fits.
 const RANGE: (f64, f64) = (0.25, 1.0);
 
-/// The factor for these views; `None` when none of their images is linear.
+/// Returns the exposure factor for these views. Returns `None` if none of their images is linear.
 pub(crate) fn choose(views: &[&View]) -> Result<Option<f32>> {
     let linear: Vec<&View> = views.iter().copied().filter(|view| view.is_linear()).collect();
     if linear.is_empty() {
@@ -30,7 +31,7 @@ pub(crate) fn choose(views: &[&View]) -> Result<Option<f32>> {
     Ok(Some(factor(parts.concat())))
 }
 
-/// The factor for these luminances.
+/// Returns the exposure factor for these luminances.
 fn factor(mut luminances: Vec<f32>) -> f32 {
     luminances.retain(|v| v.is_finite());
     if luminances.is_empty() {
@@ -55,13 +56,13 @@ fn factor(mut luminances: Vec<f32>) -> f32 {
 mod tests {
     use super::*;
 
-    /// Luminances of which a fifth exceed `bright`.
+    /// Returns luminances of which a fifth exceed `bright`.
     fn room(bright: f32) -> Vec<f32> {
         (0..1000).map(|i| if i < 800 { bright * i as f32 / 800.0 } else { bright * (i - 799) as f32 }).collect()
     }
 
     #[test]
-    fn what_is_well_exposed_stays() {
+    fn well_exposed_images_are_unchanged() {
         for bright in [0.26, 0.5, 0.9] {
             assert_eq!(factor(room(bright)), 1.0, "{bright}");
         }
@@ -71,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn stops_bring_any_room_into_the_range() {
+    fn exposure_brings_any_scene_into_the_range_in_whole_stops() {
         for stop in -20..=20 {
             let scale = 2.0_f32.powi(stop);
             let found = factor(room(0.5 / scale));
@@ -79,9 +80,9 @@ mod tests {
             assert!((0.25..=1.0).contains(&(0.5 / scale * found)), "{stop}: {found}");
             assert!(stop.abs() > 1 || found == 1.0, "{stop}: {found}");
         }
-        // A lamp that covers little does not darken the room.
-        let mut lamp = vec![0.5; 1000];
-        lamp.extend(vec![1e6; 100]);
-        assert_eq!(factor(lamp), 1.0);
+        // A light source that covers few pixels does not darken the scene.
+        let mut light = vec![0.5; 1000];
+        light.extend(vec![1e6; 100]);
+        assert_eq!(factor(light), 1.0);
     }
 }

@@ -1,7 +1,7 @@
-//! Ground truth: what a renderer knew, in `gt/` or where a data set keeps it. For measuring only.
+//! Ground truth for evaluation only, from `gt/` or from the data set's layout.
 //!
-//! It is a type of its own, so that code that trains cannot reach it through the scene it holds: whoever names
-//! [`GroundTruth`] says that it measures.
+//! Ground truth has a separate type so that training code cannot reach it through its scene. Code that names
+//! [`GroundTruth`] declares that it evaluates.
 
 use std::path::PathBuf;
 
@@ -17,20 +17,20 @@ use crate::priors::Labels;
 use crate::scene::Scene;
 use crate::view::View;
 
-/// The maps that may be known.
+/// Kinds of ground-truth maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GroundTruthKind {
     /// Linear RGB.
     Albedo,
-    /// Unit vectors in the world, zero where there is no surface.
+    /// Unit vectors in world space, zero where the pixel shows no surface.
     Normal,
-    /// Camera z in the scene's unit, 0 where there is no surface.
+    /// Camera z in scene units, 0 where the pixel shows no surface.
     Depth,
-    /// One channel.
+    /// Roughness in one channel.
     Roughness,
-    /// One channel.
+    /// Metallic in one channel.
     Metallic,
-    /// One channel: the share of the pixel in which the other maps mean something.
+    /// Fraction of the pixel in which the other maps are valid, in one channel.
     Mask,
 }
 
@@ -38,7 +38,7 @@ impl GroundTruthKind {
     /// All kinds.
     pub const ALL: [Self; 6] = [Self::Albedo, Self::Normal, Self::Depth, Self::Roughness, Self::Metallic, Self::Mask];
 
-    /// The folder under `gt/`.
+    /// Returns the name of the folder under `gt/`.
     pub fn folder(self) -> &'static str {
         match self {
             Self::Albedo => "albedo",
@@ -51,14 +51,14 @@ impl GroundTruthKind {
     }
 }
 
-/// The ground truth of a scene.
+/// Ground truth of a scene.
 #[derive(Clone, Copy, Debug)]
 pub struct GroundTruth<'a> {
     scene: &'a Scene,
 }
 
 impl<'a> GroundTruth<'a> {
-    /// The ground truth that belongs to a scene. There may be none: then every map is `None`.
+    /// Returns the ground truth of a scene. Every map is `None` if the scene has none.
     pub fn of(scene: &'a Scene) -> Self {
         Self { scene }
     }
@@ -67,10 +67,10 @@ impl<'a> GroundTruth<'a> {
         self.scene.root.join("gt")
     }
 
-    /// A map at the size of the view's camera, or `None` where there is none. Pixels without a value are 0.
+    /// Loads a map at the size of the view's camera; `None` if it does not exist. Pixels without a value are 0.
     ///
-    /// What lies in `gt/` comes before what the layout keeps beside its photographs. Depth of a definition that does not
-    /// fit the cameras ([`GroundTruth::depth_definition`]) is none.
+    /// Files in `gt/` take precedence over those that the layout stores beside its photographs. Returns `None` for
+    /// depth whose definition does not fit the cameras ([`GroundTruth::depth_definition`]).
     pub fn load(&self, kind: GroundTruthKind, view: usize) -> Result<Option<Image>> {
         let view = self.scene.view(view)?;
         let folder = self.folder().join(kind.folder());
@@ -91,7 +91,7 @@ impl<'a> GroundTruth<'a> {
         Ok(Some(image))
     }
 
-    /// A map that the layout keeps beside the photograph, of the photograph's size.
+    /// Loads a map from beside the photograph. The map must have the photograph's size.
     fn load_beside(&self, file: &TruthFile, view: &View) -> Result<Option<Image>> {
         let meaning = match file.form {
             Form::Normal(_) | Form::LinearColor => Meaning::LinearColor,
@@ -127,9 +127,9 @@ impl<'a> GroundTruth<'a> {
         Ok(Some(map))
     }
 
-    /// What the depth maps mean that the layout keeps beside its photographs: found out once from pairs of views, for data
-    /// sets do not agree on it. `None` if they fit the cameras under no definition or under several, or if there are none;
-    /// maps that share too little to tell count as millimeters along the axis, as InteriorVerse documents.
+    /// Returns the definition of the depth maps stored beside the photographs. The definition is detected once from
+    /// pairs of views, because data sets differ. Returns `None` without such maps, or if no definition or more than one
+    /// fits the cameras. Maps with too little overlap count as millimeters along the axis, as InteriorVerse documents.
     pub fn depth_definition(&self) -> Result<Option<DepthDefinition>> {
         if let Some(known) = self.scene.depth_definition.get() {
             return Ok(*known);
@@ -158,8 +158,8 @@ impl<'a> GroundTruth<'a> {
         Ok(*self.scene.depth_definition.get_or_init(|| known))
     }
 
-    /// Names of the classes by id: those in `gt/semantic/labels.json`, or in `priors/semantic/labels.json` where ground
-    /// truth names none.
+    /// Returns the class names by id. They come from `gt/semantic/labels.json`, or from `priors/semantic/labels.json`
+    /// if that file does not exist.
     pub fn semantic_labels(&self) -> Result<Option<Vec<String>>> {
         let folders = [self.folder(), self.scene.root.join("priors")];
         let paths = folders.map(|folder| folder.join("semantic/labels.json"));
@@ -169,7 +169,7 @@ impl<'a> GroundTruth<'a> {
         }
     }
 
-    /// The class of every pixel, at the size of the view's camera.
+    /// Returns the class of every pixel, at the size of the view's camera.
     pub fn semantic(&self, view: usize) -> Result<Option<RegionMap>> {
         let view = self.scene.view(view)?;
         match maps::find(&self.folder().join("semantic"), &view.camera.name, &["png"]) {
@@ -178,12 +178,12 @@ impl<'a> GroundTruth<'a> {
         }
     }
 
-    /// The file that describes the true lights, where there is one.
+    /// Returns the file with the true lights if it exists.
     pub fn lights(&self) -> Option<PathBuf> {
         Some(self.folder().join("lights.json")).filter(|path| path.is_file())
     }
 
-    /// The names of the other lightings and edits that the scene was rendered under, in alphabetical order.
+    /// Returns the names of the other lightings and edits of the scene, sorted.
     pub fn relit_names(&self) -> Vec<String> {
         let entries = std::fs::read_dir(self.folder().join("relit")).into_iter().flatten().flatten();
         let folders = entries.filter(|entry| entry.path().is_dir());
@@ -194,12 +194,13 @@ impl<'a> GroundTruth<'a> {
         names
     }
 
-    /// The file that says which edit a relit set shows, where there is one.
+    /// Returns the file that describes the edit of a relit set, if it exists.
     pub fn relit_edit(&self, name: &str) -> Option<PathBuf> {
         Some(self.folder().join("relit").join(format!("{name}.json"))).filter(|path| path.is_file())
     }
 
-    /// A view under another lighting: linear RGB without an upper limit, not exposed, at the size of the view's camera.
+    /// Loads a view under another lighting, at the size of the view's camera. The image is linear RGB without an upper
+    /// limit and without exposure.
     pub fn relit(&self, name: &str, view: usize) -> Result<Option<Image>> {
         let view = self.scene.view(view)?;
         let folder = self.folder().join("relit").join(name);
@@ -212,7 +213,7 @@ impl<'a> GroundTruth<'a> {
         }
     }
 
-    /// The linear albedo of a view under an edit of materials, where the edit comes with one.
+    /// Loads the linear albedo of a view under a material edit, if it exists.
     pub fn relit_albedo(&self, name: &str, view: usize) -> Result<Option<Image>> {
         let view = self.scene.view(view)?;
         let folder = self.folder().join("relit").join(name);

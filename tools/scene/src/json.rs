@@ -1,4 +1,4 @@
-//! Reading JSON files so that errors name the file and line.
+//! Reading of JSON files with errors that name the file and line.
 
 use std::path::Path;
 
@@ -6,12 +6,12 @@ use serde::de::DeserializeOwned;
 
 use crate::error::{Result, SceneError, io_error};
 
-/// Reads a file into `T`. A byte-order mark is skipped.
+/// Reads a file into `T`. Skips a byte-order mark.
 pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let text = std::fs::read_to_string(path).map_err(io_error("read", path))?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     serde_json::from_str(text).map_err(|error| {
-        // The parser repeats the place at the end of its message.
+        // The parser repeats the location at the end of its message.
         let message = error.to_string();
         let problem = message.rsplit_once(" at line ").map_or(message.as_str(), |(problem, _)| problem);
         SceneError::Json {
@@ -28,7 +28,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_name_file_line_and_column() {
+    fn errors_name_the_file_line_and_column() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.json");
         let fail = |text: &str| {

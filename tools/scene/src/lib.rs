@@ -1,12 +1,12 @@
 //! Scenes on disk: cameras, photographs, points, priors, ground truth, and splats.
 //!
-//! [`Scene::open`] recognizes a directory by what it holds and brings everything to one set of conventions: OpenCV camera
-//! axes, world-to-camera poses, pixel centers at half-integers, sRGB-encoded photographs without distortion, normals in
-//! world space. [`Splats`] are read and written as PLY files that every viewer understands. All files are written beside
-//! and renamed into place ([`atomic_write`]).
+//! [`Scene::open`] detects the layout of a directory from its files and converts all data to common conventions. These
+//! are OpenCV camera axes, world-to-camera poses, pixel centers at half-integers, undistorted sRGB-encoded photographs,
+//! and world-space normals. [`Splats`] are read and written as PLY files that common viewers accept. All files are
+//! written to a temporary file and renamed into place ([`atomic_write`]).
 //!
-//! Whatever is wrong with a file is a [`SceneError`], whose message is one sentence for the person who made the file;
-//! nothing here panics on input. The crate knows neither graphics devices nor training.
+//! Invalid files cause a [`SceneError`], whose message is one sentence for the author of the file. Input never causes a
+//! panic. The crate depends on neither graphics devices nor training.
 
 mod atomic;
 mod beside;

@@ -1,7 +1,7 @@
-//! Noise on what training begins with, to see what becomes of its results.
+//! Noise on the inputs of training, to measure the sensitivity of its results.
 //!
-//! Promises: the same noise for the same seed, other noise for every kind and view. Held-out views, photographs and ground truth are
-//! never touched.
+//! Guarantees: the same seed gives the same noise. Each kind and view has independent noise. Held-out views,
+//! photographs and ground truth are never changed.
 
 use glam::{DMat3, DQuat, DVec3};
 use half::f16;
@@ -12,28 +12,28 @@ use crate::points::Pcg;
 use crate::priors::FeatureMap;
 use crate::scene::Scene;
 
-/// Pixels over which an error of normals is much the same.
+/// Correlation length of normal noise in pixels.
 const PATCH: usize = 16;
 
-/// How much noise there is of each kind; 0 is none.
+/// Amount of noise of each kind; 0 for none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Noise {
-    /// Standard deviation of every coordinate of the initial points, as a share of the scene's extent.
+    /// Standard deviation of initial point coordinates, relative to the extent.
     pub positions: f64,
-    /// Standard deviation of the turn of normal priors about every axis, degrees. Neighbors within 16 pixels turn alike, as
-    /// where a network errs.
+    /// Standard deviation of the rotation of normal priors about each axis, in degrees. Normals within 16 pixels rotate
+    /// similarly, because errors of networks are spatially correlated.
     pub normals: f64,
-    /// Share of the cells of semantic priors that hold what belongs to another cell of the view.
+    /// Fraction of semantic cells that take the features of another cell of the view.
     pub semantics: f64,
-    /// Standard deviation of the turn of training cameras about every axis, degrees.
+    /// Standard deviation of camera rotation about each axis, in degrees. Applies to training cameras.
     pub rotations: f64,
-    /// Standard deviation of every coordinate of training cameras, as a share of the scene's extent.
+    /// Standard deviation of camera coordinates, relative to the scene's extent. Applies to training cameras.
     pub translations: f64,
-    /// Seed of it all.
+    /// Seed of all noise.
     pub seed: u64,
 }
 
-/// Kinds, each with random numbers of its own.
+/// Kinds of noise, each with an independent random stream.
 #[derive(Clone, Copy)]
 enum Kind {
     Positions,
@@ -43,9 +43,9 @@ enum Kind {
 }
 
 impl Noise {
-    /// Random numbers of a kind, for a view.
+    /// Returns the random stream of a kind and view.
     fn stream(&self, kind: Kind, view: usize) -> Stream {
-        // Neighboring numbers become unlike ones (SplitMix64).
+        // SplitMix64 decorrelates consecutive seeds.
         let mixed = |n: u64| {
             let z = n.wrapping_add(0x9e37_79b9_7f4a_7c15);
             let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -55,7 +55,7 @@ impl Noise {
         Stream(Pcg::new(mixed(self.seed ^ mixed(mixed(kind as u64) ^ view as u64))))
     }
 
-    /// A camera elsewhere; `extent` is the scene's.
+    /// Returns the camera with pose noise; `extent` is the scene's extent.
     fn moved(&self, camera: &Camera, view: usize, extent: f64) -> Camera {
         let mut random = self.stream(Kind::Poses, view);
         let turn = turn(random.normal3() * self.rotations.to_radians());
@@ -64,7 +64,7 @@ impl Noise {
         Camera { rotation, translation: -(rotation * center), ..camera.clone() }
     }
 
-    /// Turns the normals of a view.
+    /// Rotates the normals of a view.
     pub(crate) fn turn_normals(&self, view: usize, normals: &mut Image) {
         if self.normals <= 0.0 {
             return;
@@ -79,18 +79,18 @@ impl Noise {
             let weights = [(1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v];
             let first = y * across + x;
             let sum: DVec3 = [0, 1, across, across + 1].iter().zip(weights).map(|(k, w)| nodes[first + k] * w).sum();
-            // Sums of noise are smaller than noise.
+            // Interpolation reduces the variance; dividing by the weights' norm restores it.
             let alike = weights.iter().map(|w| w * w).sum::<f64>().sqrt();
             let old = DVec3::from(n.map(f64::from));
             let new = turn(sum / alike * self.normals.to_radians()) * old;
-            // Where nothing is known, nothing is still known.
+            // Unknown normals stay zero.
             if old != DVec3::ZERO && new.is_finite() {
                 *n = new.as_vec3().to_array();
             }
         }
     }
 
-    /// Puts what belongs to other cells into some cells of a view.
+    /// Replaces some cells of a view by the features of other cells.
     pub(crate) fn mix_features(&self, view: usize, map: &mut FeatureMap) {
         let (cells, channels) = (map.width * map.height, map.channels);
         if self.semantics <= 0.0 || cells == 0 {
@@ -100,7 +100,7 @@ impl Noise {
         let old: Vec<f16> = map.data.clone();
         for cell in map.data.chunks_exact_mut(channels.max(1)) {
             let (chance, other) = (random.uniform(), (random.uniform() * cells as f64) as usize);
-            // Rounding may bring a number to 1.
+            // Rounding may produce 1.
             let other = other.min(cells - 1);
             if chance < self.semantics {
                 cell.copy_from_slice(&old[other * channels..][..channels]);
@@ -110,8 +110,8 @@ impl Noise {
 }
 
 impl Scene {
-    /// The same scene with noise on its points, the cameras of its training views, and its priors of normals and semantics. Its
-    /// extent stays.
+    /// Returns the scene with noise on its inputs. Noise applies to the points, the cameras of training views, and the
+    /// normal and semantic priors. The extent of the scene is unchanged.
     #[must_use]
     pub fn disturbed(&self, noise: &Noise) -> Scene {
         let mut scene = self.clone();
@@ -135,21 +135,21 @@ impl Scene {
     }
 }
 
-/// The turn about a vector by its length.
+/// Returns the rotation about a vector by its length in radians.
 fn turn(vector: DVec3) -> DMat3 {
     DMat3::from_quat(DQuat::from_scaled_axis(vector))
 }
 
-/// Random numbers.
+/// Stream of random numbers.
 struct Stream(Pcg);
 
 impl Stream {
-    /// Between 0 and 1, neither of them.
+    /// Returns a uniform number between 0 and 1, exclusive.
     fn uniform(&mut self) -> f64 {
         (f64::from(self.0.next_u32()) + 0.5) / f64::from(u32::MAX)
     }
 
-    /// Three of mean 0 and standard deviation 1 (Box and Muller).
+    /// Returns three numbers from the standard normal distribution (Box-Muller).
     fn normal3(&mut self) -> DVec3 {
         let mut one = || {
             let (u, v) = (self.uniform(), self.uniform());
@@ -167,7 +167,7 @@ mod tests {
         Noise { positions: 0.1, normals: 10.0, semantics: 0.25, rotations: 2.0, translations: 0.1, seed }
     }
 
-    /// Mean and standard deviation.
+    /// Returns the mean and the standard deviation.
     fn spread(values: &[f64]) -> (f64, f64) {
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n;
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn random_numbers_are_normal_and_of_their_own_kind() {
+    fn random_streams_are_normal_and_independent() {
         let draw = |seed, kind, view| {
             let mut stream = noise(seed).stream(kind, view);
             (0..4000).flat_map(|_| stream.normal3().to_array()).collect::<Vec<f64>>()
@@ -193,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn normals_turn_by_as_much_as_is_asked_and_smoothly() {
+    fn normals_rotate_smoothly_by_the_requested_deviation() {
         let (width, height) = (320_u32, 240_u32);
         let mut image = Image::new(width, height, 3);
         image.data.as_chunks_mut::<3>().0.iter_mut().for_each(|n| *n = [0.0, 0.6, -0.8]);
@@ -205,7 +205,7 @@ mod tests {
             |image: &Image| image.data.as_chunks::<3>().0.iter().map(|n| DVec3::from(n.map(f64::from))).collect();
         let (old, new): (Vec<DVec3>, Vec<DVec3>) = (vectors(&before), vectors(&image));
         assert!(new[1..].iter().all(|n| (n.length() - 1.0).abs() < 1e-5));
-        // Two axes of the three turn a vector, each by 10 degrees in the mean of squares.
+        // Only two of the three rotation axes move a vector, each with a root mean square of 10 degrees.
         let angle = |a: DVec3, b: DVec3| a.angle_between(b).to_degrees();
         let squares = old.iter().zip(&new).skip(1).map(|(a, b)| angle(*a, *b).powi(2)).sum::<f64>() / new.len() as f64;
         assert!((squares.sqrt() - 200.0_f64.sqrt()).abs() < 1.5, "{}", squares.sqrt());
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn as_many_cells_are_mixed_as_is_asked() {
+    fn requested_fraction_of_cells_is_replaced() {
         let whole = |cells: usize| FeatureMap {
             width: cells / 20,
             height: 20,
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_move_by_as_much_as_is_asked() {
+    fn cameras_move_by_the_requested_deviation() {
         let camera = Camera {
             name: "a".into(),
             width: 8,

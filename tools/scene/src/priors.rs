@@ -1,7 +1,7 @@
-//! Priors: what pretrained networks said about the photographs, in `priors/`.
+//! Priors from pretrained networks on the photographs, in `priors/`.
 //!
-//! A prior may guide training. It never comes from ground truth, which lies in another folder and is reached through
-//! another type ([`GroundTruth`](crate::GroundTruth)). Every kind may be absent as a whole or for single views.
+//! Priors may guide training. They never come from ground truth, which is in another folder and has another type
+//! ([`GroundTruth`](crate::GroundTruth)). Every kind is optional, as a whole or for single views.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -20,20 +20,20 @@ use crate::view::View;
 const NORMAL_EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
 const MAP_EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
 
-/// Per-pixel features, at the size and in the precision they are stored with.
+/// Per-pixel features at their stored size and precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureMap {
     /// Width in cells; the map covers the whole image.
     pub width: usize,
     /// Height in cells.
     pub height: usize,
-    /// Features for each cell.
+    /// Number of features per cell.
     pub channels: usize,
     /// Row-major, interleaved values.
     pub data: Vec<f16>,
 }
 
-/// The text side of semantic features: one embedding for each class.
+/// Text embeddings of the semantic classes, one per class.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TextEmbeddings {
     /// Names of the classes.
@@ -45,17 +45,17 @@ pub struct TextEmbeddings {
 }
 
 impl TextEmbeddings {
-    /// The class of a name.
+    /// Returns the index of a class by name.
     ///
     /// # Errors
-    /// If there is none; the message lists those that there are.
+    /// Fails if the class is unknown; the message lists the known classes.
     pub fn class(&self, name: &str) -> std::result::Result<usize, UnknownClass> {
         let at = self.labels.iter().position(|l| l == name);
         at.ok_or_else(|| UnknownClass { name: name.to_owned(), known: self.labels.join(", ") })
     }
 }
 
-/// A class that has no text embedding.
+/// Class without a text embedding.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("there is no class \"{name}\"; there are {known}")]
 pub struct UnknownClass {
@@ -63,7 +63,7 @@ pub struct UnknownClass {
     known: String,
 }
 
-/// `priors/priors.json`.
+/// Content of `priors/priors.json`.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(crate) struct PriorSettings {
     normal: Option<NormalSettings>,
@@ -74,14 +74,14 @@ struct NormalSettings {
     frame: NormalFrame,
 }
 
-/// `labels.json`.
+/// Content of `labels.json`.
 #[derive(Deserialize)]
 pub(crate) struct Labels {
     pub(crate) labels: Vec<String>,
 }
 
 impl PriorSettings {
-    /// Reads the settings of a scene, and insists on them where they are needed.
+    /// Reads the prior settings of a scene. Fails if required settings are missing.
     pub(crate) fn read(root: &Path) -> Result<Self> {
         let path = root.join("priors/priors.json");
         let settings: Self = if path.is_file() { read_json(&path)? } else { Self::default() };
@@ -103,8 +103,8 @@ impl Scene {
         maps::find(&self.root.join("priors").join(kind), &view.camera.name, extensions)
     }
 
-    /// The normal prior of a view: unit vectors in the world at the size of the view's camera, zero where the prior is
-    /// invalid; `None` where there is no prior.
+    /// Loads the normal prior of a view; `None` if it does not exist. The result has the size of the view's camera and
+    /// holds world-space unit vectors, zero where the prior is invalid.
     pub fn normal_prior(&self, view: usize) -> Result<Option<Image>> {
         let (number, view) = (view, self.view(view)?);
         let Some(path) = self.prior_path("normal", view, &NORMAL_EXTENSIONS) else {
@@ -118,17 +118,17 @@ impl Scene {
         Ok(Some(normals))
     }
 
-    /// The albedo prior of a view: linear RGB.
+    /// Loads the albedo prior of a view: linear RGB.
     pub fn albedo_prior(&self, view: usize) -> Result<Option<MaskedMap>> {
         self.map_prior("albedo", view, Meaning::Color)
     }
 
-    /// The roughness prior of a view: one channel.
+    /// Loads the roughness prior of a view: one channel.
     pub fn roughness_prior(&self, view: usize) -> Result<Option<MaskedMap>> {
         self.map_prior("roughness", view, Meaning::Scalar)
     }
 
-    /// The metallic prior of a view: one channel.
+    /// Loads the metallic prior of a view: one channel.
     pub fn metallic_prior(&self, view: usize) -> Result<Option<MaskedMap>> {
         self.map_prior("metallic", view, Meaning::Scalar)
     }
@@ -141,8 +141,8 @@ impl Scene {
         }
     }
 
-    /// The regions of a view, at the size of the view's camera: the same number is the same region in every view, 0 is
-    /// none.
+    /// Loads the regions of a view, at the size of the view's camera. The same id is the same region in every view; 0
+    /// means none.
     pub fn region_prior(&self, view: usize) -> Result<Option<RegionMap>> {
         let view = self.view(view)?;
         match self.prior_path("masks", view, &["png"]) {
@@ -151,8 +151,8 @@ impl Scene {
         }
     }
 
-    /// The regions of a pseudo-view by its camera, whose name its file has in `priors/masks/pseudo`, at the camera's size.
-    /// The numbers are those of [`Scene::region_prior`]; what was segmented is a rendered picture, so there is no distortion.
+    /// Loads the regions of a pseudo-view, at the size of its camera. The file in `priors/masks/pseudo` has the
+    /// camera's name. Ids are those of [`Scene::region_prior`]. The segmented image is a render and has no distortion.
     pub fn pseudo_region_prior(&self, camera: &Camera) -> Result<Option<RegionMap>> {
         match maps::find(&self.root.join("priors/masks/pseudo"), &camera.name, &["png"]) {
             Some(path) => maps::load_numbers_seen(&path, camera, &Distortion::default()).map(Some),
@@ -160,8 +160,8 @@ impl Scene {
         }
     }
 
-    /// The semantic features of a view, at the size they are stored with. Distortion is undone cell by cell: features
-    /// are directions, which cannot be averaged. Cells may hold what is not finite, or zeros: they say nothing.
+    /// Loads the semantic features of a view, at their stored size. Undistortion takes the nearest stored cell, because
+    /// features are directions and cannot be averaged. Cells with non-finite values or zeros carry no information.
     pub fn semantic_prior(&self, view: usize) -> Result<Option<FeatureMap>> {
         let mut map = self.stored_features(self.view(view)?)?;
         map.iter_mut().for_each(|map| self.noise.mix_features(view, map));
@@ -196,7 +196,7 @@ impl Scene {
         Ok(Some(FeatureMap { width, height, channels, data }))
     }
 
-    /// The text embeddings of the semantic classes, from `priors/semantic`.
+    /// Loads the text embeddings of the semantic classes from `priors/semantic`.
     pub fn text_embeddings(&self) -> Result<Option<TextEmbeddings>> {
         let folder = self.root.join("priors/semantic");
         let path = folder.join("text_embeddings.npy");

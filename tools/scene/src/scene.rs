@@ -1,4 +1,4 @@
-//! A scene directory, opened.
+//! Opened scene directory.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -21,23 +21,22 @@ use crate::split_rule::SplitRule;
 use crate::unit::Unit;
 use crate::view::{LoadOptions, View};
 
-/// How to open a scene.
+/// Options for opening a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneOptions {
-    /// Which views are training views and which are test views.
+    /// Split into training and test views.
     pub split: SplitRule,
-    /// Take this many training views, spread evenly; all by default.
+    /// Number of training views, spread evenly; all if `None`.
     pub views: Option<usize>,
-    /// Image size as a factor, at most 1.
+    /// Factor on the image size, above 0 and at most 1.
     pub scale: f64,
-    /// Factor that linear (EXR) images are multiplied with before they are clipped and encoded; `None` chooses it from the
-    /// training views.
+    /// Factor on linear (EXR) images before clipping and encoding. `None` chooses the factor from the training views.
     pub exposure: Option<f32>,
-    /// Color behind PNG images with alpha, display-referred.
+    /// Background color of PNG images with alpha, display-referred.
     pub background: [f32; 3],
-    /// Whether pixels that the data set marks as invalid are left out.
+    /// Whether to exclude pixels that the data set marks as invalid.
     pub masks: bool,
-    /// Number of random points for scenes without any; held between 100 and 10 million.
+    /// Number of random points for scenes without points. Clamped to 100 to 10 million.
     pub random_points: usize,
     /// Seed of the random points.
     pub seed: u64,
@@ -76,25 +75,24 @@ impl SceneOptions {
     }
 }
 
-/// A scene: views, their split, and points to begin with. Images, priors and ground truth stay on the disk until they
-/// are asked for.
+/// Scene: views, their split, and initial points. Images, priors and ground truth are loaded from disk on request.
 #[derive(Clone, Debug)]
 pub struct Scene {
-    /// The directory.
+    /// Scene directory.
     pub root: PathBuf,
-    /// How it is laid out.
+    /// Layout of the directory.
     pub layout: Layout,
-    /// All views, ordered by name, numbers by their value.
+    /// All views, in natural order of their names: digits compare by value.
     pub views: Vec<View>,
-    /// Which of the views are trained on and which are held out.
+    /// Split of the views into training and test views.
     pub split: Split,
-    /// Points to begin with; never empty.
+    /// Initial points; never empty.
     pub points: PointCloud,
-    /// Whether the points are random, because the scene came without any.
+    /// Whether the points are random because the scene has none.
     pub points_are_random: bool,
-    /// What the user should know, one sentence each.
+    /// Warnings for the user, one sentence each.
     pub warnings: Vec<String>,
-    /// The options it was opened with; the exposure among them is the one that was chosen.
+    /// Options of the scene; `exposure` is the applied factor.
     pub options: SceneOptions,
     pub(crate) prior_settings: PriorSettings,
     pub(crate) depth_definition: OnceLock<Option<DepthDefinition>>,
@@ -105,7 +103,8 @@ pub struct Scene {
 impl Scene {
     /// Opens a scene directory.
     ///
-    /// Every image's header is read and compared with its camera; pixels are not.
+    /// Reads every image's header and compares its size with the camera. Pixels are decoded only to choose the exposure
+    /// of linear images.
     pub fn open(path: &Path, options: &SceneOptions) -> Result<Self> {
         options.check()?;
         let root = reader::scene_root(path);
@@ -179,15 +178,16 @@ impl Scene {
         })
     }
 
-    /// Warnings for a training that starts from the scene's points, one sentence each. Evaluating a run needs none of them.
+    /// Returns warnings for training from the scene's points, one sentence each. Evaluation of a run does not need
+    /// them.
     pub fn start_warnings(&self) -> Result<Vec<String>> {
         let mut warnings = Vec::new();
         if self.points_are_random {
             let n = self.points.len();
             warnings.push(format!("{} has no point cloud; starting from {n} random points", self.root.display()));
         }
-        // The first image speaks for all, so that opening a scene decodes one image and not all.
-        // A Blender scene without a room is meant to be transparent.
+        // Only the first image is checked, so that opening a scene decodes a single image. Blender scenes of single
+        // objects are transparent by design.
         let first = self.split.train.first().filter(|_| self.layout != Layout::Blender);
         let first = first.and_then(|&i| self.views.get(i));
         if let Some(view) = first
@@ -203,7 +203,7 @@ impl Scene {
         Ok(warnings)
     }
 
-    /// A view by its index.
+    /// Returns a view by its index.
     pub fn view(&self, index: usize) -> Result<&View> {
         self.views.get(index).ok_or_else(|| SceneError::Data {
             what: "the scene",
@@ -211,15 +211,15 @@ impl Scene {
         })
     }
 
-    /// The size of the camera path: 1.1 times the largest distance of a training camera from their mean.
+    /// Returns 1.1 times the largest distance of a training camera from their mean.
     ///
-    /// Cameras that all stand in one place (one view, a panorama) have no such size; then it is half of the median
-    /// distance from them to the scene's points, or 1 where these are random.
+    /// If all cameras share one position (one view, a panorama), the extent is half the median distance from them to
+    /// the scene's points. If the points are random, the extent is then 1.
     pub fn extent(&self) -> f64 {
         self.extent
     }
 
-    /// The same scene with views of `share` times the size that they have in this one; above 0, at most 1.
+    /// Returns the scene with its image size scaled by `share`. `share` is above 0 and at most 1.
     #[must_use]
     pub fn scaled(&self, share: f64) -> Scene {
         let mut scene = self.clone();
@@ -229,42 +229,41 @@ impl Scene {
         scene
     }
 
-    /// The image of a view, as [`View::load_image`] gives it with the scene's exposure.
+    /// Loads the image of a view with the scene's exposure, as [`View::load_image`].
     pub fn load_image(&self, view: usize) -> Result<Image> {
         self.view(view)?.load_image(&self.load_options())
     }
 
-    /// How the scene's images are loaded.
+    /// Returns the load options of the scene's images.
     pub fn load_options(&self) -> LoadOptions {
         LoadOptions { exposure: self.exposure(), background: self.options.background }
     }
 
-    /// Where pixels of a view's image count, as [`View::load_mask`] gives it; `None` where all do, or masks are not asked
-    /// for.
+    /// Loads the mask of a view, as [`View::load_mask`]. Returns `None` if all pixels are valid or masks are disabled.
     pub fn load_mask(&self, view: usize) -> Result<Option<Image>> {
         let view = self.view(view)?;
         if self.options.masks { view.load_mask() } else { Ok(None) }
     }
 
-    /// The factor that linear images are multiplied with.
+    /// Returns the exposure factor of linear images.
     pub fn exposure(&self) -> f32 {
         self.options.exposure.unwrap_or(1.0)
     }
 
-    /// The images of all training views, in the order of [`Split::train`].
+    /// Loads the images of all training views, in the order of [`Split::train`].
     pub fn load_train_images(&self) -> Result<Vec<Image>> {
         self.split.train.par_iter().map(|&i| self.load_image(i)).collect()
     }
 }
 
-/// Orders names as people do: runs of digits by their value, so that 9 comes before 10.
+/// Returns the sort key of a name in natural order. Runs of digits compare by value, so 9 comes before 10.
 fn natural_key(name: &str) -> (Vec<(String, u128)>, String) {
     let mut key = Vec::new();
     let mut rest = name;
     while !rest.is_empty() {
         let (text, after) = rest.split_at(rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len()));
         let (digits, after) = after.split_at(after.find(|c: char| !c.is_ascii_digit()).unwrap_or(after.len()));
-        // A number that does not fit is no counter; the whole name decides then.
+        // A number that overflows is not a counter; the whole name then decides.
         key.push((text.to_string(), digits.parse().unwrap_or(0)));
         rest = after;
     }
@@ -311,7 +310,8 @@ fn split_of(
     Ok(split)
 }
 
-/// The points that at least two training views see; all, if none is left. Says how many are left out.
+/// Returns the points that at least two training views see; all if none remains. Adds a warning with the number of
+/// excluded points.
 fn seen_points(
     points: PointCloud,
     tracks: &Tracks,
@@ -338,13 +338,13 @@ fn seen_points(
     points.filtered(&kept)
 }
 
-/// Distortion that shows more than a sliver of unseen pixels is worth a sentence.
+/// Returns a warning if undistortion leaves more than 1 % of an image uncovered.
 fn coverage_warning(views: &[View]) -> Option<String> {
     let worst = views
         .par_iter()
         .filter(|view| !view.distortion.is_none())
         .map(|view| {
-            // A small image gives the share well enough.
+            // A small image estimates the fraction accurately enough.
             let mut small = view.clone();
             small.stored_camera = view.stored_camera.scaled(64, 64);
             small.camera = small.stored_camera.clone();

@@ -1,4 +1,4 @@
-//! Which views are trained on and which are held out.
+//! Split of the views into training and test views.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -10,15 +10,15 @@ use crate::json::read_json;
 use crate::reader::stem_of;
 use crate::split_rule::SplitRule;
 
-/// Without `split.json`, one view in this many is a test view, beginning with the first.
+/// Interval of test views without `split.json`, from the first view on.
 const TEST_EVERY: usize = 8;
 
-/// Indices into a scene's views.
+/// Training and test views, as indices into a scene's views.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Split {
-    /// Views to train on.
+    /// Training views.
     pub train: Vec<usize>,
-    /// Views to measure on, never trained on.
+    /// Test views for evaluation; never trained on.
     pub test: Vec<usize>,
 }
 
@@ -30,19 +30,19 @@ struct File {
 }
 
 impl Split {
-    /// Every 8th of `count` views is a test view, beginning with the first.
+    /// Makes every 8th of `count` views a test view, beginning with the first.
     pub fn every_eighth(count: usize) -> Self {
         Self::every(TEST_EVERY, count)
     }
 
-    /// Every `n`th of `count` views is a test view, beginning with the first.
+    /// Makes every `n`th of `count` views a test view, beginning with the first.
     pub fn every(n: usize, count: usize) -> Self {
         let (test, train) = (0..count).partition(|i| i % n.max(1) == 0);
         Self { train, test }
     }
 
-    /// `n` of `count` views are test views, spread evenly from the second to the last but one, rounded down. `None` if
-    /// there are fewer than `n + 2` views.
+    /// Makes `n` of `count` views test views, spread evenly. The positions go from the second view to the last but one
+    /// and are rounded down. Returns `None` if `n` is 0 or there are fewer than `n + 2` views.
     pub fn linspace(n: usize, count: usize) -> Option<Self> {
         let steps = n.saturating_sub(1).max(1);
         let last = count.checked_sub(2).filter(|inner| n > 0 && *inner >= n)?;
@@ -51,7 +51,7 @@ impl Split {
         Some(Self { train, test })
     }
 
-    /// Divides views by a rule; `None` for [`SplitRule::Auto`].
+    /// Splits views by a rule; returns `None` for [`SplitRule::Auto`].
     pub(crate) fn by_rule(rule: &SplitRule, root: &Path, views: &[&str], missing: &[String]) -> Result<Option<Self>> {
         let count = views.len();
         let split = match rule {
@@ -73,14 +73,14 @@ impl Split {
         Ok(Some(split))
     }
 
-    /// The stems that `split.json` names.
+    /// Returns the stems that a split file names.
     pub(crate) fn names(path: &Path) -> Result<HashSet<String>> {
         let file: File = read_json(path)?;
         Ok(file.train.iter().chain(&file.test).map(|name| stem_of(Path::new(name))).collect())
     }
 
-    /// Reads `split.json`, whose names are stems of `views`. Names of `missing` frames are passed over: the frame was
-    /// warned about already.
+    /// Reads `split.json`, whose names are stems of `views`. Names of `missing` frames are ignored, because readers
+    /// already warn about them.
     pub(crate) fn read(path: &Path, views: &[&str], missing: &[String]) -> Result<Self> {
         let file: File = read_json(path)?;
         let indices: HashMap<&str, usize> = views.iter().enumerate().map(|(i, &name)| (name, i)).collect();
@@ -93,7 +93,7 @@ impl Split {
                     let problem = format!("the view \"{name}\" is named twice; a view is for training or for tests");
                     return Err(SceneError::split(path, problem));
                 }
-                // Some write file names for stems.
+                // Some files contain file names instead of stems.
                 let stem = stem_of(Path::new(name));
                 if let Some(&index) = indices.get(name.as_str()).or_else(|| indices.get(stem.as_str())) {
                     found.push(index);
@@ -115,7 +115,8 @@ impl Split {
         Ok(split)
     }
 
-    /// Keeps `count` training views, spread evenly from the first to the last. Returns whether there were enough.
+    /// Keeps `count` training views, spread evenly from the first to the last. Returns whether at least `count` views
+    /// existed.
     pub(crate) fn spread(&mut self, count: usize) -> bool {
         let n = self.train.len();
         if count >= n {
@@ -139,14 +140,14 @@ mod tests {
     }
 
     #[test]
-    fn every_eighth_view_is_a_test() {
+    fn every_eighth_view_is_a_test_view() {
         let split = Split::every_eighth(18);
         assert_eq!(split.test, [0, 8, 16]);
         assert_eq!(split.train.len(), 15);
         assert!(split.train.iter().all(|i| i % 8 != 0));
     }
 
-    /// 24 views: numpy's linspace(1, 22, 5) is 1, 6.25, 11.5, 16.75, 22.
+    /// 24 views: numpy's `linspace(1, 22, 5)` is 1, 6.25, 11.5, 16.75, 22.
     #[test]
     fn linspace_holds_out_views_between_the_first_and_the_last() {
         let split = Split::linspace(5, 24).unwrap();
@@ -166,19 +167,19 @@ mod tests {
     }
 
     #[test]
-    fn every_third_view_may_be_a_test() {
+    fn every_third_view_is_a_test_view() {
         assert_eq!(Split::every(3, 7), Split { train: vec![1, 2, 4, 5], test: vec![0, 3, 6] });
     }
 
     #[test]
-    fn names_become_indices_in_the_order_of_the_file() {
+    fn names_become_indices_in_file_order() {
         let split = read(r#"{"train": ["b", "gone", "a.png"], "test": ["c.0"]}"#).unwrap();
         assert_eq!(split, Split { train: vec![1, 0], test: vec![2] });
         assert_eq!(read(r#"{"train": ["b"]}"#).unwrap(), Split { train: vec![1], test: vec![] });
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_error_has_its_message() {
         assert!(read("{").unwrap_err().contains("split.json, line 1, column 1"));
         assert!(read("{}").unwrap_err().contains("missing field `train`"));
         let unknown = read(r#"{"train": ["a", "z"]}"#).unwrap_err();

@@ -1,4 +1,4 @@
-//! Rules that divide views into training and test views.
+//! Rules that split views into training and test views.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -8,17 +8,18 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::error::SceneError;
 
-/// How views are divided into training and test views. Views are numbered in the order of their names, from 0.
+/// Rule that splits views into training and test views. Views are numbered from 0 in the order of their names.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum SplitRule {
-    /// `auto`: as `split.json` of the scene says, else as the layout says, else every 8th view is a test view.
+    /// `auto`: `split.json` of the scene, else the layout's split, else every 8th view.
     #[default]
     Auto,
-    /// `every:N`: views 0, N, 2N and so on are test views, as in 3DGS and MipNeRF-360.
+    /// `every:N`: views 0, N, 2N and so on are test views. This matches 3DGS and MipNeRF-360.
     Every(usize),
-    /// `linspace:N`: N test views, spread evenly from the second view to the last but one, rounded down.
+    /// `linspace:N`: N test views, spread evenly. The positions go from the second view to the last but one and are
+    /// rounded down.
     Linspace(usize),
-    /// A file like `split.json`.
+    /// Path of a file in the format of `split.json`.
     File(PathBuf),
 }
 
@@ -71,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rules_are_read_as_they_are_written() {
+    fn rules_round_trip_through_text() {
         for (text, rule) in [
             ("auto", SplitRule::Auto),
             ("every:8", SplitRule::Every(8)),
@@ -84,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn rules_that_mean_nothing_are_refused() {
+    fn invalid_rules_are_rejected() {
         for text in ["", "every:1", "every:", "every:-8", "linspace:0", "linspace:x"] {
             let error = text.parse::<SplitRule>().unwrap_err().to_string();
             assert!(error.starts_with(&format!("--split is \"{text}\", but a split is auto, every:N")), "{error}");

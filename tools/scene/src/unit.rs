@@ -1,29 +1,30 @@
-//! The unit in which lengths are computed.
+//! Unit of length of the computation.
 //!
-//! Rates, weights and the near plane suit scenes a few units wide. Scenes in millimeters, or with poses of an arbitrary small scale,
-//! are computed in another unit. It is a power of two, so that scaling there and back changes no digit of a length.
+//! Learning rates, loss weights and the near plane are tuned for scenes a few units wide. Scenes in millimeters, or
+//! with poses of an arbitrary small scale, are computed in another unit. The unit is a power of two, so conversion and
+//! back-conversion preserve every digit of a length.
 
 use crate::{Camera, Scene, Splats};
 use std::ops::RangeInclusive;
 
-/// Scenes of these extents are computed in their own unit.
+/// Extents of scenes that are computed in their own unit.
 const USUAL: RangeInclusive<f64> = 0.25..=16.0;
 
-/// Extent that other scenes have about, in the unit in which they are computed.
+/// Approximate extent of other scenes in their unit of computation.
 const EXTENT: f64 = 2.0;
 
-/// Splats that are looked at to find how large a scene is.
+/// Largest number of splats sampled to estimate the size of a scene.
 const SAMPLES: usize = 4096;
 
-/// A length, in units of a scene, that is 1 where the scene is computed.
+/// Unit of length: its size in scene units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unit(f64);
 
 impl Unit {
-    /// The scene's own unit.
+    /// Unit of the scene itself.
     pub const OWN: Unit = Unit(1.0);
 
-    /// The unit for a scene of an extent ([`Scene::extent`]).
+    /// Returns the unit for a scene with this extent ([`Scene::extent`]).
     pub fn of_extent(extent: f64) -> Unit {
         if USUAL.contains(&extent) || !extent.is_normal() || extent < 0.0 {
             return Unit::OWN;
@@ -31,23 +32,23 @@ impl Unit {
         Unit(2_f64.powi((extent / EXTENT).log2().round().clamp(-60.0, 60.0) as i32))
     }
 
-    /// A unit of this length.
+    /// Creates a unit with this length in scene units.
     pub fn of_length(length: f64) -> Unit {
         Unit(length)
     }
 
-    /// Its length.
+    /// Returns the length of the unit in scene units.
     pub fn length(self) -> f64 {
         self.0
     }
 
-    /// The unit that takes lengths back.
+    /// Returns the unit of the inverse conversion.
     #[must_use]
     pub fn inverse(self) -> Unit {
         Unit(1.0 / self.0)
     }
 
-    /// A place in this unit.
+    /// Converts a position to this unit.
     pub fn place(self, [x, y, z]: [f32; 3]) -> [f32; 3] {
         let by = (1.0 / self.0) as f32;
         [x * by, y * by, z * by]
@@ -55,7 +56,8 @@ impl Unit {
 }
 
 impl Unit {
-    /// The unit for splats without a scene, from their median distance to their center. Only small scenes get another than their own.
+    /// Returns the unit for splats without a scene. The extent is their median distance from their center. Only small
+    /// scenes get a unit other than their own.
     pub fn of_splats(splats: &Splats) -> Unit {
         let every = splats.len().div_ceil(SAMPLES).max(1);
         let places = || splats.means.iter().step_by(every).filter(|mean| mean.iter().all(|v| v.is_finite()));
@@ -71,7 +73,7 @@ impl Unit {
 }
 
 impl Camera {
-    /// The same camera where lengths are in another unit.
+    /// Returns the camera with lengths converted to a unit.
     #[must_use]
     pub fn in_unit(&self, unit: Unit) -> Camera {
         Camera { translation: self.translation / unit.0, near: self.near / unit.0, ..self.clone() }
@@ -79,7 +81,7 @@ impl Camera {
 }
 
 impl Splats {
-    /// The same splats where lengths are in another unit.
+    /// Returns the splats with lengths converted to a unit.
     #[must_use]
     pub fn in_unit(mut self, unit: Unit) -> Splats {
         if unit != Unit::OWN {
@@ -92,12 +94,12 @@ impl Splats {
 }
 
 impl Scene {
-    /// The unit in which the scene is computed.
+    /// Returns the unit in which the scene is computed.
     pub fn unit(&self) -> Unit {
         Unit::of_extent(self.extent())
     }
 
-    /// The same scene where lengths are in another unit. Ground truth and sensor depth keep the units of their files.
+    /// Returns the scene with lengths converted to a unit. Ground truth and sensor depth keep the units of their files.
     #[must_use]
     pub fn in_unit(&self, unit: Unit) -> Scene {
         let mut scene = self.clone();
@@ -115,7 +117,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn units_are_powers_of_two_that_bring_extents_near_two() {
+    fn units_are_powers_of_two_that_scale_extents_to_about_two() {
         for extent in [0.25, 1.0, 3.3, 16.0, 0.0, -1.0, f64::NAN, f64::INFINITY, 1e-320] {
             assert_eq!(Unit::of_extent(extent), Unit::OWN, "{extent}");
         }
@@ -128,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn splats_come_back_with_the_same_places() {
+    fn unit_conversion_of_splats_is_reversible() {
         let splats = Splats {
             means: vec![[1.3, -200.7, 3e-4], [0.0, 1e6, -7.1]],
             log_scales: vec![[-1.5, 2.25, 0.1]; 2],

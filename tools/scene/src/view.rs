@@ -1,4 +1,4 @@
-//! One photograph with its camera.
+//! Photograph with its camera.
 
 use std::path::PathBuf;
 
@@ -11,40 +11,40 @@ use crate::image::{
 use crate::maps::{self, Meaning};
 use crate::reader::Frame;
 
-/// Half-float files hold infinity where a lamp was too bright for them; it is read as their largest number, so that
-/// averages stay finite.
+/// Largest finite half-precision value. Half-float files store infinity for pixels that exceed their range. Clamping to
+/// this value keeps averages finite.
 const BRIGHTEST: f32 = 65_504.0;
 
-/// A view of a scene: the camera, and where and how its photograph is stored.
+/// View of a scene: its camera, and the location and format of its photograph.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// The camera of the loaded image: without distortion, at the scene's scale.
+    /// Camera of the loaded image: undistorted, at the scene's scale.
     pub camera: Camera,
-    /// The file of the photograph.
+    /// Path of the photograph.
     pub image_path: PathBuf,
-    /// The distortion of the photograph as stored.
+    /// Lens distortion of the stored photograph.
     pub distortion: Distortion,
-    /// The camera at the size of the photograph as stored.
+    /// Camera at the size of the stored photograph.
     pub stored_camera: Camera,
     declared_in: PathBuf,
     pub(crate) beside: Beside,
 }
 
-/// A photograph as it lies on the disk: at its own size and with its lens distortion, which is how priors show it too.
+/// Photograph as stored: at its own size and with its lens distortion. Priors have the same distortion.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Photograph {
-    /// RGB.
+    /// RGB values.
     pub image: Image,
-    /// Whether the values are linear (exposed, not clipped) rather than sRGB-encoded.
+    /// Whether the values are linear (exposed, not clipped) or sRGB-encoded.
     pub linear: bool,
 }
 
-/// How photographs become what training compares with.
+/// Options for loading photographs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoadOptions {
-    /// The factor that linear (EXR) values are multiplied with before they are clipped and encoded.
+    /// Factor on linear (EXR) values before clipping and encoding.
     pub exposure: f32,
-    /// The color behind PNG images with alpha, display-referred.
+    /// Background color of PNG images with alpha, display-referred.
     pub background: [f32; 3],
 }
 
@@ -55,14 +55,14 @@ impl Default for LoadOptions {
 }
 
 impl View {
-    /// The view of a frame, at `scale` times its size.
+    /// Creates the view of a frame at `scale` times its size.
     pub(crate) fn new(frame: Frame, scale: f64) -> Self {
         let Frame { camera: stored_camera, lens, image, declared_in, beside } = frame;
         let camera = stored_camera.clone();
         Self { camera, image_path: image, distortion: lens, stored_camera, declared_in, beside }.at_scale(scale)
     }
 
-    /// The same view at `scale` times the size that it is stored in; its pose stays.
+    /// Returns the view at `scale` times its stored size; the pose is unchanged.
     pub(crate) fn at_scale(mut self, scale: f64) -> Self {
         let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
         let scaled = self.stored_camera.scaled(side(self.stored_camera.width), side(self.stored_camera.height));
@@ -71,13 +71,13 @@ impl View {
         self
     }
 
-    /// The photograph as training compares with it: sRGB-encoded RGB in `[0, 1]`, without distortion, at the size of
-    /// [`View::camera`].
+    /// Loads the photograph as the target of training. The image is sRGB-encoded RGB in `[0, 1]`, undistorted, at the
+    /// size of [`View::camera`].
     ///
-    /// PNG's straight alpha is composited on the background, in encoded values as viewers do; EXR's colors hold theirs
-    /// already and stay on black. Linear values are exposed, resized, and only then clipped, as a camera does; a
-    /// not-a-number is an error, except where the mask excludes it. A PNG or JPEG that needs neither undistortion nor
-    /// scaling keeps its values exactly.
+    /// Straight PNG alpha is composited on the background in encoded values, as in viewers. EXR colors are
+    /// premultiplied and remain on black. Linear values are exposed, resized, and then clipped, as in a camera. NaN is
+    /// an error, except where the mask excludes it. PNG and JPEG images that need neither undistortion nor scaling keep
+    /// their exact values.
     pub fn load_image(&self, options: &LoadOptions) -> Result<Image> {
         let (raster, encoding) = self.read(options.background)?;
         if encoding == Encoding::Srgb && self.distortion.is_none() && self.is_stored_size() {
@@ -88,14 +88,14 @@ impl View {
         Ok(image)
     }
 
-    /// The photograph as linear light, exposed, without distortion, at the size of [`View::camera`]. Values above 1 stay
-    /// what they are, as far as the file has any.
+    /// Loads the photograph as linear light. The image is exposed, undistorted, and at the size of [`View::camera`].
+    /// Values above 1 are not clipped.
     pub fn load_linear(&self, options: &LoadOptions) -> Result<Image> {
         let (raster, encoding) = self.read(options.background)?;
         Ok(self.bring(self.linear(raster, encoding, options)?))
     }
 
-    /// The photograph as stored, for whoever makes priors. Alpha is composited on the background.
+    /// Loads the photograph as stored, as input for priors. Alpha is composited on the background.
     pub fn load_stored(&self, options: &LoadOptions) -> Result<Photograph> {
         let (raster, encoding) = self.read(options.background)?;
         Ok(match encoding {
@@ -104,8 +104,8 @@ impl View {
         })
     }
 
-    /// One channel, 1 where the lens saw the pixel, 0 where undistortion had to repeat the image's border. `None` for
-    /// images without distortion, which cover all pixels.
+    /// Returns the coverage of undistortion in one channel. The value is 1 where the lens captured the pixel, and 0
+    /// where undistortion repeats the border. Returns `None` for images without distortion, which cover all pixels.
     pub fn coverage(&self) -> Option<Image> {
         if self.distortion.is_none() {
             return None;
@@ -116,8 +116,8 @@ impl View {
         Some(scaled)
     }
 
-    /// The data set's mask of valid pixels: one channel at the size of [`View::camera`], 1 where all of the pixel is valid,
-    /// else 0. `None` where it has none.
+    /// Loads the data set's mask of valid pixels; `None` if it does not exist. The mask has one channel and the size of
+    /// [`View::camera`]. The value is 1 where the whole pixel is valid, else 0.
     pub fn load_mask(&self) -> Result<Option<Image>> {
         let Some(stored) = self.stored_mask()? else {
             return Ok(None);
@@ -127,7 +127,7 @@ impl View {
         Ok(Some(mask))
     }
 
-    /// The data set's mask as large as the photograph: 1 where it is valid, else 0.
+    /// Loads the data set's mask at the size of the photograph. The value is 1 where the pixel is valid, else 0.
     pub(crate) fn stored_mask(&self) -> Result<Option<Image>> {
         let Some(path) = &self.beside.mask else {
             return Ok(None);
@@ -139,12 +139,13 @@ impl View {
         Ok(Some(mask))
     }
 
-    /// Whether the photograph holds linear light.
+    /// Returns whether the photograph stores linear light.
     pub(crate) fn is_linear(&self) -> bool {
         self.image_path.extension().is_some_and(|e| e.eq_ignore_ascii_case("exr"))
     }
 
-    /// Luminances (Rec. 709) of at most `count` valid pixels of a linear photograph, spread over it.
+    /// Returns luminances (Rec. 709) of valid pixels of a linear photograph. At most `count` pixels are sampled at
+    /// regular intervals.
     pub(crate) fn luminances(&self, count: usize) -> Result<Vec<f32>> {
         let (image, _) = self.read([0.0; 3])?;
         let mask = self.stored_mask()?;
@@ -161,7 +162,7 @@ impl View {
         (self.camera.width, self.camera.height) == (self.stored_camera.width, self.stored_camera.height)
     }
 
-    /// The file's values as RGB on the background.
+    /// Reads the file's values as RGB on the background.
     fn read(&self, background: [f32; 3]) -> Result<(Image, Encoding)> {
         let (mut raster, encoding) = read_raster(&self.image_path)?;
         let (image, camera) = ((raster.width, raster.height), (self.stored_camera.width, self.stored_camera.height));
@@ -205,8 +206,8 @@ impl View {
         Ok((rgb, encoding))
     }
 
-    /// The share of the photograph's pixels that are not opaque; `None` for an opaque photograph, and for formats whose
-    /// colors hold their alpha already.
+    /// Returns the fraction of the photograph's pixels that are not opaque. Returns `None` for opaque photographs and
+    /// for formats with premultiplied alpha.
     pub(crate) fn transparent_share(&self) -> Result<Option<f64>> {
         let is_png = self.image_path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
         if !is_png {
@@ -222,7 +223,7 @@ impl View {
         Ok((through > 0).then(|| through as f64 / pixels))
     }
 
-    /// Linear light from the file's values.
+    /// Converts the file's values to exposed linear light.
     fn linear(&self, mut image: Image, encoding: Encoding, options: &LoadOptions) -> Result<Image> {
         match encoding {
             Encoding::Srgb => image.data.iter_mut().for_each(|v| *v = srgb_to_linear(*v)),
@@ -239,7 +240,7 @@ impl View {
         Ok(image)
     }
 
-    /// Undistorts and scales linear values.
+    /// Undistorts and resizes linear values.
     fn bring(&self, image: Image) -> Image {
         let straight = match self.distortion.is_none() {
             true => image,
@@ -255,7 +256,7 @@ mod tests {
     use crate::camera::tests::camera;
     use crate::image::{write_exr, write_png};
 
-    /// A view of an image that was written to `name`, at `scale`.
+    /// Writes an image to `name` and returns its view at `scale`.
     fn view(name: &str, image: &Image, scale: f64) -> (tempfile::TempDir, View) {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(name);
@@ -281,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn stored_values_are_kept_exactly() {
+    fn stored_values_are_preserved_exactly() {
         let photograph = image(3, &[0.0, 1.0, 51.0 / 255.0, 7.0 / 255.0, 0.2, 0.4]);
         assert_eq!(load("a.png", &photograph, 1.0), photograph);
     }
@@ -293,7 +294,7 @@ mod tests {
         let straight = load("a.png", &image(4, &[1.0, 0.0, 0.4, alpha]), 1.0);
         assert_eq!(straight.data, [alpha, 0.0, 0.4 * alpha]);
         assert_eq!(load("a.png", &image(2, &[1.0, alpha]), 1.0).data, [alpha; 3]);
-        // EXR's colors are multiplied by alpha already.
+        // EXR colors are premultiplied.
         let premultiplied = load("a.exr", &image(4, &[1.0, 0.0, 1.0, 0.5]), 1.0);
         assert!((premultiplied.data[0] - 1.0).abs() < 1e-6 && premultiplied.data[1] == 0.0);
     }
@@ -317,19 +318,19 @@ mod tests {
     }
 
     #[test]
-    fn scaling_averages_light_and_not_codes() {
+    fn scaling_averages_linear_light() {
         let stripes = load("a.png", &image(3, &[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]), 0.5);
         assert_eq!((stripes.width, stripes.height), (1, 1));
-        // Half of the light is code 0.735, far from the mean of the codes.
+        // Half of linear white is encoded as 0.735, far from the mean of the encoded values.
         assert!(stripes.data.iter().all(|v| (v - 0.735_357).abs() < 1e-4), "{:?}", stripes.data);
-        // A lamp is averaged before it is clipped.
-        let lamp = load("a.exr", &image(3, &[0.0, 0.0, 0.0, 10.0, 1.0, 0.5]), 0.5);
+        // Bright values are averaged before they are clipped.
+        let light = load("a.exr", &image(3, &[0.0, 0.0, 0.0, 10.0, 1.0, 0.5]), 0.5);
         let expected = [1.0, linear_to_srgb(0.5), linear_to_srgb(0.25)];
-        assert!(lamp.data.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6));
+        assert!(light.data.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6));
     }
 
     #[test]
-    fn the_camera_follows_the_whole_size() {
+    fn camera_scales_to_the_rounded_image_size() {
         let (_keep, view) = view("a.png", &Image::new(5, 3, 3), 0.5);
         let Camera { width, height, fx, fy, cx, cy, .. } = view.camera;
         assert_eq!((width, height), (3, 2));
@@ -341,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn distortion_is_removed_and_coverage_known() {
+    fn distortion_is_removed_and_coverage_is_returned() {
         let mut photograph = Image::new(160, 120, 3);
         photograph.data.iter_mut().enumerate().for_each(|(i, v)| *v = (i % 480) as f32 / 480.0);
         let (_keep, mut view) = view("a.png", &photograph, 0.5);
@@ -358,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_error_has_its_message() {
         let (_keep, mut view) = view("a.exr", &image(3, &[0.0, 0.0, 0.0, 0.0, f32::NAN, 0.0]), 1.0);
         let fail = |view: &View| view.load_image(&LoadOptions::default()).unwrap_err().to_string();
         assert!(fail(&view).contains("a.exr: the pixel in column 1, row 0 is not a number"));

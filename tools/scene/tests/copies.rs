@@ -1,4 +1,5 @@
-//! MipNeRF-360's, DL3DV's and VGGT's directories, which are COLMAP's and nerfstudio's with smaller copies of the images.
+//! MipNeRF-360, DL3DV and VGGT directories. They have the layouts of COLMAP and nerfstudio with downscaled copies of
+//! the images.
 
 mod common;
 
@@ -9,7 +10,8 @@ use common::written::{Seat, assert_sees, encoded, rgba, seats};
 use glam::{DMat3, DQuat, DVec2};
 use sgs_scene::{Layout, PointCloud};
 
-/// The camera of a photograph four times as large as what lies in `images_4`.
+/// Returns the camera of the full-size photograph of a copy in `images_4`. The photograph is four times as large as the
+/// copy.
 fn full(seat: &Seat) -> Seat {
     Seat { focal: seat.focal * 4.0, center: seat.center * 4.0, size: (seat.size.0 * 4, seat.size.1 * 4), ..*seat }
 }
@@ -22,14 +24,14 @@ fn write_image(path: &Path, seat: &Seat) {
     rgba(path, seat.size, &seat.hits().iter().map(color).collect::<Vec<_>>());
 }
 
-/// World to camera as COLMAP writes it.
+/// Returns the world-to-camera pose in COLMAP's representation.
 fn pose(seat: &Seat) -> ([f64; 4], [f64; 3]) {
     let rotation = DMat3::from_cols(seat.right, -seat.up, seat.ahead).transpose();
     let q = DQuat::from_mat3(&rotation);
     ([q.w, q.x, q.y, q.z], (-(rotation * seat.origin)).to_array())
 }
 
-/// A binary model with one PINHOLE camera.
+/// Writes a binary model with one PINHOLE camera.
 fn write_binary(folder: &Path, names: &[String], seats: &[Seat]) {
     std::fs::create_dir_all(folder).unwrap();
     let big = &seats[0];
@@ -58,12 +60,12 @@ fn one_point() -> PointCloud {
 }
 
 #[test]
-fn mip_nerf_360_is_read_with_and_without_the_full_images() {
+fn mip_nerf_360_is_read_with_and_without_full_size_images() {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path();
     let small = seats(9);
     let large: Vec<Seat> = small.iter().map(full).collect();
-    // The copies of JPEG photographs are often PNG.
+    // Copies of JPEG photographs are often PNG.
     let names: Vec<String> = (0..9).map(|i| format!("DSC0{i:04}.JPG")).collect();
     write_binary(&root.join("sparse/0"), &names, &large);
     std::fs::write(root.join("sparse/0/points3D.bin"), 0_u64.to_le_bytes()).unwrap();
@@ -84,7 +86,7 @@ fn mip_nerf_360_is_read_with_and_without_the_full_images() {
     }
     let scene = open(root);
     large.iter().zip(&scene.views).for_each(|(seat, view)| assert_sees(&view.camera, seat));
-    // An image that is no copy of the camera's is refused.
+    // An image whose size matches neither the camera nor a copy is rejected.
     std::fs::remove_dir_all(root.join("images")).unwrap();
     let wrong = Seat { size: (48, 33), ..small[3] };
     write_image(&root.join("images_4/DSC00003.png"), &wrong);
@@ -93,7 +95,7 @@ fn mip_nerf_360_is_read_with_and_without_the_full_images() {
 }
 
 #[test]
-fn dl3dv_is_read_wherever_its_file_lies() {
+fn dl3dv_is_read_from_every_location_of_its_file() {
     let small = seats(9);
     let frames = |folder: &str| {
         let frame = |(i, seat): (usize, &Seat)| {
@@ -105,7 +107,7 @@ fn dl3dv_is_read_wherever_its_file_lies() {
             frames.join(",")
         )
     };
-    // Where the file is, what it calls the images, and where they are.
+    // Location of the file, image folder in the file, and actual image folder.
     for (file, named, folder) in [
         ("transforms.json", "images", "images_4"),
         ("transforms.json", "gaussian_splat/images_4", "gaussian_splat/images_4"),
@@ -127,7 +129,7 @@ fn dl3dv_is_read_wherever_its_file_lies() {
 }
 
 #[test]
-fn vggt_exports_are_read_in_both_forms() {
+fn vggt_exports_are_read_in_binary_and_text_form() {
     let seats = seats(9);
     let names: Vec<String> = (0..9).map(|i| format!("{i:03}.png")).collect();
     for text in [false, true] {

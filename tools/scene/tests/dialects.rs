@@ -1,4 +1,4 @@
-//! PLY files of other programs: recognized by their names, read with their meaning, written as they write them.
+//! PLY files of other programs: detection by property names, reading and writing.
 
 use sgs_scene::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats, srgb_to_linear};
 use std::path::Path;
@@ -42,7 +42,7 @@ fn far(a: &[f32], b: &[f32], range: [f32; 2]) -> f32 {
 }
 
 #[test]
-fn every_dialect_there_and_back() {
+fn splats_round_trip_through_every_dialect() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");
     let splats = sample(40);
@@ -50,7 +50,7 @@ fn every_dialect_there_and_back() {
         splats.write_ply_as(&path, dialect).unwrap();
         let (back, found) = Splats::read_ply_dialect(&path).unwrap();
         assert_eq!(found, dialect, "{:?}", names(&path));
-        // What all hold keeps its bits.
+        // Attributes that all dialects store keep every bit.
         assert_eq!(
             (&back.means, &back.log_scales, &back.rotations, &back.opacity_logits, &back.normals),
             (&splats.means, &splats.log_scales, &splats.rotations, &splats.opacity_logits, &splats.normals)
@@ -65,7 +65,7 @@ fn every_dialect_there_and_back() {
             continue;
         }
         let flat = |s: &Splats| s.albedo.as_ref().unwrap().as_flattened().to_vec();
-        // The published range of albedo begins at 0.09: darker things become that.
+        // The published range of albedo begins at 0.09; darker values are clamped.
         let published = matches!(dialect, PlyDialect::R3dg | PlyDialect::Sgs);
         let expected: Vec<f32> = match published {
             true => flat(&splats)
@@ -92,7 +92,7 @@ fn every_dialect_there_and_back() {
 }
 
 #[test]
-fn the_names_are_those_of_the_programs() {
+fn property_names_match_each_program() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");
     let splats = sample(1);
@@ -114,7 +114,8 @@ fn the_names_are_those_of_the_programs() {
     );
 }
 
-/// A file by hand: the three splats of every program, and more.
+/// Reads a hand-written file with one splat. The file has the properties that all programs share, plus `more` with
+/// `values`.
 fn by_hand(path: &Path, more: &str, values: &str) -> (Splats, PlyDialect) {
     let text = format!(
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n\
@@ -128,7 +129,7 @@ fn by_hand(path: &Path, more: &str, values: &str) -> (Splats, PlyDialect) {
 }
 
 #[test]
-fn files_of_others_mean_what_they_say() {
+fn foreign_materials_are_decoded() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");
     let (plain, dialect) = by_hand(&path, "", "");
@@ -171,7 +172,7 @@ fn files_of_others_mean_what_they_say() {
 }
 
 #[test]
-fn dialects_with_materials_are_not_written_without() {
+fn dialects_with_materials_require_materials() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");
     let bare = Splats { albedo: None, ..sample(2) };

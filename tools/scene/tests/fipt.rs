@@ -1,4 +1,4 @@
-//! The two layouts of FIPT, written here and read back.
+//! Both FIPT layouts: files are written and read back.
 
 mod common;
 
@@ -12,10 +12,10 @@ fn light(seat: &Seat) -> Vec<[f32; 3]> {
     seat.hits().iter().map(|hit| hit.light()).collect()
 }
 
-/// A real capture; `number` gives an image's.
+/// Writes a real capture; `number` returns the number of an image.
 fn write_real(root: &Path, count: usize, number: impl Fn(usize) -> String) -> Vec<Seat> {
     let mut seats = seats(count);
-    // Every camera has a principal point of its own, none of them in the middle.
+    // Every camera has a different, off-center principal point.
     for (i, seat) in seats.iter_mut().enumerate() {
         seat.center += glam::DVec2::new(0.5 * i as f64, 0.25 * i as f64);
     }
@@ -28,7 +28,7 @@ fn write_real(root: &Path, count: usize, number: impl Fn(usize) -> String) -> Ve
     seats
 }
 
-/// A synthetic scene: five training and two validation views. Frames keep names of another time.
+/// Writes a synthetic scene with five training and two validation views. Frames name files that do not exist.
 fn write_synthetic(root: &Path) -> [Vec<Seat>; 2] {
     let mut all = seats(7);
     for seat in &mut all {
@@ -47,7 +47,7 @@ fn write_synthetic(root: &Path) -> [Vec<Seat>; 2] {
             exr(&folder.join(format!("DiffCol/{i:03}_0001.exr")), seat.size, &vec![[0.0; 3]; hits.len()]);
             let roughness: Vec<_> = hits.iter().map(|hit| [hit.roughness(); 3]).collect();
             exr(&folder.join(format!("Roughness/{i:03}_0001.exr")), seat.size, &roughness);
-            // Mitsuba's axes: left, up, ahead.
+            // Mitsuba's axes: left, up, forward.
             let matrix = seat.matrix([-seat.right, seat.up, seat.ahead]);
             frames.push(format!("{{\"file_path\": \"./old/r_{i}\", \"transform_matrix\": {matrix}}}"));
         }
@@ -59,7 +59,7 @@ fn write_synthetic(root: &Path) -> [Vec<Seat>; 2] {
 }
 
 #[test]
-fn real_captures_keep_their_principal_points() {
+fn real_captures_preserve_principal_points() {
     let directory = tempfile::tempdir().unwrap();
     let seats = write_real(directory.path(), 9, |i| format!("{i:03}"));
     let scene = open(directory.path());
@@ -78,9 +78,9 @@ fn real_captures_keep_their_principal_points() {
 }
 
 #[test]
-fn images_belong_to_cameras_by_number() {
+fn images_are_assigned_to_cameras_by_number() {
     let directory = tempfile::tempdir().unwrap();
-    // As text, 10 comes before 9.
+    // Sorted as text, 10 precedes 9.
     let seats = write_real(directory.path(), 12, |i| i.to_string());
     let scene = open(directory.path());
     assert_eq!(scene.views[10].camera.name, "10_0001");
@@ -92,10 +92,10 @@ fn images_belong_to_cameras_by_number() {
     let skipped: Vec<_> = scene.warnings.iter().filter(|w| w.contains("skipped")).collect();
     assert_eq!((scene.views.len(), skipped.len()), (10, 1));
     assert!(skipped[0].starts_with("2 of 12 frames in ") && skipped[0].contains("cam.txt"), "{}", skipped[0]);
-    // Those after the gap keep their own cameras.
+    // Images after the gap keep their own cameras.
     assert_sees(&scene.views[4].camera, &seats[5]);
 
-    // Numbers may begin anywhere, as long as there are as many as cameras.
+    // Numbers may start anywhere if images and cameras are equally many.
     let directory = tempfile::tempdir().unwrap();
     let seats = write_real(directory.path(), 5, |i| (i + 98).to_string());
     let scene = open(directory.path());
@@ -103,7 +103,7 @@ fn images_belong_to_cameras_by_number() {
 }
 
 #[test]
-fn synthetic_scenes_have_mitsuba_s_axes() {
+fn synthetic_scenes_have_mitsuba_axes() {
     let directory = tempfile::tempdir().unwrap();
     let [train, val] = write_synthetic(directory.path());
     let scene = open(directory.path());
@@ -124,13 +124,13 @@ fn synthetic_scenes_have_mitsuba_s_axes() {
     let diffuse = GroundTruth::of(&open(directory.path())).load(GroundTruthKind::Albedo, 6).unwrap().unwrap();
     assert!(diffuse.data.iter().all(|&v| v == 0.0));
 
-    // One split alone is a scene, too.
+    // A single split is also a scene.
     let scene = open(&directory.path().join("train"));
     assert_eq!((scene.layout, scene.views.len()), (Layout::Fipt, 5));
     assert_sees(&scene.views[2].camera, &train[2]);
 }
 
-/// A `transforms.json` whose frames name EXR images is nerfstudio's, whose axes are OpenGL's.
+/// A `transforms.json` whose frames name EXR images has nerfstudio's layout. Its axes are OpenGL's.
 #[test]
 fn frames_that_name_exr_images_have_opengl_axes() {
     let directory = tempfile::tempdir().unwrap();
@@ -150,7 +150,7 @@ fn frames_that_name_exr_images_have_opengl_axes() {
 }
 
 #[test]
-fn each_fault_has_its_sentence() {
+fn each_error_has_its_message() {
     let fail = |change: &dyn Fn(&Path)| {
         let directory = tempfile::tempdir().unwrap();
         write_real(directory.path(), 9, |i| format!("{i:03}"));

@@ -1,4 +1,4 @@
-//! InteriorVerse's layout, written here and read back.
+//! InteriorVerse's layout: files are written and read back.
 
 mod common;
 
@@ -8,18 +8,18 @@ use common::open;
 use common::written::{Hit, Seat, assert_sees, encoded, exr, gray, seats, worst, worst_angle};
 use sgs_scene::{DepthDefinition, GroundTruth, GroundTruthKind, Layout, Scene, SceneOptions};
 
-/// Depth of a hit, in a file's unit.
+/// Function that returns the depth of a hit in the file's unit.
 type DepthOf = fn(&Hit) -> f64;
 
-/// What may differ between scenes of this layout.
+/// Parameters of a written scene.
 struct Written {
-    /// The numbers of the images.
+    /// Numbers of the images.
     numbers: Vec<String>,
-    /// Depth.
+    /// Depth of a hit in the file's unit.
     depth: DepthOf,
     /// Factor on the light of a view.
     brightness: fn(usize) -> f32,
-    /// Pixels that are invalid.
+    /// Whether a pixel is invalid.
     invalid: fn(usize) -> bool,
 }
 
@@ -35,7 +35,7 @@ impl Default for Written {
 }
 
 impl Written {
-    /// Writes the scene and gives its cameras.
+    /// Writes the scene and returns its cameras.
     fn write(&self, root: &Path) -> Vec<Seat> {
         let seats = seats(self.numbers.len());
         let mut frames = Vec::new();
@@ -61,7 +61,7 @@ impl Written {
                 seat.opengl()
             ));
         }
-        // The order in the file is no order of the views, and some editors begin with a mark.
+        // The file order differs from the view order, and some editors write a byte-order mark.
         frames.reverse();
         let json = format!(
             "\u{feff}\n {{\"fl_x\": 30, \"fl_y\": 32, \"cx\": 19, \"cy\": 17.5, \"w\": 48, \"h\": 40, \"frames\": [{}]}}",
@@ -103,14 +103,14 @@ fn cameras_images_and_split_are_read() {
 }
 
 #[test]
-fn ground_truth_is_in_the_world_s_terms() {
+fn ground_truth_is_in_world_space_and_scene_units() {
     let (_keep, seats, scene) = Written::default().scene(|_| ());
     let truth = GroundTruth::of(&scene);
     assert_eq!(truth.depth_definition().unwrap(), Some(DepthDefinition { unit: 1e-3, along_ray: false }));
     for (i, seat) in seats.iter().enumerate() {
         let hits = seat.hits();
         let get = |kind| truth.load(kind, i).unwrap().unwrap();
-        // Taken for the world's, the vectors would be far off; so would they with another camera's axes.
+        // Normals in a wrong frame or with another camera's axes would have large errors.
         assert!(worst_angle(&get(GroundTruthKind::Normal), &hits, valid) < 0.01);
         assert!(worst(&get(GroundTruthKind::Depth), |p| vec![hits[p].z as f32], valid) < 1e-4);
         assert!(worst(&get(GroundTruthKind::Albedo), |p| hits[p].albedo().to_vec(), valid) < 1e-6);
@@ -125,7 +125,7 @@ fn ground_truth_is_in_the_world_s_terms() {
     }
 }
 
-/// Whatever a file's numbers are, the depth that comes out is the camera's z in the scene's unit.
+/// Depth becomes camera z in scene units under every definition.
 #[test]
 fn depth_of_every_definition_becomes_camera_z() {
     let millimeters_of_ray: DepthOf = |hit| 1000.0 * hit.distance;
@@ -141,7 +141,7 @@ fn depth_of_every_definition_becomes_camera_z() {
         let map = truth.load(GroundTruthKind::Depth, 3).unwrap().unwrap();
         assert!(worst(&map, |p| vec![hits[p].z as f32], valid) < 1e-4);
     }
-    // What fits no definition is not measured; everything else still is.
+    // Depth that fits no definition is not loaded; other maps still are.
     let (_keep, _, scene) = Written { depth: |hit| 3.3 * hit.z, ..Default::default() }.scene(|_| ());
     let truth = GroundTruth::of(&scene);
     assert_eq!(truth.depth_definition().unwrap(), None);
@@ -150,8 +150,8 @@ fn depth_of_every_definition_becomes_camera_z() {
 }
 
 #[test]
-fn one_exposure_is_chosen_from_the_training_views() {
-    // Test views are so bright that they would decide, if they were asked.
+fn exposure_is_chosen_from_the_training_views() {
+    // Test views are bright enough to change the exposure if they were measured.
     let bright = Written { brightness: |i| if i % 4 == 1 { 1e4 } else { 16.0 }, ..Default::default() };
     let (_keep, seats, scene) = bright.scene(|_| ());
     assert_eq!((scene.exposure(), scene.options.exposure), (1.0 / 16.0, Some(1.0 / 16.0)));
@@ -170,13 +170,13 @@ fn one_exposure_is_chosen_from_the_training_views() {
 }
 
 #[test]
-fn invalid_pixels_do_not_count_and_do_not_spread() {
+fn invalid_pixels_are_excluded_and_do_not_spread() {
     let (keep, seats, scene) = Written::default().scene(|_| ());
     let mask = scene.load_mask(4).unwrap().unwrap();
     assert_eq!(worst(&mask, |p| vec![f32::from(u8::from(valid(p)))], |_| true), 0.0);
     assert!(scene.load_image(4).unwrap().data.iter().all(|v| v.is_finite()));
 
-    // At half the size a pixel counts only if all of it is valid. Rows 8 and 9 share one, of which half is.
+    // At half size, a pixel is valid only if all of it is valid. Rows 8 and 9 share a pixel that is half valid.
     let half = Scene::open(keep.path(), &SceneOptions { scale: 0.5, ..Default::default() }).unwrap();
     let mask = half.load_mask(4).unwrap().unwrap();
     assert_eq!((mask.width, mask.height), (24, 20));
@@ -187,7 +187,7 @@ fn invalid_pixels_do_not_count_and_do_not_spread() {
     let hits = seats[4].hits();
     let truth = GroundTruth::of(&half);
     let albedo = truth.load(GroundTruthKind::Albedo, 4).unwrap().unwrap();
-    // The invalid half of this pixel holds 99.
+    // The invalid half of this pixel has the value 99.
     let expected = hits[9 * 48].albedo();
     assert!(albedo.pixel(0, 4).iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{:?}", albedo.pixel(0, 4));
 
@@ -198,7 +198,7 @@ fn invalid_pixels_do_not_count_and_do_not_spread() {
     assert!(error.contains("004_im.exr: the pixel in column 0, row 0 is not a number"), "{error}");
 }
 
-/// Maps beside the images are ground truth. Training must not come upon them as priors.
+/// Maps beside the images are ground truth and must not be loaded as priors.
 #[test]
 fn ground_truth_is_never_a_prior() {
     let (keep, _, scene) = Written::default().scene(|_| ());
@@ -209,7 +209,7 @@ fn ground_truth_is_never_a_prior() {
     exr(&keep.path().join("priors/albedo/002_im.exr"), (48, 40), &[[0.125; 3]; 48 * 40]);
     let prior = open(keep.path()).albedo_prior(2).unwrap().unwrap();
     assert_eq!(prior.image.data[0], 0.125);
-    // Training opens and loads a scene whose ground truth cannot even be read.
+    // Training opens and loads a scene whose ground truth is unreadable.
     for kind in ["albedo", "normal", "depth", "material"] {
         std::fs::write(keep.path().join(format!("002_{kind}.exr")), "broken").unwrap();
     }
@@ -217,13 +217,13 @@ fn ground_truth_is_never_a_prior() {
     assert_eq!(scene.load_train_images().unwrap().len(), 7);
     let error = GroundTruth::of(&scene).load(GroundTruthKind::Albedo, 2).unwrap_err().to_string();
     assert!(error.contains("002_albedo.exr: the file cannot be read as EXR"), "{error}");
-    // And what lies in gt comes before what lies beside.
+    // Maps in `gt` take precedence over maps beside the images.
     exr(&keep.path().join("gt/albedo/002_im.exr"), (48, 40), &[[0.25; 3]; 48 * 40]);
     assert_eq!(GroundTruth::of(&scene).load(GroundTruthKind::Albedo, 2).unwrap().unwrap().data[0], 0.25);
 }
 
 #[test]
-fn numbers_sort_by_value_and_missing_images_are_counted_once() {
+fn numbers_sort_by_value_and_missing_images_cause_one_warning() {
     let numbers: Vec<String> = ["8", "9", "10", "11", "100"].map(String::from).to_vec();
     let written = Written { numbers, ..Default::default() };
     let (keep, seats, scene) = written.scene(|_| ());
@@ -241,7 +241,7 @@ fn numbers_sort_by_value_and_missing_images_are_counted_once() {
 }
 
 #[test]
-fn cameras_may_come_from_a_list_of_origins_and_targets() {
+fn cameras_are_read_from_a_list_of_origins_and_targets() {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path();
     let seats = Written::default().write(root);
@@ -257,7 +257,7 @@ fn cameras_may_come_from_a_list_of_origins_and_targets() {
 }
 
 #[test]
-fn each_fault_has_its_sentence() {
+fn each_error_has_its_message() {
     let fail = |change: &dyn Fn(&Path)| {
         let directory = tempfile::tempdir().unwrap();
         Written::default().write(directory.path());

@@ -1,4 +1,4 @@
-//! Priors and ground truth of rooms that were made outside of this project.
+//! Priors and ground truth of external rooms.
 
 mod common;
 
@@ -17,7 +17,7 @@ fn is_zero(pixel: &[f32]) -> bool {
     pixel.iter().all(|&v| v == 0.0)
 }
 
-/// Mean angle between the normal priors and the truth over all views, where both exist.
+/// Returns the mean angle between normal priors and ground truth over all views. Only pixels where both exist count.
 fn normal_error(scene: &Scene) -> f64 {
     let truth = GroundTruth::of(scene);
     let (mut sum, mut count) = (0.0, 0.0);
@@ -37,7 +37,7 @@ fn normal_error(scene: &Scene) -> f64 {
 }
 
 #[test]
-fn normal_priors_are_turned_into_the_world() {
+fn normal_priors_are_rotated_to_world_space() {
     let Some(path) = room("whiteroom") else {
         return;
     };
@@ -53,9 +53,9 @@ fn normal_priors_are_turned_into_the_world() {
     assert!(error < 10.0, "{error}");
 }
 
-/// The same truth written in each frame must come back; read in any other frame, it must not.
+/// Normals written in a frame are recovered only when read in the same frame.
 #[test]
-fn every_normal_frame_is_undone() {
+fn normals_of_every_frame_are_converted_to_world_space() {
     let Some(path) = room("whiteroom") else {
         return;
     };
@@ -96,7 +96,7 @@ fn every_normal_frame_is_undone() {
 }
 
 #[test]
-fn priors_score_what_their_maker_says() {
+fn prior_errors_match_the_published_values() {
     let Some(path) = room("whiteroom") else {
         return;
     };
@@ -129,7 +129,7 @@ fn priors_score_what_their_maker_says() {
 }
 
 #[test]
-fn semantic_features_name_the_right_class() {
+fn semantic_features_match_the_correct_class() {
     let Some(path) = room("whiteroom") else {
         return;
     };
@@ -149,7 +149,7 @@ fn semantic_features_name_the_right_class() {
                 feature.iter().zip(embedding).map(|(a, b)| a.to_f32() * b).sum()
             };
             let best = (0..27).max_by(|&a, &b| score(a).total_cmp(&score(b))).unwrap();
-            // A cell covers 8×8 pixels; it is right when the class is seen in it.
+            // A cell covers 8×8 pixels. The cell is correct if its class occurs in them.
             let (x, y) = (cell % 20 * 8, cell / 20 * 8);
             let seen = (0..64).any(|k| usize::from(classes.ids[(y + k / 8) * 160 + x + k % 8]) == best);
             right += usize::from(seen);
@@ -161,7 +161,7 @@ fn semantic_features_name_the_right_class() {
 }
 
 #[test]
-fn regions_are_whole_numbers_at_any_scale() {
+fn regions_are_not_interpolated_at_any_scale() {
     let Some(path) = room("whiteroom_m") else {
         return;
     };
@@ -174,9 +174,9 @@ fn regions_are_whole_numbers_at_any_scale() {
     assert!(ids(&small.ids).is_subset(&ids(&full.ids)));
 }
 
-/// Poses, depth and intrinsics agree: surface points land where the depth map shows them.
+/// Poses, depth and intrinsics agree. Surface points project to pixels with matching depth.
 #[test]
-fn points_lie_on_the_surfaces_of_the_depth_maps() {
+fn points_match_the_depth_maps() {
     for (name, scale) in [("whiteroom", 1.0), ("whiteroom_m", 1.0), ("whiteroom_m", 0.5)] {
         let Some(path) = room(name) else { return };
         let scene = Scene::open(&path, &SceneOptions { scale, ..Default::default() }).unwrap();
@@ -195,7 +195,7 @@ fn points_lie_on_the_surfaces_of_the_depth_maps() {
                     continue;
                 }
                 let surface = f64::from(depth.pixel(pixel.x as u32, pixel.y as u32)[0]);
-                // Points behind the surface are hidden, so only those in front of it are wrong.
+                // Points behind the surface are occluded, so only points in front of it are errors.
                 if surface > 0.0 && z < surface + 0.05 {
                     all += 1;
                     near += usize::from((z - surface).abs() < 0.05 + 0.02 * z);
@@ -208,7 +208,7 @@ fn points_lie_on_the_surfaces_of_the_depth_maps() {
 }
 
 #[test]
-fn relit_truth_is_complete() {
+fn relit_ground_truth_is_complete() {
     let Some(path) = room("whiteroom") else {
         return;
     };
@@ -228,9 +228,10 @@ fn relit_truth_is_complete() {
     assert!(truth.load(GroundTruthKind::Depth, 24).is_err());
 }
 
-/// The same renders in InteriorVerse's layout: normals in camera axes, depth in millimeters, half floats.
+/// Compares the same renders in InteriorVerse's layout with the room. InteriorVerse stores normals in camera axes,
+/// depth in millimeters, and half floats.
 #[test]
-fn interiorverse_s_ground_truth_is_that_of_the_room() {
+fn interiorverse_ground_truth_matches_the_room() {
     let (Some(release), Some(room)) = (room("whiteroom_interiorverse"), room("whiteroom")) else {
         return;
     };

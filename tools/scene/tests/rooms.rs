@@ -1,4 +1,4 @@
-//! The readers against rooms that were made outside of this project.
+//! Readers on external rooms.
 
 mod common;
 
@@ -37,7 +37,7 @@ fn assert_same_camera(a: &Camera, b: &Camera, tolerance: f64) {
 }
 
 #[test]
-fn colmap_in_both_forms_is_the_same_room() {
+fn colmap_binary_and_text_forms_match_the_room() {
     let (Some(path), Some(reference)) = (room("whiteroom_colmap"), room("whiteroom")) else {
         return;
     };
@@ -56,7 +56,7 @@ fn colmap_in_both_forms_is_the_same_room() {
     for scene in [&binary, &text] {
         assert_eq!((scene.layout, scene.views.len()), (Layout::Colmap, 12));
         assert_eq!(scene.split.test, [0, 8]);
-        // Some points are seen by a test view and one training view only.
+        // Only a test view and one training view see some of the points.
         let [about_points] = &scene.warnings[..] else { panic!("{:?}", scene.warnings) };
         assert!(about_points.starts_with("fewer than two training views see "), "{about_points}");
         assert!((4000..5000).contains(&scene.points.len()), "{}", scene.points.len());
@@ -74,13 +74,13 @@ fn colmap_in_both_forms_is_the_same_room() {
 }
 
 #[test]
-fn hdr_renders_become_the_photographs() {
+fn hdr_renders_match_the_photographs() {
     let (Some(hdr), Some(png)) = (room("whiteroom_interiorverse"), room("whiteroom")) else {
         return;
     };
     let (hdr, png) = (open(&hdr), open(&png));
     assert_eq!((hdr.layout, hdr.views.len()), (Layout::InteriorVerse, 24));
-    // The room is well exposed as it is.
+    // The room needs no exposure correction.
     assert_eq!((hdr.exposure(), &hdr.split), (1.0, &png.split));
     assert!(hdr.points_are_random && hdr.warnings.is_empty(), "{:?}", hdr.warnings);
     assert_eq!(hdr.start_warnings().unwrap().len(), 1);
@@ -93,7 +93,7 @@ fn hdr_renders_become_the_photographs() {
 }
 
 #[test]
-fn half_of_the_large_room_is_the_small_room() {
+fn large_room_at_half_scale_matches_the_small_room() {
     let (Some(large), Some(small)) = (room("whiteroom_m"), room("whiteroom")) else {
         return;
     };
@@ -106,7 +106,7 @@ fn half_of_the_large_room_is_the_small_room() {
 }
 
 #[test]
-fn fox_skips_frames_and_loses_its_distortion() {
+fn fox_skips_missing_frames_and_is_undistorted() {
     let Some(path) = room("fox") else { return };
     let scene = open(&path);
     assert_eq!((scene.views.len(), scene.split.train.len(), scene.split.test.len()), (50, 24, 6));
@@ -123,10 +123,10 @@ fn fox_skips_frames_and_loses_its_distortion() {
     assert!(unseen < 270 * 480 / 50, "{unseen}");
 }
 
-/// Points were triangulated from distorted photographs, so their colors match the undistorted image best at the ideal
-/// projection.
+/// Point colors match the undistorted image best at the ideal projection. The points were triangulated from distorted
+/// photographs.
 #[test]
-fn fox_points_have_the_color_of_their_pixel() {
+fn fox_points_match_the_color_of_their_pixel() {
     let Some(path) = room("fox") else { return };
     let scene = open(&path);
     let error_at = |shift: f64| {
@@ -154,7 +154,7 @@ fn fox_points_have_the_color_of_their_pixel() {
 }
 
 #[test]
-fn bench_rooms_start_splats() {
+fn bench_rooms_initialize_splats() {
     for (name, points) in [("bench_room", 20_000), ("bench_room100k", 100_000)] {
         let Some(path) = room(name) else { return };
         let scene = open(&path);

@@ -1,4 +1,4 @@
-//! Semantic features and their texts as they may lie on disk.
+//! Semantic features and text embeddings on disk.
 
 use half::f16;
 use sgs_scene::{FeatureMap, Image, Scene, SceneOptions, write_png};
@@ -18,7 +18,8 @@ fn halves(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|&v| f16::from_f32(v).to_le_bytes()).collect()
 }
 
-/// Three views of 8 x 6 pixels, two of which have maps, of different sizes; two classes of width 2.
+/// Writes a scene with three 8×6 views, two feature maps and two classes. The maps differ in size and have two
+/// channels. One view has no map.
 fn write_scene(root: &Path, lens: &str) {
     let frame = |i: usize| {
         write_png(&root.join(format!("v{i}.png")), &Image::new(8, 6, 3)).unwrap();
@@ -55,7 +56,7 @@ fn maps_may_differ_in_size_and_lack_cells() {
 }
 
 #[test]
-fn widths_that_disagree_are_named() {
+fn channel_mismatch_is_reported() {
     let directory = tempfile::tempdir().unwrap();
     write_scene(directory.path(), "");
     let path = directory.path().join("priors/semantic/v0.npy");
@@ -68,7 +69,7 @@ fn widths_that_disagree_are_named() {
 }
 
 #[test]
-fn classes_have_names_of_their_own() {
+fn class_names_must_be_unique() {
     let directory = tempfile::tempdir().unwrap();
     write_scene(directory.path(), "");
     let text = open(directory.path()).text_embeddings().unwrap().unwrap();
@@ -84,9 +85,10 @@ fn classes_have_names_of_their_own() {
     assert!(refused(r#"{"labels": ["wall"]}"#).contains("each of the 1 classes in labels.json"));
 }
 
-/// A lens that presses everything towards the middle: the middle stays, the corners come from further in.
+/// Checks that features are undistorted cell by cell. The lens compresses the image toward the center: the center
+/// stays, and corner cells come from positions further inside.
 #[test]
-fn distortion_is_undone_cell_by_cell() {
+fn distortion_is_removed_cell_by_cell() {
     let directory = tempfile::tempdir().unwrap();
     write_scene(directory.path(), "\"camera_model\": \"OPENCV\", \"k1\": -0.2,");
     let FeatureMap { width, data, .. } = open(directory.path()).semantic_prior(1).unwrap().unwrap();

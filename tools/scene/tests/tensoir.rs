@@ -1,4 +1,4 @@
-//! The layouts of TensoIR and of Blender's synthetic scenes, written here and read back.
+//! Layouts of TensoIR and Blender's synthetic scenes: files are written and read back.
 
 mod common;
 
@@ -9,7 +9,7 @@ use common::written::{Seat, assert_sees, encoded, rgba, worst, worst_angle};
 use glam::{DVec2, DVec3};
 use sgs_scene::{GroundTruth, GroundTruthKind, Layout, PointCloud, Scene, SceneOptions};
 
-/// Alpha of a pixel: a disk's, with an edge of one half.
+/// Returns the alpha of a pixel: a disk with an edge of 0.6.
 fn alpha(seat: &Seat, pixel: usize) -> f32 {
     let (x, y) = ((pixel % seat.size.0 as usize) as f32 - 23.5, (pixel / seat.size.0 as usize) as f32 - 19.5);
     match x.hypot(y) {
@@ -23,10 +23,10 @@ fn inside(seat: &Seat) -> impl Fn(usize) -> bool + '_ {
     |pixel| alpha(seat, pixel) == 1.0
 }
 
-/// What all cameras look at.
+/// Point that all cameras look at.
 const MIDDLE: DVec3 = DVec3::new(0.1, -0.1, 0.2);
 
-/// Cameras on a ring, with principal points in the middle as the layout has them.
+/// Returns cameras on a ring with centered principal points, as in the layout.
 fn around(count: usize) -> Vec<Seat> {
     let place = |i: usize| {
         let angle = 2.5 * i as f64;
@@ -36,7 +36,7 @@ fn around(count: usize) -> Vec<Seat> {
     (0..count).map(seat).collect()
 }
 
-/// Writes one file of frames; `name` gives a frame's path.
+/// Writes one file of frames; `name` returns the path of a frame.
 fn write_frames(root: &Path, file: &str, seats: &[Seat], name: impl Fn(usize) -> String) {
     let frame = |(i, seat): (usize, &Seat)| {
         format!("{{\"file_path\": \"{}\", \"rotation\": 0.01, \"transform_matrix\": {}}}", name(i), seat.opengl())
@@ -47,7 +47,7 @@ fn write_frames(root: &Path, file: &str, seats: &[Seat], name: impl Fn(usize) ->
     std::fs::write(root.join(file), json).unwrap();
 }
 
-/// Writes what TensoIR keeps in the folder of a view. What alpha hides holds nonsense.
+/// Writes TensoIR's files of a view. Transparent pixels have arbitrary colors.
 fn write_view(folder: &Path, seat: &Seat, image: &str) {
     let hits = seat.hits();
     let put = |name: &str, value: &dyn Fn(usize) -> [f32; 3]| {
@@ -66,7 +66,7 @@ fn write_view(folder: &Path, seat: &Seat, image: &str) {
     put("roughness.png", &|p| [hits[p].roughness(); 3]);
 }
 
-/// A scene of 11 training and 3 test views.
+/// Writes a scene with 11 training and 3 test views.
 fn write(root: &Path) -> (Vec<Seat>, Vec<Seat>) {
     let seats = around(14);
     let (test, train): (Vec<_>, Vec<_>) = seats.into_iter().enumerate().partition(|(i, _)| i % 5 == 2);
@@ -89,7 +89,7 @@ fn written() -> (tempfile::TempDir, Vec<Seat>, Vec<Seat>, Scene) {
 }
 
 #[test]
-fn views_have_the_names_of_their_folders_and_the_layout_s_split() {
+fn views_have_folder_names_and_the_split_of_the_layout() {
     let (_keep, train, test, scene) = written();
     assert_eq!((scene.layout, scene.views.len()), (Layout::Blender, 14));
     let name = |i: &usize| scene.views[*i].camera.name.clone();
@@ -102,7 +102,7 @@ fn views_have_the_names_of_their_folders_and_the_layout_s_split() {
 }
 
 #[test]
-fn images_lie_on_the_background() {
+fn images_are_composited_on_the_background() {
     let (keep, _, test, scene) = written();
     let seat = &test[1];
     let hits = seat.hits();
@@ -121,12 +121,12 @@ fn images_lie_on_the_background() {
         let scene = Scene::open(keep.path(), &options).unwrap();
         assert!(worst(&image(&scene), over(background), |_| true) < 2.5 / 255.0);
     }
-    // Everything counts for training: what is behind the object is the background.
+    // All pixels count for training: pixels behind the object show the background.
     assert!(scene.load_mask(0).unwrap().is_none());
 }
 
 #[test]
-fn ground_truth_is_linear_and_in_the_world() {
+fn ground_truth_is_linear_and_in_world_space() {
     let (_keep, _, test, scene) = written();
     let truth = GroundTruth::of(&scene);
     for (seat, &i) in test.iter().zip(&scene.split.test) {
@@ -150,7 +150,7 @@ fn ground_truth_is_linear_and_in_the_world() {
 }
 
 #[test]
-fn other_lightings_are_relit_sets() {
+fn other_lightings_become_relit_sets() {
     let (_keep, _, test, scene) = written();
     let truth = GroundTruth::of(&scene);
     assert_eq!(truth.relit_names(), ["city"]);
@@ -162,14 +162,14 @@ fn other_lightings_are_relit_sets() {
 }
 
 #[test]
-fn points_are_random_where_the_cameras_look() {
+fn random_points_fill_the_box_that_the_cameras_view() {
     let (keep, train, _, scene) = written();
     assert!(scene.points_are_random && scene.points.len() == 100_000);
     let again = open(keep.path());
     assert_eq!(again.points, scene.points);
     let other = Scene::open(keep.path(), &SceneOptions { seed: 5, ..Default::default() }).unwrap();
     assert_ne!(other.points, scene.points);
-    // The box is centered on what all look at, and as large as what the nearest camera shows of it.
+    // The box is centered on the common target. Its size is the area that the nearest camera shows there.
     let nearest = train.iter().map(|s| s.origin.distance(MIDDLE)).fold(f64::INFINITY, f64::min);
     let half = nearest * 20.0 / 30.0;
     for k in 0..3 {
@@ -183,7 +183,7 @@ fn points_are_random_where_the_cameras_look() {
     assert_eq!(open(keep.path()).points.positions, [[1.0, 2.0, 3.0]]);
 }
 
-/// Blender's own layout has images of the same name in several folders.
+/// Blender's layout has images with the same name in several folders.
 #[test]
 fn plain_blender_scenes_are_read() {
     let directory = tempfile::tempdir().unwrap();
@@ -213,14 +213,14 @@ fn plain_blender_scenes_are_read() {
     let mask = GroundTruth::of(&scene).load(GroundTruthKind::Mask, 0).unwrap().unwrap();
     assert!(worst(&mask, |p| vec![alpha(&seats[0], p)], |_| true) < 0.003);
     assert!(GroundTruth::of(&scene).load(GroundTruthKind::Albedo, 0).unwrap().is_none());
-    // With a test file the validation frames are not read.
+    // If a test file exists, the validation frames are not read.
     write_frames(root, "transforms_test.json", &seats[..1], |_| "./train/r_0".into());
     let error = Scene::open(root, &SceneOptions::default()).unwrap_err().to_string();
     assert!(error.contains("have the same stem"), "{error}");
 }
 
 #[test]
-fn each_fault_has_its_sentence() {
+fn each_error_has_its_message() {
     let fail = |change: &dyn Fn(&Path)| {
         let directory = tempfile::tempdir().unwrap();
         write(directory.path());

@@ -1,4 +1,4 @@
-//! Where Gaussians and cameras come from on the command line.
+//! Loads Gaussians that the command line names.
 
 use anyhow::{Context, bail};
 use sgs_config::Settings;
@@ -8,7 +8,7 @@ use sgs_run::{RunDirectory, gaussian_data, read_splats};
 use sgs_scene::Splats;
 use std::path::Path;
 
-/// The Gaussians of a run directory or of a PLY or glTF file, and the run's settings if it is one.
+/// Reads the Gaussians of a run directory, PLY or glTF file; for a run also its settings.
 pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
     if source.is_dir() {
         let run = RunDirectory::open(source)?;
@@ -24,7 +24,7 @@ pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
     Ok((read_splats(source)?, None))
 }
 
-/// Gaussians on the device from splats; semantic features only if they are wanted.
+/// Uploads splats to the device; semantic features only if `semantics` is set.
 pub fn upload(device: &Device, splats: &Splats, semantics: bool) -> anyhow::Result<Gaussians> {
     let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), semantics };
     let gaussians = Gaussians::new(device, model, splats.len() as u32, false).context("while loading the Gaussians")?;

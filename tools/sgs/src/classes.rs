@@ -1,4 +1,4 @@
-//! Classes in pictures: where a run keeps them, and how they are shown.
+//! Semantic classes in images: loading the decoder of a run, and writing labels and relevance.
 
 use crate::palette::{Color, colors, hex};
 use anyhow::bail;
@@ -7,10 +7,10 @@ use sgs_run::{NO_RELEVANCE, RunDirectory, SemanticHead};
 use sgs_scene::{Image, Splats, write_exr, write_png};
 use std::path::{Path, PathBuf};
 
-/// Whether a file was written.
+/// Result of writing a file.
 type Written = sgs_scene::Result<()>;
 
-/// The head of a run, for features that are to be shown.
+/// Loads the semantic head of a run. Fails if the Gaussians or the run cannot be classified.
 pub fn head_of(source: &Path, splats: &Splats) -> anyhow::Result<SemanticHead> {
     let name = source.display();
     let Some((width, _)) = splats.semantic else {
@@ -31,19 +31,19 @@ pub fn head_of(source: &Path, splats: &Splats) -> anyhow::Result<SemanticHead> {
     Ok(SemanticHead::load(&RunDirectory::open(source)?.semantics())?)
 }
 
-/// How classes are shown.
+/// Names and colors of the classes.
 pub struct Legend {
     labels: Vec<String>,
     colors: Vec<Color>,
 }
 
 impl Legend {
-    /// Of these classes.
+    /// Creates the legend of these classes.
     pub fn new(labels: &[String]) -> Legend {
         Legend { labels: labels.to_vec(), colors: colors(labels.len()) }
     }
 
-    /// Writes what the numbers and colors of label maps mean; gives the file's path.
+    /// Writes `labels.json`, the names and colors of the label indices. Returns the path.
     pub fn write(&self, dir: &Path) -> anyhow::Result<PathBuf> {
         let class = |(i, (name, color)): (usize, (&String, &Color))| serde_json::json!({"index": i, "name": name, "color": hex(*color)});
         let classes: Vec<_> = self.labels.iter().zip(&self.colors).enumerate().map(class).collect();
@@ -53,7 +53,7 @@ impl Legend {
         Ok(path)
     }
 
-    /// Every pixel in the color of its class, transparent where it has none.
+    /// Writes every pixel in the color of its class, transparent if it has no class.
     pub fn write_png(&self, path: &Path, size: [u32; 2], labels: &[Option<u32>]) -> Written {
         let color = |label: &Option<u32>| match label.and_then(|l| self.colors.get(l as usize)) {
             Some([r, g, b]) => [*r, *g, *b, 255].map(|v| f32::from(v) / 255.0),
@@ -65,14 +65,16 @@ impl Legend {
     }
 }
 
-/// Every pixel's class as a number, -1 where it has none.
+/// Writes the class index of every pixel, -1 if it has no class.
 pub fn write_labels_exr(path: &Path, size: [u32; 2], labels: &[Option<u32>]) -> Written {
     let data = labels.iter().map(|l| l.map_or(-1.0, |l| l as f32)).collect();
     write_exr(path, &Image { width: size[0], height: size[1], channels: 1, data }, &["Y"])
 }
 
-/// How relevance becomes gray: black at chance and below, white at what the class gets at most. A temperature as high as
-/// that of training makes the two nearly one; the picture is to be read all the same.
+/// Mapping from relevance to gray.
+///
+/// Black is the probability by chance or less; white is the maximum that the class can reach. At high temperatures
+/// such as that of training, both are almost equal. The scaling keeps such images readable.
 #[derive(Clone, Copy)]
 pub struct Scale {
     chance: f32,
@@ -80,11 +82,11 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// Of a class.
+    /// Returns the scale of a class.
     pub fn of(head: &SemanticHead, class: usize) -> Scale {
         let chance = 1.0 / head.text.labels.len() as f32;
         let most = head.peak(class) as f32;
-        // Where all texts are one, as with a single class, probability stands for itself.
+        // If the class cannot exceed chance, as with a single class, gray is the probability itself.
         if most > chance + 1e-6 { Scale { chance, most } } else { Scale { chance: 0.0, most: 1.0 } }
     }
 
@@ -93,19 +95,19 @@ impl Scale {
     }
 }
 
-/// Relevance as gray, transparent where a pixel shows nothing.
+/// Writes relevance as gray, transparent where a pixel shows nothing.
 pub fn write_relevance_png(path: &Path, size: [u32; 2], relevance: &[f32], scale: Scale) -> Written {
     let gray = |r: &f32| if *r == NO_RELEVANCE { [0.0; 2] } else { [scale.gray(*r), 1.0] };
     let data = relevance.iter().flat_map(gray).collect();
     write_png(path, &Image { width: size[0], height: size[1], channels: 2, data })
 }
 
-/// Relevance as it is, -1 where a pixel shows nothing.
+/// Writes relevance unscaled, -1 where a pixel shows nothing.
 pub fn write_relevance_exr(path: &Path, size: [u32; 2], relevance: Vec<f32>) -> Written {
     write_exr(path, &Image { width: size[0], height: size[1], channels: 1, data: relevance }, &["Y"])
 }
 
-/// The part of a file's name that says the class: as it is, but for what file systems give a meaning to.
+/// Returns a class name as part of a file name. Percent-encodes characters that file systems reserve.
 pub fn file_part(class: &str) -> String {
     let kept = |c: char| !c.is_control() && !r#"/\:*?"<>|%"#.contains(c);
     let mut bytes = [0; 4];
@@ -123,7 +125,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_of_classes_are_names_of_files() {
+    fn class_names_become_valid_file_names() {
         assert_eq!(file_part("light source"), "light source");
         assert_eq!(file_part("../a/b"), "..%2Fa%2Fb");
         assert_eq!(file_part("a%2Fb"), "a%252Fb");

@@ -1,4 +1,4 @@
-//! Options that every command has, and opening a device by them.
+//! Options that every command has. Opens the device that they select.
 
 use clap::Args;
 use sgs_engine::{Device, DeviceOptions};
@@ -10,16 +10,16 @@ use std::time::Duration;
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Options of every command")]
 pub struct Common {
-    /// Device by index or part of its name (see `sgs devices`); the best by default.
+    /// Device by index or part of its name (see `sgs devices`); by default the best.
     #[arg(long, global = true, value_name = "INDEX|NAME")]
     pub device: Option<String>,
-    /// Machine-readable output on standard output, or into a file whose name ends in .json.
+    /// Write the result as JSON to standard output, or to FILE. Its name ends in .json.
     #[arg(long, global = true, num_args = 0..=1, default_missing_value = "-", value_name = "FILE", require_equals = true)]
     pub json: Option<PathBuf>,
-    /// More messages; twice for all.
+    /// Log more messages; twice logs all.
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,
-    /// Errors only.
+    /// Log errors only.
     #[arg(short, long, global = true)]
     pub quiet: bool,
     /// Time limit of a wait for the device, in seconds.
@@ -31,12 +31,12 @@ pub struct Common {
 }
 
 impl Common {
-    /// Opens the device that was asked for.
+    /// Opens the selected device.
     pub fn open_device(&self) -> anyhow::Result<Device> {
         Ok(Device::open(&self.device_options())?)
     }
 
-    /// How devices are opened.
+    /// Returns the options with which devices are opened.
     pub fn device_options(&self) -> DeviceOptions {
         let defaults = DeviceOptions::default();
         DeviceOptions {
@@ -48,7 +48,9 @@ impl Common {
         }
     }
 
-    /// The `--json` of arguments that cannot be parsed as a whole, and defaults; `None` if they have no `--json`.
+    /// Extracts `--json` from arguments that clap cannot parse. `None` without `--json`.
+    ///
+    /// All other options have their defaults.
     pub fn json_only(arguments: &[OsString]) -> Option<Common> {
         let value = arguments.iter().find_map(|argument| match argument.to_str()? {
             "--json" => Some("-"),
@@ -58,8 +60,9 @@ impl Common {
         Some(Common { device: None, json, verbose: 0, quiet: false, timeout: None, validate: false })
     }
 
-    /// Gives an answer as JSON where `--json` asked for it. True if it went to standard output, where nothing else may
-    /// then go.
+    /// Writes the result as JSON if `--json` is set.
+    ///
+    /// Returns true if it went to standard output, which must then receive nothing else.
     pub fn answer(&self, value: &impl serde::Serialize) -> anyhow::Result<bool> {
         let Some(path) = &self.json else { return Ok(false) };
         let text = serde_json::to_string_pretty(value)?;

@@ -1,4 +1,4 @@
-//! Why a command fails: the kind of a failure, its exit status, and how it is reported.
+//! Failures of commands: their kinds, their exit statuses and their output.
 
 use crate::common::Common;
 use sgs_config::ConfigError;
@@ -14,28 +14,28 @@ use std::fmt;
 /// Kind of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Anything that no other kind names.
+    /// Any other failure.
     Failed,
     /// Wrong usage: an option, a setting, a preset, a value, an unknown device.
     Usage,
-    /// An input that can never work.
+    /// Input that can never work.
     Input,
     /// Training diverged.
     Diverged,
     /// Another process writes into the directory.
     Locked,
-    /// The device was lost, or did not answer in time.
+    /// The device was lost or did not respond in time.
     DeviceLost,
-    /// Memory of the device or the budget did not suffice.
+    /// Device memory or the memory budget was too small.
     OutOfMemory,
-    /// SIGTERM or SIGHUP stopped it.
+    /// SIGTERM or SIGHUP stopped the command.
     Terminated,
-    /// The user stopped it, as by Ctrl-C.
+    /// The user stopped the command, for example with Ctrl-C.
     Interrupted,
 }
 
 impl Kind {
-    /// Exit status.
+    /// Returns the exit status.
     pub fn status(self) -> i32 {
         match self {
             Kind::Failed | Kind::Diverged | Kind::Locked => 1,
@@ -46,7 +46,7 @@ impl Kind {
         }
     }
 
-    /// Name in the output of `--json`.
+    /// Returns the name that the output of `--json` uses.
     pub fn name(self) -> &'static str {
         match self {
             Kind::Failed => "failed",
@@ -61,7 +61,7 @@ impl Kind {
         }
     }
 
-    /// Kind of an error, from the first cause whose kind is known.
+    /// Returns the kind of the first cause in the chain whose kind is known.
     pub fn of(error: &anyhow::Error) -> Kind {
         let known = |cause: &(dyn std::error::Error + 'static)| {
             if let Some(failure) = cause.downcast_ref::<Failure>() {
@@ -92,9 +92,9 @@ fn of_train(error: &TrainError) -> Option<Kind> {
         TrainError::Engine(error) => of_engine(error),
         TrainError::Scene(error) => of_scene(error),
         TrainError::Run(error) => of_run(error),
-        TrainError::Config(_) | TrainError::Setting(_) => Some(Kind::Usage),
+        TrainError::Config(_) | TrainError::Requirement(_) => Some(Kind::Usage),
         TrainError::Memory(_) => Some(Kind::OutOfMemory),
-        // No later try has another device's limits.
+        // Retrying cannot change the limits of the device.
         TrainError::Limit(_) => Some(Kind::Input),
         TrainError::Diverged { .. } => Some(Kind::Diverged),
         _ => None,
@@ -165,10 +165,10 @@ fn of_synth(error: &SynthError) -> Option<Kind> {
     }
 }
 
-/// A failure of a known kind, with one sentence.
+/// Failure of a known kind, described by one sentence.
 #[derive(Debug)]
 pub struct Failure {
-    /// Its kind.
+    /// Kind that determines the exit status.
     pub kind: Kind,
     /// What failed, why, and what to do.
     pub text: String,
@@ -182,17 +182,17 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Makes an error of a kind.
+/// Creates an error of a kind.
 pub fn failure(kind: Kind, text: impl Into<String>) -> anyhow::Error {
     Failure { kind, text: text.into() }.into()
 }
 
-/// Makes an error of wrong usage.
+/// Creates an error of wrong usage.
 pub fn usage(text: impl Into<String>) -> anyhow::Error {
     failure(Kind::Usage, text)
 }
 
-/// Returns an error of wrong usage from the surrounding function; takes what `format!` takes.
+/// Returns an error of wrong usage from the calling function; takes the arguments of `format!`.
 macro_rules! refuse_usage {
     ($($text:tt)*) => {
         return Err($crate::failure::usage(format!($($text)*)))
@@ -200,12 +200,12 @@ macro_rules! refuse_usage {
 }
 pub(crate) use refuse_usage;
 
-/// Removes control characters, with which a file's content could move a terminal's cursor.
+/// Replaces control characters by spaces. The content of a file cannot move a terminal's cursor.
 fn one_line(sentence: &str) -> String {
     sentence.trim_end().chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
-/// Prints an error, as JSON too where `--json` asks for it. Returns the exit status.
+/// Prints an error, and with `--json` also as JSON. Returns the exit status.
 pub fn report(common: &Common, error: &anyhow::Error) -> i32 {
     let kind = Kind::of(error);
     let sentence = one_line(&format!("{error:#}"));
@@ -220,10 +220,10 @@ fn report_json(common: &Common, sentence: &str, kind: Kind) {
     }
 }
 
-/// Prints what clap says about arguments that it does not take, or the help that was asked for. Returns the exit status.
+/// Prints clap's error about invalid arguments, or the requested help. Returns the exit status.
 pub fn report_arguments(mut error: clap::Error, arguments: &[std::ffi::OsString]) -> i32 {
     suggest_steps(&mut error);
-    // Where nobody reads on, nothing is lost.
+    // A closed output stream is no further error.
     let _ = error.print();
     if error.use_stderr()
         && let Some(common) = Common::json_only(arguments)
@@ -235,7 +235,7 @@ pub fn report_arguments(mut error: clap::Error, arguments: &[std::ffi::OsString]
     error.exit_code()
 }
 
-/// Suggests the options of the stages where other programs have one option for steps.
+/// Suggests the step options of the stages for other programs' step options.
 fn suggest_steps(error: &mut clap::Error) {
     use clap::error::{ContextKind, ContextValue};
     let Some(ContextValue::String(option)) = error.get(ContextKind::InvalidArg) else { return };
@@ -252,10 +252,11 @@ fn suggest_steps(error: &mut clap::Error) {
 mod tests {
     use super::*;
     use anyhow::Context;
+    use sgs_train::Requirement;
 
     #[test]
-    fn kinds_are_found_below_context() {
-        let setting = || TrainError::Setting("steps is -1".into());
+    fn kind_is_found_below_context() {
+        let setting = || TrainError::from(Requirement::NotEmpty);
         let kinds = [
             (anyhow::anyhow!("anything"), 1),
             (setting().into(), 2),

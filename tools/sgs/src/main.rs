@@ -1,15 +1,16 @@
-//! `sgs`: the command line. Thin: every command is a call into the libraries.
+//! Command line of SGS: `sgs`. Every command is a call into the libraries.
 //!
-//! Exit status 0 done; otherwise one sentence on standard error and the status of its kind ([`failure::Kind`]).
+//! Exit status 0 means success. A failure prints one sentence on standard error and returns the status of its kind
+//! ([`failure::Kind`]).
 
 mod cameras;
 mod classes;
 mod commands;
 mod common;
 mod failure;
+mod images;
 mod output;
 mod palette;
-mod pictures;
 mod report;
 mod scenes;
 mod ui;
@@ -21,7 +22,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 use std::ffi::OsString;
 use std::path::Path;
 
-/// Turn a dozen photographs of a room into Gaussians that can be rendered and relit, on any Vulkan device.
+/// Turn a dozen photographs of a room into Gaussians to render and relight. Runs on any Vulkan device.
 #[derive(Parser)]
 #[command(name = "sgs", version, max_term_width = 80)]
 struct Cli {
@@ -33,42 +34,44 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Make an indoor scene directory with path-traced images, priors and ground truth.
+    /// Generate an indoor scene with path-traced images, priors and ground truth.
     Synth(commands::synth::Args),
-    /// Run a provider of networks over a scene's images and write its priors.
+    /// Run a provider's networks over a scene's images and write the priors.
     Priors(commands::priors::Args),
-    /// Write the cameras of the pseudo-views, to be rendered and segmented outside.
+    /// Write the cameras of the pseudo-views for external rendering and segmentation.
     Pseudo(commands::pseudo::Args),
-    /// Print what will be modeled, why, and what it costs; train nothing.
+    /// Print the model, its reasons and its estimated cost, without training.
     Plan(commands::plan::Args),
     /// Train on a scene directory.
     Train(commands::train::Args),
-    /// Measure a run at held-out or training views.
+    /// Evaluate a run at held-out or training views.
     Eval(commands::eval::Args),
-    /// Render a run or a file from the cameras of a transforms file.
+    /// Render images or a video of a run or file from any cameras.
     Render(commands::render::Args),
-    /// Render a run under other lights, of other materials, with other things in it; train nothing.
+    /// Render a run with edited lights, materials and objects, without training.
     Relight(commands::relight::Args),
-    /// Open a window on a run or a PLY: orbit, fly, other channels, lights as handles.
+    /// View a run or file in a window. Orbit, fly, switch channels, and edit lights by handles.
     View(commands::view::Args),
-    /// Train variants of the method and write a table of what each part is worth.
+    /// Train variants of the method and write a table of each component's contribution.
     Ablate(commands::ablate::Args),
-    /// Train from noisy points, priors and poses, and write a table of what the noise does.
+    /// Train from noisy points, priors and poses, and write a table of the effects.
     Robustness(commands::robustness::Args),
-    /// Write one page that shows a run: pictures side by side, tables, curves, lights, profile, settings.
+    /// Write an HTML report of a run. Shows images side by side, tables, curves, lights, profile and settings.
     Report(commands::report::Args),
-    /// Write Gaussians, materials and light for other programs: PLY, glTF.
+    /// Export Gaussians, materials and lighting for other programs: PLY, glTF.
     Export(commands::export::Args),
-    /// List what can run here, and what each device lacks.
+    /// List the Vulkan devices that can run SGS, and the features that others lack.
     Devices,
-    /// Print what completes this command line in a shell.
+    /// Print a shell completion script.
     Completions(commands::shell::Completions),
     /// Write the manual pages.
     Man(commands::shell::Pages),
 }
 
-/// The arguments, with `--json FILE.json` and `--watch PORT` made one each: what follows is optional, and without the equals
-/// sign the option would otherwise swallow the scene that stands behind it, or never take anything.
+/// Returns the arguments; joins `--json FILE.json` and `--watch PORT` with "=".
+///
+/// The values of these options are optional. Without the equals sign, clap would read the following scene as the
+/// value, or never read a value.
 fn arguments() -> Vec<OsString> {
     let mut joined: Vec<OsString> = Vec::new();
     for argument in std::env::args_os() {

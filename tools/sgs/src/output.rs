@@ -1,30 +1,30 @@
-//! Rules of the directories that commands write into: no result, scene or other program's file is lost to a wrong `-o`.
+//! Checks of output directories. A wrong `-o` overwrites no result, no scene and no file of another program.
 
 use crate::failure::refuse_usage;
 use sgs_run::{Contents, DirectoryLock, RunContents, entries};
 use std::path::Path;
 
-/// What a command is about to write into a run directory.
+/// Data that a command is about to write into a run directory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
-    /// Geometry, and materials on it where both stages are asked for.
+    /// Geometry, followed by materials if both stages are requested.
     Geometry,
-    /// Materials on the geometry that the run holds.
+    /// Materials on the geometry stored in the run.
     Materials,
     /// Materials on geometry from a file.
     MaterialsFrom,
 }
 
-/// What `--force` and `--resume` say.
+/// Values of `--force` and `--resume`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Permission {
-    /// What is there may be replaced.
+    /// Allows existing data to be replaced.
     pub force: bool,
-    /// What is there is continued.
+    /// Continues existing data.
     pub resume: bool,
 }
 
-/// Refuses a run directory that training would destroy or does not belong into.
+/// Refuses a run directory whose data training would destroy, or that is not a run.
 pub fn check_run(root: &Path, begin: Begin, permission: Permission) -> anyhow::Result<()> {
     let name = root.display();
     let run = match check_kind(root, "a run")? {
@@ -46,9 +46,9 @@ pub fn check_run(root: &Path, begin: Begin, permission: Permission) -> anyhow::R
     )
 }
 
-/// Refuses files, scenes and directories with files of other programs. Returns what the directory holds otherwise.
+/// Refuses files, scenes and directories that hold other programs' files.
 ///
-/// `what`: what the directory is for.
+/// Otherwise returns the contents of the directory. `what`: purpose of the directory, as error messages name it.
 fn check_kind(root: &Path, what: &str) -> anyhow::Result<Contents> {
     let name = root.display();
     match Contents::of(root) {
@@ -72,7 +72,7 @@ pub fn check_series(root: &Path, tables: &[&str]) -> anyhow::Result<()> {
                 let path = root.join(entry);
                 let table = tables.iter().any(|t| *entry == format!("{t}.json") || *entry == format!("{t}.md"));
                 table || path.is_dir() && matches!(Contents::of(&path), Contents::Run(_) | Contents::Nothing)
-                    // A run that lost its settings.
+                    // A run without its settings file.
                     || path.join("checkpoint").is_dir()
             };
             match entries(root).into_iter().find(|entry| !belongs(entry)) {
@@ -88,7 +88,9 @@ pub fn check_series(root: &Path, tables: &[&str]) -> anyhow::Result<()> {
     }
 }
 
-/// Refuses a directory for images that is a scene or a run, or, without `--force`, holds files other than images, videos and JSON.
+/// Refuses a scene or a run as the directory for images.
+///
+/// Without `--force`, also refuses a directory that holds files other than images, videos and JSON.
 pub fn check_images(root: &Path, force: bool) -> anyhow::Result<()> {
     let name = root.display();
     match Contents::of(root) {
@@ -114,12 +116,12 @@ pub fn check_images(root: &Path, force: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Makes a directory, and those above it.
+/// Creates a directory and its parents.
 pub fn make(root: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(root).map_err(|e| anyhow::anyhow!("\"{}\" cannot be made: {e}.", root.display()))
 }
 
-/// Locks a directory while a command writes into it. Reports a lock that a process left behind.
+/// Locks a directory while a command writes into it. Warns if the lock of a dead process was replaced.
 pub fn lock(root: &Path) -> anyhow::Result<DirectoryLock> {
     let lock = DirectoryLock::acquire(root)?;
     if let Some(holder) = lock.recovered() {

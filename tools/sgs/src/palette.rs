@@ -1,20 +1,22 @@
-//! Colors that are told apart: one a class.
+//! Distinguishable colors for classes.
 //!
-//! Promises: the color of a class depends on its place in the list alone, so that pictures of all runs with the same list
-//! agree. Classes beyond the last color begin again with the first.
+//! Guarantees: the color of a class depends on its index in the list only. Images of all runs with the same list
+//! agree. Classes beyond the last color start again with the first.
 
-/// Steps of each primary color among which is chosen.
+/// Number of levels of each primary color among the candidates.
 const STEPS: u32 = 7;
 
-/// A color, sRGB.
+/// sRGB color, 8 bits per channel.
 pub type Color = [u8; 3];
 
-/// Colors for so many classes: each is the one farthest from those before it, from black, from white and from gray, in a
-/// space in which distance is what the eye sees.
+/// Returns `count` colors that differ as much as possible.
+///
+/// Each color is the candidate farthest from the earlier colors, black, white and gray. Distances are Euclidean in
+/// Oklab, a perceptually uniform space.
 pub fn colors(count: usize) -> Vec<Color> {
     let level = |i: u32| (i * 255 / (STEPS - 1)) as u8;
     let all = (0..STEPS.pow(3)).map(|i| [i / STEPS / STEPS, i / STEPS % STEPS, i % STEPS].map(level));
-    // Whoever is too near to black does not show as a color on a screen.
+    // Darker colors are indistinguishable from black on a screen.
     let candidates: Vec<(Color, [f64; 3])> = all.map(|c| (c, oklab(c))).filter(|(_, lab)| lab[0] > 0.45).collect();
     let taken = [[0; 3], [255; 3], [128; 3]].map(oklab);
     let apart = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).map(|(x, y)| (x - y).powi(2)).sum::<f64>();
@@ -31,12 +33,14 @@ pub fn colors(count: usize) -> Vec<Color> {
     (0..count).map(|i| chosen[i % chosen.len()]).collect()
 }
 
-/// As HTML writes it.
+/// Returns the color in HTML notation, `#rrggbb`.
 pub fn hex([r, g, b]: Color) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
-/// Lightness and two opponent colors (Ottosson 2020, "A perceptual color space for image processing").
+/// Converts to Oklab: lightness and two opponent colors.
+///
+/// Source: Ottosson 2020, "A perceptual color space for image processing".
 fn oklab(color: Color) -> [f64; 3] {
     let [r, g, b] = color.map(|v| f64::from(sgs_scene::srgb_to_linear(f32::from(v) / 255.0)));
     let l = (0.412_221_470_8 * r + 0.536_332_536_3 * g + 0.051_445_992_9 * b).cbrt();
@@ -54,7 +58,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn known_colors_have_their_places() {
+    fn oklab_matches_published_values() {
         for (color, expected) in
             [([255; 3], [1.0, 0.0, 0.0]), ([255, 0, 0], [0.628, 0.225, 0.126]), ([0, 0, 255], [0.452, -0.032, -0.312])]
         {
@@ -64,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn colors_are_told_apart_and_stay() {
+    fn colors_are_distinct_and_independent_of_their_number() {
         let many = colors(64);
         for (i, a) in many.iter().enumerate() {
             for b in &many[..i] {
@@ -75,7 +79,7 @@ mod tests {
         assert_eq!(colors(5), many[..5]);
         assert_eq!(hex([0, 18, 255]), "#0012ff");
         assert!(colors(0).is_empty());
-        // More than there are colors.
+        // More classes than candidate colors.
         assert_eq!(colors(1000).len(), 1000);
     }
 }

@@ -1,4 +1,4 @@
-//! Opening the scene of a command, and checks before training.
+//! Opens the scene of a command and checks it before training.
 
 use anyhow::bail;
 use sgs_config::Settings;
@@ -15,7 +15,7 @@ pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
     Ok(scene)
 }
 
-/// Opens the scene of a run, which may have moved since.
+/// Opens the scene of a run. Fails with advice if the scene has moved.
 pub fn open_scene_of_run(run: &Path, s: &Settings) -> anyhow::Result<Scene> {
     if !s.scene.exists() {
         let (run, scene) = (run.display(), s.scene.display());
@@ -24,7 +24,9 @@ pub fn open_scene_of_run(run: &Path, s: &Settings) -> anyhow::Result<Scene> {
     open_scene(s)
 }
 
-/// Refuses a scene if no training view sees any of its points, and logs warnings about a bad start.
+/// Checks that training can start from a scene; logs warnings about a bad start.
+///
+/// Refuses a scene if no training view sees any of its points.
 pub fn check_start(scene: &Scene) -> anyhow::Result<()> {
     let mut warnings = scene.start_warnings()?;
     warnings.extend(Framing::of(scene).check(scene)?);
@@ -34,7 +36,7 @@ pub fn check_start(scene: &Scene) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Warns if no prior of normals or materials exists.
+/// Warns if the training views have no prior of normals or materials.
 pub fn warn_without_priors(scene: &Scene) -> anyhow::Result<()> {
     for &view in &scene.split.train {
         let materials = scene.albedo_prior(view)?.is_some() || scene.roughness_prior(view)?.is_some();

@@ -1,4 +1,4 @@
-//! Talking to people: logging, progress bars on a terminal, plain lines elsewhere, Ctrl-C.
+//! Output for the user: logs, progress bars on a terminal, plain lines elsewhere. Handles Ctrl-C.
 
 use crate::common::Common;
 use crate::failure::{Kind, failure};
@@ -11,7 +11,7 @@ use std::time::Instant;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
-/// Messages of the libraries, on standard error; `SGS_LOG` (as `info` or `sgs_train=debug`) chooses more or fewer.
+/// Starts logging to standard error. `SGS_LOG` (`info` or `sgs_train=debug`) overrides the level.
 pub fn start_logging(common: &Common) {
     let level = match (common.quiet, common.verbose) {
         (true, _) => LevelFilter::ERROR,
@@ -20,15 +20,17 @@ pub fn start_logging(common: &Common) {
         _ => LevelFilter::DEBUG,
     };
     let wanted = std::env::var("SGS_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
-    // A window's system warns of what people can do nothing about.
+    // Users cannot act on the warnings of the window system.
     let usual = || Targets::new().with_default(level).with_target("winit", LevelFilter::ERROR);
     let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
-    // Names of modules say nothing to a user; colors belong on a terminal.
+    // Module names help only in debugging; color codes are for terminals only.
     let lines = lines.with_target(level >= LevelFilter::DEBUG).with_ansi(std::io::stderr().is_terminal());
     tracing_subscriber::registry().with(lines.with_filter(wanted.unwrap_or_else(usual))).init();
 }
 
-/// Ends quietly, with the status of a program that a closed pipe has ended, where nobody reads on (`sgs plan SCENE | head`).
+/// Installs a panic hook that ends the program silently if its output is closed.
+///
+/// Example: `sgs plan SCENE | head`. The exit status is that of a program ended by SIGPIPE.
 pub fn heed_closed_pipes() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |info| {
@@ -40,7 +42,7 @@ pub fn heed_closed_pipes() {
     }));
 }
 
-/// A bar on a terminal; elsewhere a line every tenth of the way.
+/// Progress bar on a terminal; elsewhere a line for every tenth of the total.
 pub struct Bar {
     bar: Option<ProgressBar>,
     quiet: bool,
@@ -51,7 +53,7 @@ pub struct Bar {
 }
 
 impl Bar {
-    /// For so many of something.
+    /// Creates a bar for `total` items, of which `start` are done.
     pub fn new(common: &Common, what: &str, total: u64, start: u64) -> Bar {
         let terminal = std::io::stderr().is_terminal();
         let bar = (terminal && !common.quiet).then(|| {
@@ -66,7 +68,7 @@ impl Bar {
         Bar { bar, quiet: common.quiet, what: what.to_owned(), total, next_line: start + 1, started: Instant::now() }
     }
 
-    /// So many are done.
+    /// Sets the number of finished items.
     pub fn set(&mut self, done: u64, message: impl FnOnce() -> String) {
         if let Some(bar) = &self.bar {
             bar.set_position(done);
@@ -80,7 +82,7 @@ impl Bar {
         }
     }
 
-    /// Says something that is to stay.
+    /// Prints a line that stays above the bar.
     pub fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.println(text),
@@ -89,7 +91,7 @@ impl Bar {
         }
     }
 
-    /// Takes the bar away.
+    /// Completes the bar.
     pub fn finish(self) {
         if let Some(bar) = self.bar {
             bar.finish();
@@ -97,18 +99,18 @@ impl Bar {
     }
 }
 
-/// A flag that a signal raises to stop a command; derefs to the flag.
+/// Flag that a signal raises to stop a command; dereferences to the flag.
 pub struct Stop {
     raised: Arc<AtomicBool>,
     terminated: Arc<AtomicBool>,
 }
 
 impl Stop {
-    /// Raises the flag on Ctrl-C and on signals that end a process; the second signal ends the program at once.
+    /// Raises the flag on Ctrl-C and on signals that end a process. The second signal exits at once.
     pub fn on_signals() -> anyhow::Result<Stop> {
         let stop = Stop { raised: Arc::default(), terminated: Arc::default() };
         for (signal, terminates) in SIGNALS {
-            // In this order: the first signal finds the flag down.
+            // The shutdown handler runs first, so that the first signal finds the flag down.
             let status = if *terminates { 128 + signal } else { Kind::Interrupted.status() };
             flag::register_conditional_shutdown(*signal, status, stop.raised.clone())?;
             if *terminates {
@@ -119,7 +121,7 @@ impl Stop {
         Ok(stop)
     }
 
-    /// Makes the error of a command that was stopped.
+    /// Creates the error of a command that was stopped.
     pub fn failure(&self, text: impl Into<String>) -> anyhow::Error {
         let kind = if self.terminated.load(Ordering::SeqCst) { Kind::Terminated } else { Kind::Interrupted };
         failure(kind, text)
@@ -134,7 +136,7 @@ impl std::ops::Deref for Stop {
     }
 }
 
-/// Signals that stop a command, and whether they end it from outside.
+/// Signals that stop a command, and whether they count as termination from outside.
 #[cfg(unix)]
 const SIGNALS: &[(i32, bool)] = &[(consts::SIGINT, false), (consts::SIGTERM, true), (consts::SIGHUP, true)];
 #[cfg(not(unix))]

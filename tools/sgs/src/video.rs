@@ -1,4 +1,4 @@
-//! Videos of rendered frames: MP4 and WebP by the ffmpeg program, GIF without it.
+//! Videos of rendered frames. The ffmpeg program encodes MP4 and WebP; GIF needs no other program.
 
 use crate::failure::refuse_usage;
 use anyhow::{Context, bail};
@@ -8,13 +8,13 @@ use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 
-/// How carefully colors of a GIF are chosen, from 1 (best) to 30 (fastest).
+/// Speed of the color quantization of a GIF, from 1 (best) to 30 (fastest).
 const GIF_SPEED: i32 = 10;
 
 /// Options of a video.
 #[derive(clap::Args)]
 pub struct VideoArgs {
-    /// Video file of the frames. Without --output only the video is written. MP4 and WebP need the program ffmpeg.
+    /// Write the frames as a video. Without --output only the video is written. MP4 and WebP need the program ffmpeg.
     #[arg(long, value_name = "FILE.mp4|webp|gif")]
     pub video: Option<PathBuf>,
     /// Frames per second of the video.
@@ -23,16 +23,16 @@ pub struct VideoArgs {
 }
 
 impl VideoArgs {
-    /// Prepares the video, if one is wanted. Refuses what cannot be written before any work.
+    /// Prepares the video if `--video` is set. Refuses an output that cannot be written before any work is done.
     pub fn open(&self) -> anyhow::Result<Option<Video>> {
         self.video.as_deref().map(|path| Video::new(path, self.fps)).transpose()
     }
 }
 
-/// A video that is being written. Its file appears when it is finished.
+/// Video that is being written. The file appears under its name when [`Video::finish`] succeeds.
 pub struct Video {
     path: PathBuf,
-    /// Beside `path`, with the same extension.
+    /// Temporary file beside `path`, with the same extension.
     partial: PathBuf,
     gif: bool,
     fps: u32,
@@ -73,7 +73,7 @@ impl Video {
         Ok(Video { path: path.to_owned(), partial, gif, fps, frames: 0, size: [0; 2], sink: None })
     }
 
-    /// Adds a frame: display-referred values of 1 or 3 channels. All frames must have the size of the first.
+    /// Appends a frame of display-referred values with 1 or 3 channels. All frames must have the size of the first.
     pub fn push(&mut self, image: &Image) -> anyhow::Result<()> {
         let size = [image.width, image.height];
         if self.frames == 0 {
@@ -98,14 +98,14 @@ impl Video {
                 let sent = pipe.write_all(&bytes);
                 bytes.clear();
                 child.stdin = Some(pipe);
-                // Its own words say why it has stopped listening.
+                // ffmpeg's error output states why it closed the pipe.
                 if sent.is_err() { self.end() } else { Ok(()) }
             }
             None => Ok(()),
         }
     }
 
-    /// Time that a frame of a GIF stays, in hundredths of a second, so that sums are exact.
+    /// Returns the display time of a GIF frame in hundredths of a second. Rounding errors do not accumulate.
     fn delay(&self, frame: u32) -> u16 {
         let until = |n: u32| (u64::from(n) * 200 + u64::from(self.fps)) / (2 * u64::from(self.fps));
         (until(frame + 1) - until(frame)) as u16
@@ -130,7 +130,7 @@ impl Video {
         if webp {
             command.args(["-c:v", "libwebp", "-quality", "85", "-loop", "0"]);
         } else {
-            // H.264 of 4:2:0 has even sides: an odd last row or column is left out.
+            // H.264 with 4:2:0 subsampling needs even sides; an odd last row or column is cropped.
             command.args(["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2:0:0", "-pix_fmt", "yuv420p"]);
             command.args(["-movflags", "+faststart"]);
         }
@@ -139,7 +139,7 @@ impl Video {
         Ok(Sink::Ffmpeg(command.spawn().context("ffmpeg cannot be started")?))
     }
 
-    /// Completes the file; returns its path.
+    /// Completes the file and returns its path.
     pub fn finish(mut self) -> anyhow::Result<PathBuf> {
         self.end()?;
         let moved = std::fs::rename(&self.partial, &self.path);
@@ -176,12 +176,12 @@ impl Drop for Video {
         if let Some(Sink::Ffmpeg(mut child)) = self.sink.take() {
             let _ended = child.kill().and_then(|()| child.wait());
         }
-        // Absent if the video was finished.
+        // Absent after `finish`.
         let _absent = std::fs::remove_file(&self.partial);
     }
 }
 
-/// Bytes of red, green and blue.
+/// Converts an image to 8-bit RGB.
 fn bytes(image: &Image) -> Vec<u8> {
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
     let channels = image.channels.max(1) as usize;
@@ -194,7 +194,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn delays_of_a_gif_sum_to_the_duration() {
+    fn gif_delays_sum_to_the_duration() {
         let folder = tempfile::tempdir().expect("a folder");
         for fps in [1, 7, 24, 30, 60, 100] {
             let video = Video::new(&folder.path().join("a.gif"), fps).expect("a video");
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn gif_holds_every_frame() {
+    fn gif_contains_every_frame() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.gif");
         let mut video = Video::new(&path, 10).expect("a video");
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_written_is_refused_first() {
+    fn unwritable_output_is_refused_before_the_first_frame() {
         let folder = tempfile::tempdir().expect("a folder");
         let error = |name: &str| Video::new(&folder.path().join(name), 10).err().map(|e| e.to_string());
         assert!(error("a.avi").is_some_and(|e| e.contains(".mp4, .webp or .gif")));

@@ -1,4 +1,4 @@
-//! Cases of robustness: noise of one kind on what training begins with.
+//! Cases of robustness: noise of one kind in the training inputs.
 
 use super::Entry;
 use super::variant::any;
@@ -6,7 +6,7 @@ use crate::error::{Result, StudyError};
 use sgs_config::{NoiseSettings, Settings};
 use sgs_scene::Scene;
 
-/// What noise is put into.
+/// Input that noise is added to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Input {
     Nothing,
@@ -16,10 +16,10 @@ enum Input {
     Poses,
 }
 
-/// A case of robustness.
+/// Case of robustness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Case {
-    /// Its name, as in `--only`.
+    /// Name, as in `--only`.
     pub name: &'static str,
     input: Input,
 }
@@ -32,20 +32,20 @@ const ALL: [Case; 5] = [
     Case { name: "poses", input: Input::Poses },
 ];
 
-/// How much noise a case has where the settings ask for none of its kind. The paper gives no numbers.
+/// Noise of a case for which the settings have none of its kind. The paper gives no numbers.
 const USUAL: NoiseSettings =
     NoiseSettings { positions: 0.01, normals: 10.0, semantics: 0.1, rotations: 0.5, translations: 0.005 };
 
 impl Case {
-    /// Every case, in the order of the paper's table, the one without noise first.
+    /// Returns every case, in the order of the paper's table. The case without noise is first.
     pub fn all() -> &'static [Case] {
         &ALL
     }
 
-    /// Those of these names, in their order; all if there are no names.
+    /// Returns the cases of these names, in the order of the table. Returns all without names.
     ///
     /// # Errors
-    /// If a name is not one of a case; the sentence lists them.
+    /// If a case of a name does not exist. The error lists the names.
     pub fn named(names: &[String]) -> Result<Vec<Case>> {
         if let Some(name) = names.iter().find(|n| ALL.iter().all(|c| c.name != **n)) {
             let known = ALL.map(|c| c.name).join(", ");
@@ -54,25 +54,26 @@ impl Case {
         Ok(ALL.into_iter().filter(|c| names.is_empty() || names.iter().any(|n| n == c.name)).collect())
     }
 
-    /// Settings with the noise of this case and no other: as much of it as the settings say, or the usual amount.
+    /// Returns settings with the noise of this case and no other. The amount is that of the settings, or the default of
+    /// the case.
     pub fn settings(&self, base: &Settings) -> Settings {
-        let (asked, mut noise) = (&base.noise, NoiseSettings::default());
-        let or = |asked: f64, usual: f64| if asked > 0.0 { asked } else { usual };
+        let (requested, mut noise) = (&base.noise, NoiseSettings::default());
+        let or = |requested: f64, usual: f64| if requested > 0.0 { requested } else { usual };
         match self.input {
             Input::Nothing => {}
-            Input::Positions => noise.positions = or(asked.positions, USUAL.positions),
-            Input::Normals => noise.normals = or(asked.normals, USUAL.normals),
-            Input::Semantics => noise.semantics = or(asked.semantics, USUAL.semantics),
-            // Who asks for turns alone, or for moves alone, gets these.
-            Input::Poses if asked.rotations > 0.0 || asked.translations > 0.0 => {
-                (noise.rotations, noise.translations) = (asked.rotations, asked.translations);
+            Input::Positions => noise.positions = or(requested.positions, USUAL.positions),
+            Input::Normals => noise.normals = or(requested.normals, USUAL.normals),
+            Input::Semantics => noise.semantics = or(requested.semantics, USUAL.semantics),
+            // Settings with rotations alone, or translations alone, keep these.
+            Input::Poses if requested.rotations > 0.0 || requested.translations > 0.0 => {
+                (noise.rotations, noise.translations) = (requested.rotations, requested.translations);
             }
             Input::Poses => (noise.rotations, noise.translations) = (USUAL.rotations, USUAL.translations),
         }
         Settings { noise, ..base.clone() }
     }
 
-    /// As a row of a table; `base` are the settings that [`Case::settings`] takes.
+    /// Returns the row of a table. `base`: the settings that [`Case::settings`] takes.
     pub fn entry(&self, base: &Settings) -> Entry {
         let n = self.settings(base).noise;
         let share = |v: f64| format!("{} %", 100.0 * v);
@@ -90,7 +91,8 @@ impl Case {
         Entry { order, name: self.name, about, run: self.name }
     }
 
-    /// Why it would be the same as without noise: what the scene lacks or the settings leave out, as an end of a sentence.
+    /// Returns the reason why the noise would have no effect, as the end of a sentence. The scene may lack the input,
+    /// or the settings may leave it out.
     ///
     /// # Errors
     /// If a prior cannot be read.
@@ -119,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cases_differ_in_their_noise_alone() {
+    fn cases_differ_only_in_noise() {
         let mut base = Settings { seed: 5, ..Settings::default() };
         base.noise.normals = 25.0;
         base.noise.translations = 0.03;
@@ -141,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_checked_and_keep_their_order() {
+    fn names_are_checked_and_ordered() {
         let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         let found = Case::named(&names(&["poses", "clean"])).unwrap();
         assert_eq!(found.iter().map(|c| c.name).collect::<Vec<_>>(), ["clean", "poses"]);

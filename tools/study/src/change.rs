@@ -1,35 +1,35 @@
-//! What variants of the intrinsic stage leave out, one thing at a time.
+//! Variants of the intrinsic stage that leave out one component each.
 
 use super::variant::any;
 use crate::error::Result;
 use sgs_config::{IntrinsicSettings, MaterialStart, OwnPrior, Settings, VisibilityKind};
 use sgs_scene::Scene;
 
-/// What a variant does differently.
+/// Change of a variant relative to the full method.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Change {
-    /// Nothing.
+    /// No change.
     Nothing,
-    /// Materials begin gray.
+    /// Initial materials are gray.
     GrayStart,
     /// No point lights.
     Lights,
-    /// No light of the surroundings.
+    /// No environment map.
     Environment,
-    /// Nothing is in the way of lights.
+    /// No occlusion of lights.
     Visibility,
-    /// Albedo is not compared between views.
+    /// No comparison of albedo between views.
     CrossView,
-    /// Nor with estimates under other lights.
+    /// No comparison with estimates under other lights.
     Relight,
-    /// Nor with the views' own priors, in regions.
+    /// No comparison with the views' own priors, in regions.
     OwnPrior,
-    /// What networks say of materials is not asked for, but where they begin.
+    /// No losses of material priors. Materials still start from the priors.
     Priors,
 }
 
 impl Change {
-    /// Makes it.
+    /// Applies the change to settings.
     pub fn apply(self, s: &mut IntrinsicSettings) {
         let own_prior = s.own_prior_weight();
         let l = &mut s.losses;
@@ -38,7 +38,7 @@ impl Change {
             Change::GrayStart => s.start = MaterialStart::Gray,
             Change::Lights => {
                 s.lights.enabled = false;
-                // There is nothing that a provider could be shown.
+                // Without lights no relit image can be shown to a provider.
                 if s.relight.command().is_some() {
                     l.relight = 0.0;
                 }
@@ -52,7 +52,7 @@ impl Change {
         }
     }
 
-    /// Why it would change nothing, as an end of a sentence.
+    /// Returns why the change would have no effect, as the end of a sentence. None if it has an effect.
     pub fn lacks(self, scene: &Scene, settings: &Settings) -> Result<Option<String>> {
         let s = &settings.intrinsic;
         let said = |text: &str| Ok(Some(text.to_owned()));

@@ -1,6 +1,6 @@
-//! Errors of tables of runs.
+//! Errors of comparisons of runs.
 
-/// Errors of this crate.
+/// Error of this crate.
 #[derive(Debug, thiserror::Error)]
 pub enum StudyError {
     /// The scene cannot be used.
@@ -15,11 +15,11 @@ pub enum StudyError {
     /// No row has this name.
     #[error("There is no {kind} \"{name}\"; there are {known}.")]
     UnknownRow {
-        /// What rows are.
+        /// Kind of the rows.
         kind: &'static str,
-        /// The name.
+        /// Requested name.
         name: String,
-        /// The names that exist.
+        /// Existing names.
         known: String,
     },
 }

@@ -1,8 +1,10 @@
-//! Trainings compared: what each part of the method is worth ([`Variant`]), what noise in its inputs does ([`Case`]), and a table of
-//! what they came to over several seeds.
+//! Comparison of trainings: ablations, robustness and tables of results.
 //!
-//! Promises: a run that is done with the same settings is recognized, and so is one that can be gone on with. Training and
-//! measuring themselves are the caller's.
+//! A [`Variant`] leaves out a component of the method, a [`Case`] adds noise to its inputs, and [`Ablation`] is the
+//! table over several seeds.
+//!
+//! Guarantees: a finished run with the same settings is recognized, and so is a run that can be resumed. The caller
+//! trains and evaluates.
 
 mod case;
 mod change;

@@ -1,4 +1,4 @@
-//! How far a run of a table is, and what it came to.
+//! Progress and results of a run in a table.
 
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde_json::Value;
@@ -7,45 +7,45 @@ use sgs_evaluate::metrics::LpipsAbout;
 use sgs_run::RunDirectory;
 use std::path::Path;
 
-/// How far a run with given settings is.
+/// Progress of a run with given settings.
 #[derive(Clone, Debug, PartialEq)]
 pub enum State {
-    /// There is none, or one with other settings.
+    /// The run does not exist, or has other settings.
     Absent,
-    /// It was begun and can be gone on with.
+    /// The run is incomplete and can be resumed.
     Begun,
-    /// Its geometry is trained, but not the materials that are wanted, too, or with other settings.
+    /// The geometry is trained. The requested materials are missing or have other settings.
     Formed,
-    /// It is trained, but not measured.
+    /// The run is trained, but not evaluated.
     Trained,
-    /// All is known.
+    /// The run is trained and evaluated.
     Measured(Box<Measures>),
 }
 
-/// What a run is wanted for.
+/// Requested results of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Goal {
     /// Whether materials and lights are trained, too.
     pub materials: bool,
-    /// Which LPIPS is measured, if it is.
+    /// LPIPS that is measured, if any.
     pub lpips: Option<LpipsAbout>,
 }
 
 impl State {
-    /// Looks into a directory.
-    pub fn of(root: &Path, asked: &Settings, goal: &Goal) -> State {
+    /// Reads the state of a run directory.
+    pub fn of(root: &Path, requested: &Settings, goal: &Goal) -> State {
         let Ok(run) = RunDirectory::open(root) else { return State::Absent };
         let Ok(began) = run.settings() else { return State::Absent };
-        let mut asked = asked.clone();
-        // What was left to measurement has been measured, and there may be more memory than before.
-        if asked.geometry.backward == Backward::Auto {
-            asked.geometry.backward = began.geometry.backward;
+        let mut requested = requested.clone();
+        // Settings that training chose by measurement do not count. The memory budget may have changed.
+        if requested.geometry.backward == Backward::Auto {
+            requested.geometry.backward = began.geometry.backward;
         }
-        asked.memory = began.memory;
-        // Geometry does not depend on what becomes of it.
-        let same_materials = asked.intrinsic == began.intrinsic;
-        asked.intrinsic.clone_from(&began.intrinsic);
-        if asked != began {
+        requested.memory = began.memory;
+        // Geometry does not depend on the settings of the materials.
+        let same_materials = requested.intrinsic == began.intrinsic;
+        requested.intrinsic.clone_from(&began.intrinsic);
+        if requested != began {
             return State::Absent;
         }
         if !(run.path("scene.ply").is_file() && run.path("training.json").is_file()) {
@@ -63,15 +63,15 @@ impl State {
     }
 }
 
-/// One of the measures.
+/// Measure of a table.
 pub(super) struct Measure {
-    /// Its name in JSON.
+    /// Name in JSON.
     pub key: &'static str,
-    /// Its name in the table, and whether more or less is better.
+    /// Heading in the table. An arrow tells whether more or less is better.
     pub heading: &'static str,
-    /// Digits behind the point.
+    /// Number of decimals.
     pub digits: usize,
-    /// Where it stands in `metrics.json`.
+    /// JSON pointer into `metrics.json` or `training.json`.
     place: &'static str,
 }
 
@@ -101,15 +101,15 @@ const fn measure(key: &'static str, heading: &'static str, digits: usize, place:
     Measure { key, heading, digits, place }
 }
 
-/// A number for every measure; what is not known is absent.
+/// Values of all measures. A value that is unknown is absent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Measures(pub(super) [Option<f64>; MEASURES.len()]);
 
 impl Measures {
-    /// What the evaluation of a run left, if it is there and whole.
+    /// Reads the measures of an evaluated run. Returns none if the evaluation is missing or has no PSNR.
     pub fn read(run: &RunDirectory) -> Option<Measures> {
         let (all, training) = (json(run, "metrics.json"), json(run, "training.json"));
-        // The files say how many steps a second takes; of an interrupted run it is the last part's, which is no measure.
+        // The files hold steps per second. Those of a resumed run cover its last session only, so they are not used.
         let per_step = |of: &Value, place: &str, part: &Value| {
             let rate = of.pointer(place).and_then(Value::as_f64);
             rate.filter(|rate| part["resumed_from"] == 0 && *rate > 0.0).map(|rate| 1.0 / rate)
@@ -123,15 +123,17 @@ impl Measures {
         found.get("psnr").map(|_| found)
     }
 
-    /// A measure by its name in JSON: `psnr` (dB), `ssim`, `lpips`; `pbr_` and `albedo_` with one of these; `roughness_mse`,
-    /// `metallic_mse`, `relit_psnr` (mean over the relit sets), `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of
-    /// geometry), `intrinsic_seconds_per_step`, `gaussians`. Seconds are those of runs that were not interrupted.
+    /// Returns a measure by its name in JSON. None if the value is unknown.
+    ///
+    /// Names: `psnr` (dB), `ssim`, `lpips`; `pbr_` and `albedo_` with one of these; `roughness_mse`, `metallic_mse`,
+    /// `relit_psnr` (mean over the relit sets), `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of
+    /// geometry), `intrinsic_seconds_per_step`, `gaussians`. Seconds are known for runs that were not interrupted.
     pub fn get(&self, key: &str) -> Option<f64> {
         MEASURES.iter().zip(self.0).find(|(m, _)| m.key == key).and_then(|(_, value)| value)
     }
 }
 
-/// A file of a run; null where there is none, or it is damaged.
+/// Reads a JSON file of a run. Returns null if the file is missing or damaged.
 fn json(run: &RunDirectory, name: &str) -> Value {
     let text = std::fs::read_to_string(run.path(name)).unwrap_or_default();
     serde_json::from_str(&text).unwrap_or_default()
@@ -155,38 +157,38 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn a_run_is_recognized_by_its_settings_and_files() {
+    fn state_follows_from_settings_and_files() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path().join("run");
-        let mut asked = Settings { seed: 2, ..Settings::default() };
-        let state = |asked: &Settings| State::of(&root, asked, &Goal::default());
-        assert_eq!(state(&asked), State::Absent);
+        let mut requested = Settings { seed: 2, ..Settings::default() };
+        let state = |requested: &Settings| State::of(&root, requested, &Goal::default());
+        assert_eq!(state(&requested), State::Absent);
         let run = RunDirectory::create(&root).unwrap();
-        assert_eq!(state(&asked), State::Absent);
-        let mut began = asked.clone();
+        assert_eq!(state(&requested), State::Absent);
+        let mut began = requested.clone();
         (began.geometry.backward, began.memory.budget) = (Backward::Splat, 1 << 30);
         run.write_settings(&began).unwrap();
-        assert_eq!(state(&asked), State::Begun);
+        assert_eq!(state(&requested), State::Begun);
         std::fs::write(run.path("scene.ply"), "").unwrap();
-        assert_eq!(state(&asked), State::Begun);
+        assert_eq!(state(&requested), State::Begun);
         run.write_json("training.json", &json!({"resumed_from": 0})).unwrap();
-        assert_eq!(state(&asked), State::Trained);
-        // A file of another split, and one that is no JSON.
+        assert_eq!(state(&requested), State::Trained);
+        // Metrics of another split, and a file that is not JSON.
         run.write_json("metrics.json", &json!({"train": {"mean": {"nvs": {"psnr": 30.0}}}})).unwrap();
-        assert_eq!(state(&asked), State::Trained);
+        assert_eq!(state(&requested), State::Trained);
         std::fs::write(run.path("metrics.json"), "{").unwrap();
-        assert_eq!(state(&asked), State::Trained);
+        assert_eq!(state(&requested), State::Trained);
         let test = json!({"mean": {"nvs": {"psnr": 30.0, "ssim": 0.9}, "semantic": {"accuracy": 0.5}}});
         run.write_json("metrics.json", &json!({"test": &test, "steps_per_second": 4.0, "gaussians": 12})).unwrap();
-        let State::Measured(measures) = state(&asked) else { panic!("measures are there") };
+        let State::Measured(measures) = state(&requested) else { panic!("measures are there") };
         let all = json!({"psnr": 30.0, "ssim": 0.9, "accuracy": 0.5, "seconds_per_step": 0.25, "gaussians": 12.0});
         assert_eq!(serde_json::to_value(*measures).unwrap(), all);
         assert_eq!((measures.get("accuracy"), measures.get("depth_rel")), (Some(0.5), None));
         run.write_json("training.json", &json!({"resumed_from": 9})).unwrap();
-        // Materials and LPIPS are wanted, too.
+        // Materials and LPIPS are requested, too.
         let goal = |materials: bool, net: Option<&'static str>| {
             let lpips = net.map(|net| LpipsAbout { net, version: "0.1", range: [0, 1] });
-            State::of(&root, &asked, &Goal { materials, lpips })
+            State::of(&root, &requested, &Goal { materials, lpips })
         };
         assert_eq!((goal(true, None), goal(false, Some("vgg"))), (State::Formed, State::Trained));
         run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
@@ -198,14 +200,14 @@ mod tests {
         run.write_json("metrics.json", &json!({"test": &test, "steps_per_second": 4.0, "gaussians": 12})).unwrap();
         run.write_json("training.json", &json!({"resumed_from": 9})).unwrap();
         let timed = |state| matches!(state, State::Measured(m) if m.get("seconds_per_step").is_some());
-        assert!(!timed(state(&asked)), "the time of a part was taken for the whole");
-        // Other materials may lie on the same geometry.
+        assert!(!timed(state(&requested)), "the time of a part was taken for the whole");
+        // Other materials may be trained on the same geometry.
         run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
-        asked.intrinsic.losses.l1 = 0.7;
-        assert_eq!(State::of(&root, &asked, &Goal { materials: true, lpips: None }), State::Formed);
-        assert!(matches!(state(&asked), State::Measured(_)));
-        // Any other setting is another run.
-        asked.geometry.losses.l1 = 0.7;
-        assert_eq!(state(&asked), State::Absent);
+        requested.intrinsic.losses.l1 = 0.7;
+        assert_eq!(State::of(&root, &requested, &Goal { materials: true, lpips: None }), State::Formed);
+        assert!(matches!(state(&requested), State::Measured(_)));
+        // Any other setting makes another run.
+        requested.geometry.losses.l1 = 0.7;
+        assert_eq!(state(&requested), State::Absent);
     }
 }

@@ -1,83 +1,83 @@
-//! What trainings came to: means and spreads over seeds, as JSON and as a table to read.
+//! Results of trainings: means and deviations over seeds, as JSON and as Markdown.
 
 use super::state::{MEASURES, Measures};
 use serde::Serialize;
 use sgs_evaluate::metrics::LpipsAbout;
 
-/// What a row of a table is of.
+/// Description of a row.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Entry {
-    /// Its place in the table.
+    /// Position in the table.
     pub order: usize,
-    /// Its name.
+    /// Name of the row.
     pub name: &'static str,
-    /// What it uses.
+    /// Components that the row uses.
     pub about: String,
-    /// The row that names its runs: its own name, or that of a row with the same settings.
+    /// Row that names the run directories: this row, or one with the same settings.
     pub run: &'static str,
 }
 
 impl Entry {
-    /// The folder of its run for a seed.
+    /// Returns the directory name of the run for a seed.
     pub fn folder(&self, seed: u64) -> String {
         format!("{}_seed{seed}", self.run)
     }
 }
 
-/// One run of a variant.
+/// Run of a variant.
 #[derive(Clone, Debug, Serialize)]
 pub struct AblationRun {
-    /// Its seed.
+    /// Seed of the run.
     pub seed: u64,
-    /// Its directory, beside the table.
+    /// Directory of the run, relative to the table.
     pub folder: String,
-    /// The device that trained it.
+    /// Device that trained the run.
     pub device: String,
-    /// What it came to.
+    /// Results of the run.
     #[serde(flatten)]
     pub measures: Measures,
 }
 
-/// What a variant came to.
+/// Results of a variant.
 #[derive(Clone, Debug, Serialize)]
 pub struct AblationRow {
-    /// Its name.
+    /// Name of the variant.
     pub name: &'static str,
-    /// What it uses.
+    /// Components that the variant uses.
     pub about: String,
     #[serde(skip)]
     order: usize,
-    /// Means over its runs.
+    /// Means over the runs.
     pub mean: Measures,
-    /// Standard deviations over its runs (by n - 1); absent with a single one.
+    /// Standard deviations over the runs (divided by n - 1). Absent with a single run.
     pub deviation: Measures,
-    /// The runs.
+    /// Runs of the variant.
     pub runs: Vec<AblationRun>,
 }
 
-/// A table of variants.
+/// Table of variants.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Ablation {
-    /// The scene directory.
+    /// Scene directory.
     pub scene: String,
     /// Steps of the geometry stage, where it is trained.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps: Option<u32>,
-    /// What all runs begin with, where it is not.
+    /// Common start of all runs, where the geometry stage is not trained.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<String>,
     /// Steps of the intrinsic stage, where it is trained.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub intrinsic_steps: Option<u32>,
-    /// Which LPIPS was measured, if it was.
+    /// LPIPS that was measured, if any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips: Option<LpipsAbout>,
-    /// One entry a variant, in their order.
+    /// Rows of the variants, in order.
     pub variants: Vec<AblationRow>,
 }
 
 impl Ablation {
-    /// Adds a run to its variant.
+    /// Adds a run to its variant. Updates the means and deviations.
     pub fn add(&mut self, variant: &Entry, seed: u64, device: String, measures: Measures) {
         let at = self.variants.iter().position(|row| row.name == variant.name).unwrap_or_else(|| {
             let at = self.variants.iter().take_while(|row| row.order < variant.order).count();
@@ -94,7 +94,7 @@ impl Ablation {
         }
     }
 
-    /// The table in Markdown. What no variant has is no column.
+    /// Formats the table as Markdown. A measure that no variant has gets no column.
     pub fn markdown(&self) -> String {
         let known = |i: &usize| self.variants.iter().any(|row| row.mean.0[*i].is_some());
         let columns: Vec<usize> = (0..MEASURES.len()).filter(known).collect();
@@ -108,7 +108,7 @@ impl Ablation {
         let start = self.start.as_ref().map_or_else(String::new, |start| format!(" on {start}"));
         let lpips = match &self.lpips {
             None => String::new(),
-            Some(l) => format!(" LPIPS {}: {}, pictures from {} to {}.", l.version, l.net, l.range[0], l.range[1]),
+            Some(l) => format!(" LPIPS {}: {}, images from {} to {}.", l.version, l.net, l.range[0], l.range[1]),
         };
         let mut text = format!(
             "Test views of {} after {}{start}, on {}; means and standard deviations over seeds.{lpips}\n\n",
@@ -134,7 +134,7 @@ impl Ablation {
     }
 }
 
-/// Mean and standard deviation.
+/// Returns the mean and the standard deviation.
 fn spread(values: &[f64]) -> (Option<f64>, Option<f64>) {
     let n = values.len() as f64;
     let mean = (n > 0.0).then(|| values.iter().sum::<f64>() / n);
@@ -149,7 +149,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn means_and_deviations_of_what_is_known() {
+    fn means_and_deviations_ignore_absent_values() {
         assert_eq!(spread(&[]), (None, None));
         assert_eq!(spread(&[3.0]), (Some(3.0), None));
         assert_eq!(spread(&[1.0, 2.0, 3.0, 6.0]), (Some(3.0), Some((14.0_f64 / 3.0).sqrt())));

@@ -1,4 +1,4 @@
-//! Variants of training: which parts of the method are on.
+//! Variants of training: enabled components of the method.
 
 use super::Entry;
 use super::change::Change;
@@ -6,7 +6,7 @@ use crate::error::{Result, StudyError};
 use sgs_config::Settings;
 use sgs_scene::Scene;
 
-/// What a variant may use besides photographs; each is a switch of the settings.
+/// Component that a variant may use besides photographs. Each is a switch of the settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     Depth,
@@ -15,39 +15,39 @@ enum Part {
     Correspondence,
 }
 
-/// The full method of the geometry stage.
+/// Components of the full method of the geometry stage.
 const FULL: [Part; 4] = [Part::Depth, Part::Normals, Part::Semantics, Part::Correspondence];
 
-/// What a variant is about.
+/// Kind of a variant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
-    /// Geometry that uses these parts alone; each such variant adds to the one before.
+    /// Geometry with these components alone. Each such variant extends the one before.
     Geometry(&'static [Part]),
-    /// Geometry by the full method without these parts.
+    /// Geometry by the full method without these components.
     Without(&'static [Part]),
     /// Materials on the same geometry, with a change.
     Materials(Change),
 }
 
-/// What is compared.
+/// Scope of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
     /// Geometry alone.
     Geometry,
-    /// Materials, lights and shadows on geometry that all variants have in common.
+    /// Materials, lights and shadows on common geometry.
     Materials,
-    /// Both: variants of geometry with materials on them, and variants of materials on the last of these.
+    /// Both: variants of geometry with materials, and variants of materials on the last of these.
     Whole,
 }
 
-/// A variant of training.
+/// Variant of training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Variant {
-    /// Its name, as in `--only`.
+    /// Name, as in `--only`.
     pub name: &'static str,
-    /// What it uses, or does without.
+    /// Components that the variant uses or leaves out.
     pub about: &'static str,
-    /// The variant whose runs are also its own, because the settings are the same; else its own name.
+    /// Variant that shares its runs with this one, because the settings are equal. Otherwise this variant's own name.
     run: &'static str,
     kind: Kind,
 }
@@ -77,7 +77,7 @@ const ALL: [Variant; 18] = [
     materials("full", "everything", Change::Nothing),
     materials("gray_start", "materials begin gray", Change::GrayStart),
     materials("no_lights", "without point lights", Change::Lights),
-    materials("no_environment", "without light of the surroundings", Change::Environment),
+    materials("no_environment", "without an environment map", Change::Environment),
     materials("no_visibility", "without shadows", Change::Visibility),
     materials("no_cross_view", "albedo not compared between views", Change::CrossView),
     materials("no_relight", "albedo not compared with estimates under other lights", Change::Relight),
@@ -86,11 +86,11 @@ const ALL: [Variant; 18] = [
 ];
 
 impl Scope {
-    /// Its variants, in their order.
+    /// Returns the variants of the scope, in order.
     pub fn variants(self) -> Vec<Variant> {
         let shown = |v: &&Variant| match (self, v.kind) {
             (Scope::Geometry, Kind::Geometry(_) | Kind::Without(_)) | (Scope::Materials, Kind::Materials(_)) => true,
-            // Everything is what the last variant of geometry has.
+            // The last variant of geometry is the full method, so the variant without a change is redundant.
             (Scope::Whole, kind) => kind != Kind::Materials(Change::Nothing),
             _ => false,
         };
@@ -99,10 +99,10 @@ impl Scope {
 }
 
 impl Variant {
-    /// Those of these names, in the order of the method; all of the scope if there are no names.
+    /// Returns the variants of these names, in the order of the method. Returns all of the scope without names.
     ///
     /// # Errors
-    /// If a name is not one of a variant; the sentence lists them.
+    /// If a variant of a name does not exist. The error lists the names.
     pub fn named(scope: Scope, names: &[String]) -> Result<Vec<Variant>> {
         let all = scope.variants();
         if let Some(name) = names.iter().find(|n| all.iter().all(|v| v.name != **n)) {
@@ -112,17 +112,17 @@ impl Variant {
         Ok(all.into_iter().filter(|v| names.is_empty() || names.iter().any(|n| n == v.name)).collect())
     }
 
-    /// Whether it is one of materials, on geometry that others have, too.
+    /// Returns whether the variant changes materials on common geometry.
     pub fn is_of_materials(&self) -> bool {
         matches!(self.kind, Kind::Materials(_))
     }
 
-    /// Whether it is the full method of the geometry stage without a term.
+    /// Returns whether the variant is the full geometry method without a component.
     pub fn leaves_out(&self) -> bool {
         matches!(self.kind, Kind::Without(_))
     }
 
-    /// Whether a variant of geometry uses a part.
+    /// Returns whether a variant of geometry uses a component.
     fn uses(&self, part: Part) -> bool {
         match self.kind {
             Kind::Geometry(on) => on.contains(&part),
@@ -131,8 +131,8 @@ impl Variant {
         }
     }
 
-    /// Settings as it wants them: of one of geometry, its parts switched on and all others off; of one of materials, one thing
-    /// changed.
+    /// Returns the settings of the variant. A variant of geometry enables its components and disables all others. A
+    /// variant of materials changes one component.
     pub fn settings(&self, base: &Settings) -> Settings {
         let mut settings = base.clone();
         if let Kind::Materials(change) = self.kind {
@@ -147,14 +147,15 @@ impl Variant {
         settings
     }
 
-    /// Why it would be the same as another variant: what the scene or the settings lack, as an end of a sentence.
+    /// Returns why the variant would equal another one, as the end of a sentence. The scene or the settings may lack an
+    /// input. None if the variant differs.
     ///
     /// # Errors
     /// If a prior cannot be read.
     pub fn lacks(&self, scene: &Scene, settings: &Settings) -> Result<Option<String>> {
         let on = match self.kind {
             Kind::Geometry(on) => on,
-            // Only where the scene has the full method's inputs does one less make a difference.
+            // Leaving out a component matters only if the scene has the inputs of the full method.
             Kind::Without(_) => &FULL,
             Kind::Materials(change) => return change.lacks(scene, settings),
         };
@@ -184,14 +185,14 @@ impl Variant {
         Ok(None)
     }
 
-    /// As a row of a table.
+    /// Returns the row of a table.
     pub fn entry(&self) -> Entry {
         let order = ALL.iter().position(|v| v == self).unwrap_or(ALL.len());
         Entry { order, name: self.name, about: self.about.to_owned(), run: self.run }
     }
 }
 
-/// Whether something holds for a training view.
+/// Returns whether a predicate holds for any training view.
 pub(super) fn any(scene: &Scene, holds: impl Fn(usize) -> Result<bool>) -> Result<bool> {
     for &view in &scene.split.train {
         if holds(view)? {
@@ -207,7 +208,7 @@ mod tests {
     use sgs_config::{MaterialStart, VisibilityKind};
 
     #[test]
-    fn variants_of_geometry_differ_in_their_switches_alone() {
+    fn geometry_variants_differ_only_in_switches() {
         let base = Settings { seed: 5, ..Settings::default() };
         let of = |variant: &Variant| {
             let mut settings = variant.settings(&base);
@@ -230,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn variants_of_the_same_settings_share_their_runs() {
+    fn variants_of_equal_settings_share_runs() {
         let base = Settings::default();
         let variants = Scope::Geometry.variants();
         for a in &variants {
@@ -242,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn variants_of_materials_differ_in_one_thing() {
+    fn material_variants_differ_in_one_component() {
         let base = Settings { seed: 5, ..Settings::default() };
         let of = |name: &str| {
             let variant = ALL.iter().find(|v| v.name == name).unwrap();
@@ -259,7 +260,7 @@ mod tests {
         assert_eq!((of("no_cross_view").losses.cross_view, of("no_relight").losses.relight), (0.0, 0.0));
         let l = of("no_priors").losses;
         assert_eq!([l.albedo, l.roughness, l.metallic], [0.0; 3]);
-        // What cannot be together is not asked for.
+        // Incompatible settings are not combined.
         let mut base = base.clone();
         base.intrinsic.relight.provider = "ask me".into();
         for variant in Scope::Materials.variants() {
@@ -268,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_checked_and_keep_their_order() {
+    fn names_are_checked_and_ordered() {
         let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         let found = Variant::named(Scope::Geometry, &names(&["normal", "rgb"])).unwrap();
         assert_eq!(found.iter().map(|v| v.name).collect::<Vec<_>>(), ["rgb", "normal"]);

@@ -1,4 +1,4 @@
-//! Makes a room: `room OUT [scene=NAME] [views=N] [test=N] [size=WxH] [seed=N] [spp=N] [points=N] [raw]`.
+//! Generates a scene: `room OUT [scene=NAME] [views=N] [test=N] [size=WxH] [seed=N] [spp=N] [points=N] [raw]`.
 
 use std::error::Error;
 use std::path::PathBuf;

@@ -2,29 +2,29 @@
 
 use glam::Vec3;
 
-/// Relative luminance of a linear color.
+/// Returns the relative luminance of a linear color.
 pub(crate) fn luminance(c: Vec3) -> f32 {
     c.dot(Vec3::new(0.212_671, 0.715_160, 0.072_169))
 }
 
-/// The piecewise sRGB curve for one value, clamped to [0, 1].
+/// Applies the piecewise sRGB curve to one value, clamped to [0, 1].
 pub(crate) fn encode(linear: f32) -> f32 {
     let x = linear.clamp(0.0, 1.0);
     if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 }
 }
 
-/// Inverse of [`encode`].
+/// Inverts [`encode`].
 pub(crate) fn decode(display: f32) -> f32 {
     let x = display.clamp(0.0, 1.0);
     if x <= 0.040_45 { x / 12.92 } else { ((x + 0.055) / 1.055).powf(2.4) }
 }
 
-/// [`encode`] for each channel.
+/// Applies [`encode`] to each channel.
 pub(crate) fn encode3(c: Vec3) -> Vec3 {
     Vec3::new(encode(c.x), encode(c.y), encode(c.z))
 }
 
-/// [`decode`] for each channel.
+/// Applies [`decode`] to each channel.
 pub(crate) fn decode3(c: Vec3) -> Vec3 {
     Vec3::new(decode(c.x), decode(c.y), decode(c.z))
 }
@@ -34,7 +34,7 @@ pub(crate) fn byte(x: f32) -> u8 {
     (x.clamp(0.0, 1.0) * 255.0 + 0.5) as u8
 }
 
-/// A linear color from a display color written as 0xRRGGBB.
+/// Returns the linear color of a display color written as 0xRRGGBB.
 pub(crate) fn hex(rgb: u32) -> Vec3 {
     let channel = |shift: u32| ((rgb >> shift) & 255) as f32 / 255.0;
     decode3(Vec3::new(channel(16), channel(8), channel(0)))

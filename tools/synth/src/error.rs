@@ -1,83 +1,83 @@
-//! What can go wrong, each in one sentence that says what to change.
+//! Errors of scene generation. Each message is one sentence that says what to change.
 
 use std::path::PathBuf;
 
-/// Why no scene directory was made.
+/// Reason why no scene directory was written.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
-    /// The scene's name is none of the known ones.
+    /// Unknown scene name.
     #[error("there is no scene called `{name}`; the scenes are {known}")]
     UnknownScene {
-        /// What was asked for.
+        /// Requested name.
         name: String,
-        /// The names that exist, separated by commas.
+        /// Known names, separated by commas.
         known: String,
     },
-    /// The layout's name is none of the known ones.
+    /// Unknown layout name.
     #[error("no layout is called `{name}`; the layouts are {known}")]
     UnknownLayout {
-        /// What was asked for.
+        /// Requested name.
         name: String,
-        /// The names that exist, separated by commas.
+        /// Known names, separated by commas.
         known: String,
     },
-    /// An option lies outside what makes sense.
+    /// Option outside its range.
     #[error("{option} is {value} but must lie between {min} and {max}")]
     OutOfRange {
-        /// The option's name.
+        /// Name of the option.
         option: &'static str,
-        /// The value given.
+        /// Given value.
         value: u64,
-        /// The smallest allowed value.
+        /// Smallest allowed value.
         min: u64,
-        /// The largest allowed value.
+        /// Largest allowed value.
         max: u64,
     },
-    /// A share lies outside 0 to 1.
+    /// Fraction outside 0 to 1.
     #[error("{option} is {value}, but must be 0 to 1")]
     NoShare {
-        /// The option's name.
+        /// Name of the option.
         option: &'static str,
-        /// The value given.
+        /// Given value.
         value: f32,
     },
-    /// The output directory holds something that may not be replaced.
+    /// Output directory that is not empty and may not be replaced.
     #[error("{} already holds something; name another directory, or replace a scene with --force", .0.display())]
     OutputOccupied(PathBuf),
-    /// The output may be replaced, but it is no scene directory.
+    /// Output directory that may be replaced but is not a scene directory.
     #[error("{} is not replaced because it is no scene directory: it holds no file of cameras", .0.display())]
     NotAScene(PathBuf),
-    /// The output path has no final component that could be renamed into place.
+    /// Output path without a final component to rename into place.
     #[error("{} does not name a directory that could be made", .0.display())]
     BadPath(PathBuf),
-    /// The file system refused.
+    /// Failure of the file system.
     #[error("cannot {action} {}: {source}", .path.display())]
     Io {
-        /// What was attempted, as a verb.
+        /// Attempted action, as a verb.
         action: &'static str,
-        /// The file or directory.
+        /// File or directory.
         path: PathBuf,
-        /// The system's reason.
+        /// Reason reported by the system.
         source: std::io::Error,
     },
-    /// An encoder refused.
+    /// Failure of an encoder.
     #[error("cannot encode {}: {reason}", .path.display())]
     Encode {
-        /// The file that was being written.
+        /// File that was being written.
         path: PathBuf,
-        /// The encoder's reason.
+        /// Reason reported by the encoder.
         reason: String,
     },
 }
 
 impl SynthError {
-    /// Wraps a file-system error with what was attempted on which path.
+    /// Wraps a file-system error with the attempted action and its path.
     pub(crate) fn io(action: &'static str, path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.into();
         move |source| Self::Io { action, path, source }
     }
 
-    /// Wraps an encoder's error with the file it concerned.
+    /// Wraps an encoder's error with the path of its file.
     pub(crate) fn encode(path: impl Into<PathBuf>, reason: impl ToString) -> Self {
         Self::Encode { path: path.into(), reason: reason.to_string() }
     }

@@ -1,7 +1,7 @@
-//! Sets the strength of all lights so that pictures at exposure 1 are well exposed.
+//! Scales all lights so that images at exposure 1 are well exposed.
 //!
-//! The training views are rendered small; one factor on every light then brings their mean display value to a target,
-//! unless too much would clip.
+//! Renders some training views at a small size. One factor on every light then brings their mean display value to a
+//! target, unless too many values would clip.
 
 use glam::Vec3;
 
@@ -13,18 +13,18 @@ use crate::trace::denoise;
 use crate::trace::path::PathOptions;
 use crate::trace::render::render;
 
-/// Mean display value aimed at.
+/// Target of the mean display value.
 const TARGET: f32 = 0.52;
-/// Largest share of the values on surfaces that may clip.
+/// Largest fraction of the values on surfaces that may clip.
 const CLIPPED_SURFACES: f32 = 0.045;
-/// Largest share of all values that may clip, lights included.
+/// Largest fraction of all values that may clip, lights included.
 const CLIPPED: f32 = 0.09;
 
-/// Scales the scene's lights; `seed` keys the probing samples.
+/// Scales the scene's lights. `seed` keys the samples of the probe renders.
 pub(crate) fn expose(scene: &mut Scene, cameras: &[Camera], seed: u64) {
     let options = PathOptions { bounces: 4, ..PathOptions::default() };
     let (mut all, mut surfaces) = (Vec::new(), Vec::new());
-    // A dozen views say enough about the room.
+    // At most twelve views suffice to measure the brightness of the room.
     let step = cameras.len().div_ceil(12);
     for (index, camera) in cameras.iter().step_by(step).enumerate() {
         let height = (WIDTH * camera.height).div_ceil(camera.width).clamp(6, 60);
@@ -53,12 +53,12 @@ pub(crate) fn expose(scene: &mut Scene, cameras: &[Camera], seed: u64) {
     scene.scale_light(low.min(1.0 / bright.max(1e-4)));
 }
 
-/// Width of the probing images.
+/// Width of the probe images in pixels.
 const WIDTH: usize = 24;
-/// Paths for each of their pixels.
+/// Paths per pixel of the probe images.
 const SAMPLES: usize = 24;
 
-/// The value below which a share of the values lies; 0 when there are none.
+/// Returns the quantile of `values` at fraction `share`, or 0 for an empty slice.
 fn quantile(values: &mut [f32], share: f32) -> f32 {
     if values.is_empty() {
         return 0.0;

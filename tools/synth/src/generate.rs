@@ -1,5 +1,6 @@
-//! Makes a whole scene directory: builds the room, places cameras, sets the exposure, renders, imitates priors, and
-//! writes everything.
+//! Generates a whole scene directory.
+//!
+//! Builds the room, places cameras, sets the exposure, renders, simulates priors, and writes all files.
 
 use std::path::Path;
 use std::sync::Mutex;
@@ -26,39 +27,40 @@ use crate::trace::path::PathOptions;
 use crate::trace::render::render;
 use crate::views;
 
-/// What was made.
+/// Summary of a generated scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
-    /// Training views.
+    /// Number of training views.
     pub train_views: usize,
-    /// Test views.
+    /// Number of test views.
     pub test_views: usize,
     /// Image width in pixels.
     pub width: usize,
     /// Image height in pixels.
     pub height: usize,
-    /// Triangles in the scene.
+    /// Number of triangles in the scene.
     pub triangles: usize,
-    /// Lights in the scene.
+    /// Number of lights in the scene.
     pub lights: usize,
-    /// Things with masks of their own.
+    /// Number of objects with a mask of their own.
     pub instances: usize,
-    /// Points in `points.ply`; fewer than asked for when views hardly overlap.
+    /// Number of points in `points.ply`. Below the requested number when views hardly overlap.
     pub points: usize,
     /// Names of the relit sets under `gt/relit`.
     pub relit: Vec<String>,
-    /// Share of the images' values that are clipped at exposure 1.
+    /// Fraction of the images' values that clip at exposure 1.
     pub clipped: f32,
     /// Mean display value of the images.
     pub mean: f32,
-    /// Wall-clock seconds spent.
+    /// Elapsed wall-clock seconds.
     pub seconds: f64,
 }
 
-/// Makes the scene directory `out`, which must not exist, be empty, or (with [`SynthOptions::replace`]) be a scene.
+/// Generates the scene directory `out`.
 ///
-/// `progress` is told how many of how many units of work are done, never decreasing; it may be called from any
-/// thread. The same options give the same bytes for any number of threads.
+/// `out` must not exist or must be empty; with [`SynthOptions::replace`] it may also be a scene. `progress` receives
+/// the number of finished and of total units of work. The finished number never decreases. Any thread may call
+/// `progress`. The same options give the same bytes for any number of threads.
 ///
 /// # Errors
 ///
@@ -117,7 +119,7 @@ pub fn generate(
     })
 }
 
-/// What all views need.
+/// Data shared by all views.
 struct Job<'a> {
     scene: &'a Scene,
     options: &'a SynthOptions,
@@ -128,7 +130,7 @@ struct Job<'a> {
 }
 
 impl Job<'_> {
-    /// Renders one view and writes its files; returns its linear image.
+    /// Renders one view and writes its files. Returns its linear image.
     fn view(&self, index: usize, camera: &Camera, train: bool) -> Result<Image, SynthError> {
         let (options, stage) = (self.options, self.stage);
         let key = rng::key(&[options.seed, 0x5a11, index as u64]);
@@ -158,7 +160,7 @@ impl Job<'_> {
         Ok(image)
     }
 
-    /// Files that belong to no single view.
+    /// Writes the files that belong to no single view.
     fn shared_files(&self) -> Result<(), SynthError> {
         let stage = self.stage;
         let frame = json!({ "normal": { "frame": "camera-opengl" } });
@@ -191,7 +193,7 @@ impl Job<'_> {
     }
 }
 
-/// Sums over all images.
+/// Sums over the values of all images.
 #[derive(Default)]
 struct Tally {
     values: f32,
@@ -212,7 +214,7 @@ impl Tally {
     }
 }
 
-/// Counts units of work and passes them on in order.
+/// Counter of finished units of work that reports in ascending order.
 struct Progress<'a> {
     done: Mutex<u64>,
     total: u64,
@@ -226,7 +228,7 @@ impl<'a> Progress<'a> {
     }
 
     fn advance(&self) {
-        // The lock is held while reporting so that no caller sees the count go back.
+        // Reports while holding the lock, so that no caller sees the count decrease.
         let mut done = self.done.lock().unwrap_or_else(|e| e.into_inner());
         *done += 1;
         (self.report)(*done, self.total);

@@ -1,10 +1,9 @@
-//! Procedural furnished rooms, path-traced on the CPU: complete scene directories with images, cameras, points,
-//! imitated priors and ground truth.
+//! Procedural furnished rooms, path-traced on the CPU.
 //!
-//! [`generate`] makes a directory in a layout that the trainer reads ([`SynthLayout`]): by default `transforms.json`,
-//! `split.json`, `points.ply`, `images/`, `priors/` and `gt/`. World: y up, meters; images are sRGB of linear radiance at exposure 1.
-//! The same [`SynthOptions`] give the same bytes on any number of threads. Reading scenes back, and everything that
-//! needs a GPU, is left to other crates.
+//! A scene directory holds images, cameras, points, simulated priors and ground truth. [`generate`] writes a layout
+//! that the trainer reads ([`SynthLayout`]): by default `transforms.json`, `split.json`, `points.ply`, `images/`,
+//! `priors/` and `gt/`. World: y up, meters. Images are sRGB of linear radiance at exposure 1. The same
+//! [`SynthOptions`] give the same bytes on any number of threads. Other crates read scenes and use the GPU.
 
 mod color;
 mod error;

@@ -1,15 +1,17 @@
-//! Smooth pseudo-random patterns in the plane, for textures and for the errors of imitated networks.
+//! Smooth pseudo-random patterns in the plane.
+//!
+//! Textures and the errors of simulated priors use them.
 
 use glam::{IVec2, Vec2};
 
 use crate::rng::{mix32, unit};
 
-/// A random value in [0, 1) for a cell of the integer grid.
+/// Returns a random value in [0, 1) for a cell of the integer grid.
 pub(crate) fn cell(p: IVec2, seed: u32) -> f32 {
     unit(cell_bits(p, seed))
 }
 
-/// 32 random bits for a cell of the integer grid.
+/// Returns 32 random bits for a cell of the integer grid.
 pub(crate) fn cell_bits(p: IVec2, seed: u32) -> u32 {
     mix32(
         (p.x as u32).wrapping_mul(0x9e37_79b1)
@@ -17,7 +19,7 @@ pub(crate) fn cell_bits(p: IVec2, seed: u32) -> u32 {
     )
 }
 
-/// Smooth noise in [0, 1) with features about one unit wide.
+/// Returns smooth noise in [0, 1) with features about one unit wide.
 pub(crate) fn value(p: Vec2, seed: u32) -> f32 {
     let floor = p.floor();
     let base = floor.as_ivec2();
@@ -29,7 +31,7 @@ pub(crate) fn value(p: Vec2, seed: u32) -> f32 {
     low + (high - low) * s.y
 }
 
-/// A sum of octaves of [`value`], in [0, 1).
+/// Returns a weighted mean of octaves of [`value`], in [0, 1). Each octave has half the weight of the one before.
 pub(crate) fn fractal(mut p: Vec2, octaves: u32, seed: u32) -> f32 {
     let (mut sum, mut weight, mut total) = (0.0, 1.0, 0.0);
     for octave in 0..octaves {
@@ -41,7 +43,7 @@ pub(crate) fn fractal(mut p: Vec2, octaves: u32, seed: u32) -> f32 {
     sum / total
 }
 
-/// Smooth step from 0 to 1 between two edges.
+/// Interpolates smoothly from 0 to 1 between two edges.
 pub(crate) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)

@@ -1,35 +1,35 @@
-//! What a caller may choose, with defaults and limits.
+//! Options of scene generation, with defaults and limits.
 //!
-//! [`SynthOptions::validate`] refuses what could not work (no views, no pixels) or would only be a slip of the finger
-//! (a million views); everything it lets through renders.
+//! [`SynthOptions::validate`] refuses values that cannot work (no views, no pixels) and values that look like typing
+//! errors (a million views). All other values render.
 
 use std::str::FromStr;
 
 use crate::error::SynthError;
 
-/// The scenes that can be made.
+/// Scene to generate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum SceneName {
-    /// A furnished living room: two windows, three lamps, matte and glossy surfaces, some metal.
+    /// Furnished living room: two windows, three lamps, matte and glossy surfaces, some metal.
     #[default]
     LivingRoom,
-    /// The same kind of room with one lamp, no windows and no specular reflection at all.
+    /// Furnished room with one lamp, no windows and no specular reflection.
     Diffuse,
-    /// The room with a wall mirror, a glossy floor, chrome and brass.
+    /// Furnished room with a wall mirror, a glossy floor, chrome and brass.
     Mirror,
-    /// The room lit through its windows by an environment only; `gt/environment.exr` holds it.
+    /// Furnished room lit only by an environment map through its windows. `gt/environment.exr` holds the map.
     EnvOnly,
-    /// The room at night: colored lamps, windows nearly dark.
+    /// Furnished room at night: colored lamps, windows nearly dark.
     Night,
-    /// A small box with two blocks and a sphere under one ceiling light: quick to render, for tests.
+    /// Small box with two blocks and a sphere under one ceiling light. Renders quickly; meant for tests.
     Box,
 }
 
 impl SceneName {
-    /// Every scene, in the order in which they are listed to people.
+    /// All scenes, in the order of listings.
     pub const ALL: [Self; 6] = [Self::LivingRoom, Self::Diffuse, Self::Mirror, Self::EnvOnly, Self::Night, Self::Box];
 
-    /// The name as written on a command line.
+    /// Returns the name as written on a command line.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::LivingRoom => "livingroom",
@@ -41,7 +41,7 @@ impl SceneName {
         }
     }
 
-    /// One line on what the scene is for.
+    /// Returns a one-line description of the scene.
     pub fn describe(self) -> &'static str {
         match self {
             Self::LivingRoom => "furnished room, two windows, three lamps, mixed materials",
@@ -53,7 +53,7 @@ impl SceneName {
         }
     }
 
-    /// All names separated by commas, for messages.
+    /// Returns all names separated by commas, for messages.
     pub fn list() -> String {
         Self::ALL.map(Self::as_str).join(", ")
     }
@@ -76,24 +76,27 @@ impl FromStr for SceneName {
     }
 }
 
-/// The layouts in which a scene can be written. Priors, and ground truth that a layout has no place for, are the same in all.
+/// Layout of a scene directory. Priors are the same in all layouts, as is ground truth that a layout does not define.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum SynthLayout {
     /// `transforms.json`, `split.json` and `images/`.
     #[default]
     Nerfstudio,
-    /// `transforms_train.json`, `transforms_test.json` and a folder per view with `rgba.png`, `albedo.png`, `normal.png`,
-    /// `roughness.png` and `rgba_LIGHT.png`.
+    /// TensoIR: `transforms_train.json`, `transforms_test.json` and a folder per view.
+    ///
+    /// A folder holds `rgba.png`, `albedo.png`, `normal.png`, `roughness.png` and `rgba_LIGHT.png`.
     TensoIr,
-    /// `train/` and `val/` with `transforms.json` (Mitsuba's axes), HDR images in `Image/`, `albedo/` and `Roughness/`.
+    /// FIPT: `train/` and `val/`, each with `transforms.json` and HDR images.
+    ///
+    /// The cameras use Mitsuba's axes. The images lie in `Image/`, `albedo/` and `Roughness/`.
     Fipt,
 }
 
 impl SynthLayout {
-    /// Every layout, in the order in which they are listed to people.
+    /// All layouts, in the order of listings.
     pub const ALL: [Self; 3] = [Self::Nerfstudio, Self::TensoIr, Self::Fipt];
 
-    /// The name as written on a command line.
+    /// Returns the name as written on a command line.
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Nerfstudio => "nerfstudio",
@@ -115,36 +118,38 @@ impl FromStr for SynthLayout {
     }
 }
 
-/// Everything that determines the output: the same options give the same bytes on any number of threads.
+/// Options that determine the output: equal options give equal bytes on any number of threads.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SynthOptions {
-    /// Which scene.
+    /// Scene to generate.
     pub scene: SceneName,
-    /// The layout of the directory.
+    /// Layout of the directory.
     pub layout: SynthLayout,
-    /// Training views.
+    /// Number of training views.
     pub views: usize,
-    /// Test views, made besides the training views and numbered after them.
+    /// Number of test views, in addition to the training views and numbered after them.
     pub test_views: usize,
     /// Image width in pixels.
     pub width: usize,
     /// Image height in pixels.
     pub height: usize,
-    /// Chooses furniture, colors, pictures and cameras.
+    /// Seed of furniture, colors, wall pictures and cameras.
     pub seed: u64,
-    /// Paths traced for each pixel before denoising; pixels in which several surfaces meet get more.
+    /// Paths per pixel before denoising. Pixels that cover several surfaces get more.
     pub samples_per_pixel: usize,
-    /// Surface points in `points.ply`.
+    /// Number of surface points in `points.ply`.
     pub points: usize,
-    /// Pixels along the side of a cell of semantic priors; 1 for maps at image resolution.
+    /// Side of a cell of semantic priors in pixels. 1 gives maps at image resolution.
     pub semantic_cell: usize,
-    /// Share of the regions of semantic priors that have the class of another place in the view, 0 to 1.
+    /// Fraction of the regions of semantic priors that get a wrong class, 0 to 1.
+    ///
+    /// The wrong class is that of another pixel of the view.
     pub semantic_wrong: f32,
-    /// Whether images are denoised; without it they are the plain average of their samples.
+    /// Denoises the images. Otherwise each pixel is the plain mean of its samples.
     pub denoise: bool,
-    /// Whether `gt/relit` is written: the test views under other lighting, where the scene has several light groups.
+    /// Writes `gt/relit`: the test views under other lighting, for scenes with several light groups.
     pub relit: bool,
-    /// Whether an existing scene directory at the output path may be replaced.
+    /// Permits replacing an existing scene directory at the output path.
     pub replace: bool,
 }
 
@@ -174,7 +179,8 @@ impl SynthOptions {
     ///
     /// # Errors
     ///
-    /// [`SynthError::OutOfRange`] for the first option that lies outside.
+    /// [`SynthError::OutOfRange`] for the first integer option outside its limits; [`SynthError::NoShare`] for a
+    /// fraction outside 0 to 1.
     pub fn validate(&self) -> Result<(), SynthError> {
         let limits: [(&'static str, usize, u64, u64); 7] = [
             ("the number of training views", self.views, 1, 2000),

@@ -1,5 +1,6 @@
-//! A sparse point cloud as structure from motion would give: surface points with small noise, each seen by at least
-//! two training views, colored by one of them.
+//! Sparse point cloud that imitates structure from motion.
+//!
+//! Points lie on surfaces with small noise. At least two training views see each point, and one of them colors it.
 
 use glam::{Vec2, Vec3};
 
@@ -10,7 +11,7 @@ use crate::trace::camera::Camera;
 use crate::trace::denoise::Image;
 use crate::trace::film::feature;
 
-/// One point.
+/// Surface point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Point {
     /// World position.
@@ -21,12 +22,14 @@ pub(crate) struct Point {
     pub(crate) color: [u8; 3],
 }
 
-/// Position noise as a share of the distance.
+/// Standard deviation of the position noise, as a fraction of the depth.
 const POSITION_NOISE: f32 = 0.0015;
-/// Normal noise, radians.
+/// Standard deviation of the normal noise in radians.
 const NORMAL_NOISE: f32 = 0.06;
 
-/// Chooses `count` points; fewer when the views hardly overlap. With a single view one sighting suffices.
+/// Chooses `count` points, or fewer when the views hardly overlap.
+///
+/// Two views must see each point; a scene with a single view needs only that view.
 pub(crate) fn choose(scene: &Scene, cameras: &[Camera], images: &[Image], count: usize, seed: u64) -> Vec<Point> {
     let needed = cameras.len().min(2);
     let mut points = Vec::with_capacity(count);
@@ -58,7 +61,7 @@ pub(crate) fn choose(scene: &Scene, cameras: &[Camera], images: &[Image], count:
     points
 }
 
-/// Whether a camera sees a surface point from its front.
+/// Returns true if a camera sees the front of a surface point.
 fn visible(scene: &Scene, camera: &Camera, point: Vec3, normal: Vec3) -> bool {
     let Some(_) = camera.project(point) else {
         return false;

@@ -1,8 +1,8 @@
-//! Where the cameras stand.
+//! Camera placement.
 //!
-//! Training cameras follow an arc around the southern half of the room at eye height and look across its middle, so
+//! Training cameras follow an arc around the southern half of the room at eye height. They look across its middle, so
 //! that neighbors overlap. Test cameras stand between neighbors, a little off their connecting line. Every camera is
-//! inside the room, outside furniture, and has free space in front of it, as far as the room allows.
+//! inside the room, outside furniture, and has free space in front of it as far as the room permits.
 
 use glam::{Vec2, Vec3};
 
@@ -12,10 +12,10 @@ use crate::scene::Scene;
 use crate::trace::camera::Camera;
 use crate::trace::scene::Hit;
 
-/// Horizontal field of view, radians.
+/// Horizontal field of view in radians.
 pub(crate) const FOV_X: f32 = 70.0 * std::f32::consts::PI / 180.0;
 
-/// The cameras of a run.
+/// Cameras of a scene.
 pub(crate) struct Views {
     /// Training cameras.
     pub(crate) train: Vec<Camera>,
@@ -23,7 +23,7 @@ pub(crate) struct Views {
     pub(crate) test: Vec<Camera>,
 }
 
-/// Where a camera is and what it looks at.
+/// Position, viewing target and roll of a camera.
 #[derive(Debug, Clone, Copy)]
 struct Pose {
     position: Vec3,
@@ -31,10 +31,10 @@ struct Pose {
     roll: f32,
 }
 
-/// Half the arc that training cameras cover, radians around the vertical.
+/// Half of the arc of training cameras, in radians around the vertical axis.
 const HALF_ARC: f32 = 1.83;
 
-/// Chooses all cameras.
+/// Places all cameras.
 pub(crate) fn place(scene: &Scene, options: &SynthOptions) -> Views {
     let mut train: Vec<Pose> = Vec::with_capacity(options.views);
     for i in 0..options.views {
@@ -60,7 +60,7 @@ pub(crate) fn place(scene: &Scene, options: &SynthOptions) -> Views {
     Views { train: cameras(train), test: cameras(test) }
 }
 
-/// The first acceptable of some proposals, or the least bad one.
+/// Returns the first acceptable of 40 candidates, or that with the best score.
 fn best(scene: &Scene, mut propose: impl FnMut(usize) -> Pose) -> Pose {
     let mut found: Option<(f32, Pose)> = None;
     for attempt in 0..40 {
@@ -76,7 +76,7 @@ fn best(scene: &Scene, mut propose: impl FnMut(usize) -> Pose) -> Pose {
     found.map_or_else(|| propose(0), |(_, pose)| pose)
 }
 
-/// A proposal on the arc; later attempts stray further.
+/// Returns a candidate on the arc. Later attempts deviate further.
 fn on_arc(scene: &Scene, along: f32, index: usize, attempt: usize, rng: &mut Rng) -> Pose {
     let stray = attempt as f32 / 20.0;
     let (min, max) = (scene.interior.min, scene.interior.max);
@@ -84,7 +84,7 @@ fn on_arc(scene: &Scene, along: f32, index: usize, attempt: usize, rng: &mut Rng
     let inset = |h: f32| h - (0.13 * h + 0.15);
     let angle = HALF_ARC * (2.0 * along - 1.0) + rng.range(-0.05, 0.05) * (1.0 + 3.0 * stray);
     let reach = rng.range(0.93, 1.0) - 0.3 * stray * rng.uniform();
-    // Neighbors stand at different heights: parallax in both directions.
+    // Neighbors stand at different heights, which gives parallax in both directions.
     let level = [0.58, 0.50, 0.62, 0.54][index % 4] + rng.range(-0.015, 0.015);
     let position = Vec3::new(
         reach * inset(half.x) * angle.sin(),
@@ -100,12 +100,12 @@ fn on_arc(scene: &Scene, along: f32, index: usize, attempt: usize, rng: &mut Rng
     }
 }
 
-/// A proposal between two cameras.
+/// Returns a candidate between two cameras.
 fn between(a: &Pose, b: &Pose, attempt: usize, rng: &mut Rng) -> Pose {
     let t = rng.range(0.35, 0.65);
     let spread = 0.08 + 0.004 * attempt as f32;
     let mut shift = spread * rng.normal3().clamp(Vec3::splat(-2.0), Vec3::splat(2.0));
-    // The chord of an arc already lies inside it; a single camera has no neighbor to move towards.
+    // The chord of an arc already lies inside it. A single camera has no neighbor, so its candidates move further.
     if a.position == b.position {
         shift *= 2.0;
     }
@@ -116,7 +116,7 @@ fn between(a: &Pose, b: &Pose, attempt: usize, rng: &mut Rng) -> Pose {
     }
 }
 
-/// How much room a camera has; 1 and above is acceptable.
+/// Returns the free space around a camera as a score. 1 and above is acceptable.
 fn clearance(scene: &Scene, pose: &Pose) -> f32 {
     const MARGIN: f32 = 0.12;
     let p = pose.position;
@@ -152,7 +152,7 @@ mod tests {
     use crate::options::SceneName;
 
     #[test]
-    fn cameras_stand_free_and_look_inward() {
+    fn cameras_avoid_obstacles_and_look_inward() {
         for name in SceneName::ALL {
             for seed in [1, 2, 3] {
                 let scene = Scene::build(name, seed);
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn one_view_is_enough() {
+    fn single_training_view_is_supported() {
         let scene = Scene::build(SceneName::Box, 1);
         let options = SynthOptions { views: 1, test_views: 2, ..SynthOptions::default() };
         let views = place(&scene, &options);

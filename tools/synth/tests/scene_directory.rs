@@ -1,4 +1,4 @@
-//! A whole scene directory, small: its layout, its numbers, and that the cameras say what the images show.
+//! Tests of a small scene directory: its files, its numbers, and cameras that match the images.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -25,7 +25,7 @@ fn make(out: &Path, options: &SynthOptions) -> Summary {
     generate(out, options, &|done, total| assert!(done <= total)).expect("a scene is made")
 }
 
-/// Every file below a directory with its bytes.
+/// Returns every file below a directory with its bytes.
 fn files(root: &Path) -> BTreeMap<String, Vec<u8>> {
     let mut out = BTreeMap::new();
     let mut folders = vec![root.to_owned()];
@@ -47,7 +47,7 @@ fn json(root: &Path, name: &str) -> Value {
     serde_json::from_slice(&fs::read(root.join(name)).unwrap()).unwrap()
 }
 
-/// World-to-camera matrices in OpenCV axes and the focal length, read as any reader would.
+/// Returns world-to-camera matrices in OpenCV axes and the focal length.
 fn cameras(root: &Path) -> (Vec<Mat4>, f32) {
     let transforms = json(root, "transforms.json");
     let number = |v: &Value| v.as_f64().unwrap() as f32;
@@ -80,7 +80,7 @@ fn depth(root: &Path, stem: &str) -> Vec<f32> {
 }
 
 #[test]
-fn everything_is_there_and_consistent() {
+fn scene_directory_is_complete_and_consistent() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("scene");
     let summary = make(&out, &options(SceneName::LivingRoom));
@@ -122,7 +122,7 @@ fn everything_is_there_and_consistent() {
     expected.sort();
     assert_eq!(made.keys().cloned().collect::<Vec<_>>(), expected);
     assert_eq!(json(&out, "split.json"), serde_json::json!({"train": ["000", "001", "002"], "test": ["003"]}));
-    // A leftover of the temporary directory would lie beside the output.
+    // A remaining temporary directory would lie beside the output.
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     features_have_their_shape(&made);
     points_agree_with_images(&out, &made);
@@ -137,8 +137,9 @@ fn features_have_their_shape(made: &BTreeMap<String, Vec<u8>>) {
     assert_eq!(bytes.len(), 128 + 2 * 5 * 6 * 512);
 }
 
-/// Projects every point into every view; where it is not hidden, colors must agree. Were an axis flipped, they would
-/// not.
+/// Compares the color of every unoccluded point with every training view.
+///
+/// A flipped axis would fail the comparison.
 fn points_agree_with_images(root: &Path, made: &BTreeMap<String, Vec<u8>>) {
     let ply = &made["points.ply"];
     let marker = b"end_header\n";
@@ -178,7 +179,7 @@ fn points_agree_with_images(root: &Path, made: &BTreeMap<String, Vec<u8>>) {
     assert!(difference < 16.0 && difference < 0.5 * spread, "{difference} against {spread}");
 }
 
-/// Lifts the pixels of one view by their depth and looks for them in the next.
+/// Compares the depths of one view, reprojected into the next, with its depths.
 fn depths_agree_between_views(root: &Path) {
     let (matrices, focal) = cameras(root);
     let (first, second) = (depth(root, "000"), depth(root, "001"));
@@ -193,7 +194,7 @@ fn depths_agree_between_views(root: &Path) {
             continue;
         }
         inside += 1;
-        // Nothing seen from the first view may float in front of what the second sees; behind it may be hidden.
+        // Depths need not agree where the second view is occluded, so a fraction of the pixels suffices.
         let seen = second[v as usize * 48 + u as usize];
         agree += u32::from((seen - there.z).abs() < 0.06 * there.z);
     }
@@ -202,7 +203,7 @@ fn depths_agree_between_views(root: &Path) {
 }
 
 #[test]
-fn bytes_do_not_depend_on_the_number_of_threads() {
+fn output_is_independent_of_thread_count() {
     let folder = tempfile::tempdir().unwrap();
     let options = SynthOptions { views: 2, samples_per_pixel: 4, points: 50, ..options(SceneName::Box) };
     let with = |threads: usize, name: &str| {
@@ -222,7 +223,7 @@ fn bytes_do_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn every_scene_can_be_made() {
+fn all_scenes_generate() {
     let folder = tempfile::tempdir().unwrap();
     for name in SceneName::ALL {
         let small = SynthOptions { views: 2, width: 24, height: 16, samples_per_pixel: 2, points: 20, ..options(name) };
@@ -234,7 +235,7 @@ fn every_scene_can_be_made() {
 }
 
 #[test]
-fn mistakes_are_named_in_one_sentence() {
+fn errors_name_option_value_and_limits() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("scene");
     let fail = |options: SynthOptions| generate(&out, &options, &|_, _| {}).unwrap_err().to_string();

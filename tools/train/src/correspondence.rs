@@ -1,10 +1,10 @@
-//! What a step compares with its training view: two pseudo-views, and one region.
+//! Comparison of a training view with two pseudo-views in one region.
 //!
-//! Everything is drawn from the seed and the number of the step, so that resuming needs nothing but the number.
+//! All random choices depend on the seed and the step only, so resuming needs nothing but the step.
 
-use crate::asked::{Asked, Look};
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
+use crate::region_provider::{FrameRendering, RegionProvider};
 use crate::regions::{RegionInputs, Regions};
 use crate::semantics::SemanticData;
 use sgs_config::Settings;
@@ -17,13 +17,14 @@ use sgs_scene::{Camera, Scene};
 /// Pseudo-views and regions of a scene, on the device.
 pub struct Correspondence {
     pseudo: PseudoViews,
-    /// The training views.
+    /// Cameras of the training views.
     views: Vec<Camera>,
     regions: Regions,
 }
 
 impl Correspondence {
-    /// None if the scene has no regions. `largest`: columns and rows that no view exceeds.
+    /// Loads the regions and builds the pseudo-views. Returns none if the scene has no regions.
+    /// `largest`: upper bounds of the width and height of all views.
     ///
     /// # Errors
     /// If a file cannot be used, the provider of the settings fails, or memory runs out.
@@ -42,32 +43,32 @@ impl Correspondence {
         Ok(regions.map(|regions| Correspondence { pseudo, views, regions }))
     }
 
-    /// What says where a region is in pseudo-views.
+    /// Returns the source of the region masks of pseudo-views.
     pub fn masks(&self) -> Masks {
         self.regions.masks()
     }
 
-    /// Whether a step can only be made up when those before it are done.
-    pub fn looks(&self) -> bool {
-        matches!(self.regions, Regions::Asked(_))
+    /// Returns whether preparing a step requires that all earlier steps are done.
+    pub fn polls(&self) -> bool {
+        matches!(self.regions, Regions::Provider(_))
     }
 
-    /// Adds what a step is bound to.
+    /// Adds the region buffers to the inputs of a step.
     pub fn bind<'a>(&'a self, inputs: &mut Inputs<'a>) {
         inputs.regions = Some(self.regions.ids());
         inputs.pseudo_regions = self.regions.pseudo_ids();
     }
 
-    /// Chooses the region of a step, and makes the uniforms of its pseudo-views. None if there is nobody to ask any more.
-    /// `look`: how what a network is shown is rendered.
+    /// Chooses the region of a step and returns the uniforms of its pseudo-views.
+    /// Returns none if the provider is no longer available. `poll`: settings of the images that the provider is shown.
     ///
     /// # Errors
-    /// If the provider fails and training may not go on without.
+    /// If the provider fails and the settings do not allow training without it.
     pub fn steps(
         &mut self,
         device: &Device,
         gaussians: &Gaussians,
-        look: &Look,
+        poll: &FrameRendering,
         seed: u64,
         view: usize,
         values: &mut Step,
@@ -90,28 +91,29 @@ impl Correspondence {
                     step.target_offset = pseudo.as_ref().map_or(0, |(maps, _)| maps.first(view, which, index));
                 }
             }
-            Regions::Asked(asked) => {
+            Regions::Provider(requested) => {
                 let [a, b] = cameras;
                 let frames = [a, self.views[view].clone(), b];
-                if !asked.ask(device, gaussians, &frames, look, seed, values.step)? {
+                if !requested.ask(device, gaussians, &frames, poll, seed, values.step)? {
                     return Ok(None);
                 }
-                values.mask_offset = asked.words;
-                steps[1].mask_offset = 2 * asked.words;
+                values.mask_offset = requested.words;
+                steps[1].mask_offset = 2 * requested.words;
             }
         }
         Ok(Some(steps))
     }
 
-    /// Bytes that showing a network the Gaussians takes, with room for so many tile entries; none where nobody is asked.
+    /// Returns the number of bytes that rendering images for the provider takes.
+    /// `entries`: capacity for tile entries. The result is 0 without a provider of masks.
     ///
     /// # Errors
-    /// If so many make no graph.
+    /// If no graph can be compiled for this capacity.
     pub fn looking(&self, device: &Device, layout: &Layout, largest: [u32; 2], entries: u32) -> Result<u64> {
-        if self.looks() { Asked::rendering(device, layout, largest, entries) } else { Ok(0) }
+        if self.polls() { RegionProvider::rendering(device, layout, largest, entries) } else { Ok(0) }
     }
 
-    /// Bytes of device memory.
+    /// Returns the number of bytes of device memory.
     pub fn bytes(&self) -> u64 {
         self.regions.bytes()
     }

@@ -1,21 +1,21 @@
-//! What checkpoints of all stages hold besides tensors: how the training goes.
+//! Training progress in checkpoints: metadata that all stages save besides tensors.
 
 use crate::divergence::RollBack;
 use crate::error::{Result, error};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// How a training goes: in metadata, and absent in checkpoints that are older.
+/// Progress of a training. Stored as metadata; older checkpoints lack it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Course {
-    /// [`crate::divergence::Watch::save`].
+    /// State of the divergence check, as written by [`crate::divergence::Watch::save`].
     pub watch: String,
-    /// Returns to the last good state.
+    /// Rollbacks to the last good state.
     pub roll_backs: Vec<RollBack>,
 }
 
 impl Course {
-    /// As metadata.
+    /// Writes the progress as metadata.
     pub fn write(&self, meta: &mut HashMap<String, String>) {
         meta.insert("watch".to_owned(), self.watch.clone());
         if !self.roll_backs.is_empty() {
@@ -23,14 +23,14 @@ impl Course {
         }
     }
 
-    /// From metadata.
+    /// Reads the progress from metadata.
     pub fn read(path: &Path, meta: &HashMap<String, String>) -> Result<Course> {
         let of = |name: &str| meta.get(name).cloned().unwrap_or_default();
         Ok(Course { watch: of("watch"), roll_backs: json(path, meta, "roll_backs")?.unwrap_or_default() })
     }
 }
 
-/// What metadata hold as JSON, if they do.
+/// Parses a metadata entry as JSON. Returns none if the entry is missing.
 pub(crate) fn json<T: serde::de::DeserializeOwned>(
     path: &Path,
     meta: &HashMap<String, String>,
@@ -40,7 +40,8 @@ pub(crate) fn json<T: serde::de::DeserializeOwned>(
     meta.get(name).map(read).transpose().map_err(|e| error(path, format!("damaged: \"{name}\": {e}")))
 }
 
-/// What pairs hold that first and second moments cannot be. Gradients are bounded before they come to these, so that both are finite.
+/// Checks pairs of first and second moments. Returns a description of the first defect.
+/// Adam clamps gradients before it updates the moments, so the moments of a correct run are finite.
 pub(crate) fn wrong_moments(pairs: &[f32]) -> Option<&'static str> {
     if pairs.iter().any(|v| !v.is_finite()) {
         return Some("values that are not finite");

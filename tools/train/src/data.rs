@@ -1,6 +1,7 @@
-//! The training views on the GPU: photographs and normal priors packed one behind the other, and their cameras.
+//! Training views on the GPU: packed photographs and normal priors, and their cameras.
+//! Photographs and priors of all views are stored consecutively.
 
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result};
 use rayon::prelude::*;
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::Camera;
@@ -9,27 +10,27 @@ use sgs_scene::{Image, Scene};
 
 /// Training views in device memory.
 pub struct TrainingData {
-    /// Photographs, RGBA8; alpha is 0 where a pixel does not count.
+    /// Photographs, RGBA8. Alpha is 0 at invalid pixels.
     pub targets: DeviceBuffer,
-    /// Normal priors, if every training view has one.
+    /// Normal priors, if any training view has one.
     pub normals: Option<DeviceBuffer>,
     /// Camera and first pixel of each training view, in the order of the split.
     pub views: Vec<(Camera, u32)>,
-    /// Columns and rows that no view exceeds.
+    /// Upper bounds of the width and height of all views.
     pub largest: [u32; 2],
 }
 
-/// Training views on the host, as they go to the device.
+/// Training views on the host, packed for upload.
 pub(crate) struct Packed {
     images: Vec<Vec<u32>>,
     normals: Option<Vec<Vec<u32>>>,
     views: Vec<(Camera, u32)>,
-    /// Columns and rows that no view exceeds.
+    /// Upper bounds of the width and height of all views.
     pub largest: [u32; 2],
 }
 
 impl Packed {
-    /// Reads the training views of a scene. Priors are used only if `normals` says so and they are there.
+    /// Reads the training views of a scene. Reads the priors, if any, only with `normals`.
     pub fn read(scene: &Scene, normals: bool) -> Result<Packed> {
         let train = &scene.split.train;
         let pack = |&i: &usize| Ok(pack_image(&scene.load_image(i)?, scene.load_mask(i)?.as_ref()));
@@ -44,11 +45,11 @@ impl Packed {
                 .par_iter()
                 .map(|&i| Ok(scene.normal_prior(i)?.map(|n| pack_normals(&n))))
                 .collect::<Result<_>>()?;
-            // A view without a prior among views with one is trained without: all zeros mean nothing is known.
+            // A view without a prior is trained without one: a word of zero means an unknown normal.
             if maps.iter().any(Option::is_some) {
                 let filled = maps.into_iter().zip(&packed.images).map(|(map, image)| {
                     let mut map = map.unwrap_or_else(|| vec![0; image.len()]);
-                    // What does not count has no surface either.
+                    // Invalid pixels of the photograph have no normal either.
                     map.iter_mut().zip(image).filter(|(_, i)| *i >> 24 == 0).for_each(|(n, _)| *n = 0);
                     map
                 });
@@ -58,58 +59,59 @@ impl Packed {
         Ok(packed)
     }
 
-    /// Of pictures that are no photographs: display-referred, of their cameras.
-    pub fn of(pictures: &[(&sgs_scene::Camera, Image)]) -> Result<Packed> {
-        let images = pictures.par_iter().map(|(_, image)| pack_image(image, None)).collect();
+    /// Packs display-referred images that are no photographs, with their cameras.
+    pub fn of(renderings: &[(&sgs_scene::Camera, Image)]) -> Result<Packed> {
+        let images = renderings.par_iter().map(|(_, image)| pack_image(image, None)).collect();
         let mut packed = Packed { images, normals: None, views: Vec::new(), largest: [1, 1] };
         let mut offset = 0_u64;
-        for (c, _) in pictures {
+        for (c, _) in renderings {
             packed.add(camera(c), &mut offset)?;
         }
         Ok(packed)
     }
 
-    /// One more view behind the others.
+    /// Appends a view after the others.
     fn add(&mut self, c: Camera, offset: &mut u64) -> Result<()> {
         self.largest = [self.largest[0].max(c.size[0]), self.largest[1].max(c.size[1])];
-        let many = "The training views hold more than 2^32 pixels; use --scale.";
-        let first = u32::try_from(*offset).map_err(|_| TrainError::Setting(many.into()))?;
+        let many = Requirement::FewerPixels { what: "The training views", remedy: "--scale" };
+        let first = u32::try_from(*offset).map_err(|_| many)?;
         *offset += u64::from(c.size[0]) * u64::from(c.size[1]);
         self.views.push((c, first));
         Ok(())
     }
 
-    /// The normal priors, by training view.
+    /// Returns the normal priors, by training view.
     pub fn normals(&self) -> Option<&[Vec<u32>]> {
         self.normals.as_deref()
     }
 
-    /// The photograph of a view.
+    /// Returns the photograph of a view.
     pub fn image(&self, view: usize) -> &[u32] {
         &self.images[view]
     }
 
-    /// Camera and first pixel of each view.
+    /// Returns the camera and the first pixel of each view.
     pub fn views(&self) -> &[(Camera, u32)] {
         &self.views
     }
 
-    /// How far one plain color would be from each photograph.
+    /// Returns each photograph's difference from the best single color.
+    /// The difference is the mean absolute one.
     pub fn plain(&self) -> Vec<f64> {
         self.images.par_iter().map(|image| crate::divergence::plain(image)).collect()
     }
 
-    /// Bytes of the photographs.
+    /// Returns the number of bytes of the photographs.
     pub fn image_bytes(&self) -> u64 {
         bytes(&self.images)
     }
 
-    /// Bytes of the normal priors, if there are any.
+    /// Returns the number of bytes of the normal priors, if there are any.
     pub fn normal_bytes(&self) -> Option<u64> {
         self.normals.as_deref().map(bytes)
     }
 
-    /// Puts them into device memory.
+    /// Uploads photographs and priors to the device.
     pub fn upload(self, device: &Device) -> Result<TrainingData> {
         let targets = upload(device, "targets", &self.images)?;
         let normals = self.normals.map(|maps| upload(device, "normal_priors", &maps)).transpose()?;
@@ -118,7 +120,7 @@ impl Packed {
 }
 
 impl TrainingData {
-    /// Loads the training views of a scene. Priors are used only if `normals` says so and they are there.
+    /// Loads the training views of a scene. Loads the priors, if any, only with `normals`.
     ///
     /// # Errors
     /// If an image or prior cannot be read, or memory runs out.

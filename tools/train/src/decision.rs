@@ -1,33 +1,33 @@
-//! Decisions about the model: what, when, and by what measure. `training.json` holds all of them.
+//! Decisions about the model, with step and measure. `training.json` holds all of them.
 
 use serde::{Deserialize, Serialize};
 
-/// A decision about what is modeled.
+/// Decision about a component of the model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
-    /// After which step; 0 before the first.
+    /// Step after which the decision was made; 0 before the first step.
     pub step: u32,
-    /// What it is about.
+    /// Name of the component.
     pub what: String,
-    /// Whether it is modeled.
+    /// Whether the component is modeled.
     pub on: bool,
-    /// Why, with the figures.
+    /// Reason, with the figures.
     pub reason: String,
-    /// What was measured, where something was.
+    /// Measured value, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured: Option<f64>,
-    /// What was asked of it.
+    /// Threshold for the measured value, if any.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub asked: Option<f64>,
-    /// The setting that forces it.
+    pub requested: Option<f64>,
+    /// Setting that overrides the decision.
     pub setting: String,
 }
 
 impl Decision {
-    /// One that memory forced.
+    /// Makes a decision that memory forced: the component is left out.
     pub(crate) fn of_memory(step: u32, what: &str, reason: String) -> Decision {
         let setting = "memory.budget".to_owned();
-        Decision { step, what: what.to_owned(), on: false, reason, measured: None, asked: None, setting }
+        Decision { step, what: what.to_owned(), on: false, reason, measured: None, requested: None, setting }
     }
 }
 

@@ -1,5 +1,6 @@
 //! Errors of training: one sentence each, naming what to do.
 
+use sgs_run::StageKind;
 use std::path::{Path, PathBuf};
 
 /// Errors of this crate.
@@ -11,7 +12,7 @@ pub enum TrainError {
     /// The scene cannot be used.
     #[error(transparent)]
     Scene(#[from] sgs_scene::SceneError),
-    /// A network that was asked failed.
+    /// A provider failed.
     #[error("{0}.")]
     Provider(#[from] sgs_provider::ProviderError),
     /// A setting is wrong.
@@ -20,9 +21,9 @@ pub enum TrainError {
     /// The run directory cannot be used.
     #[error(transparent)]
     Run(#[from] sgs_run::RunError),
-    /// What settings ask for is impossible with this scene, run or provider.
-    #[error("{0}")]
-    Setting(String),
+    /// Something that the settings require is missing.
+    #[error(transparent)]
+    Requirement(#[from] Requirement),
     /// The device's memory does not suffice.
     #[error("{0}")]
     Memory(String),
@@ -37,25 +38,123 @@ pub enum TrainError {
         /// What is wrong.
         reason: String,
     },
-    /// Training cannot go on.
+    /// Training diverged and cannot go on.
     #[error("Training stopped at step {step}: {reason}.{advice}")]
     Diverged {
         /// The step.
         step: u32,
-        /// Why.
+        /// The reason.
         reason: String,
-        /// How to continue, after a space; empty where nothing is kept.
+        /// How to continue, after a space; empty where nothing is saved.
         advice: String,
     },
 }
 
+/// Unmet requirement of the settings. The scene, run, provider or device does not meet it.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Requirement {
+    /// Geometry is both trained and provided.
+    #[error("Geometry cannot be trained and given at once; train the intrinsic stage alone, or give no geometry.")]
+    OneGeometry,
+    /// The intrinsic stage has no geometry.
+    #[error("The intrinsic stage requires geometry; train the geometry stage first, or name a file.")]
+    Geometry,
+    /// A run directory holds no geometry.
+    #[error(
+        "\"{path}\": no geometry; train it first with --stage geometry or all, or give it with --start.",
+        path = .0.display()
+    )]
+    GeometryIn(PathBuf),
+    /// Neither a stage nor a result holds Gaussians.
+    #[error("The training holds no Gaussians; start a stage first.")]
+    Gaussians,
+    /// The geometry of the intrinsic stage is empty.
+    #[error("The geometry has no Gaussians to train materials for; train the geometry stage first.")]
+    NotEmpty,
+    /// The training has ended with an error.
+    #[error("The training has ended with an error and cannot continue; resume its run.")]
+    NotFailed,
+    /// No stage has started.
+    #[error("Nothing is trained yet; there is nothing to save.")]
+    ActiveStage,
+    /// A checkpoint is beyond the last step.
+    #[error(
+        "\"{path}\" is the state after step {step}, but {kind}.steps is {steps}; set {kind}.steps to {step} or more.",
+        path = .path.display()
+    )]
+    MoreSteps {
+        /// Checkpoint.
+        path: PathBuf,
+        /// Its stage.
+        kind: StageKind,
+        /// Its step.
+        step: u32,
+        /// Number of steps of the settings.
+        steps: u32,
+    },
+    /// Views or region maps hold more pixels than 32 bits count.
+    #[error("{what} hold more than 2^32 pixels; use {remedy}.")]
+    FewerPixels {
+        /// "The training views" or "Region maps".
+        what: &'static str,
+        /// Options that reduce them.
+        remedy: &'static str,
+    },
+    /// Text embeddings have another width than the decoder.
+    #[error(
+        "The text embeddings are {found} wide, but the decoder makes {expected} numbers; compute priors/semantic with CLIP \
+         ViT-B/16 or a network of that width."
+    )]
+    EmbeddingWidth {
+        /// Width of the file.
+        found: usize,
+        /// Width of the decoder.
+        expected: usize,
+    },
+    /// Semantic maps hold more cells than one buffer can.
+    #[error("The semantic maps hold {0} cells, more than the 16777215 that one buffer can; make them smaller.")]
+    FewerCells(u64),
+    /// A provider does not answer the questions that a loss asks.
+    #[error("The provider of {setting} offers no {missing}; it offers {offers}. {remedy}.")]
+    ProviderOffer {
+        /// Setting that names the provider.
+        setting: &'static str,
+        /// Missing answer.
+        missing: String,
+        /// What the provider offers.
+        offers: String,
+        /// How to continue.
+        remedy: &'static str,
+    },
+    /// Densification by geometric losses runs without one.
+    #[error(
+        "geometry.densify.statistic = \"geometric\" requires a loss of normals or depth; set geometry.depth_smooth = true, use \
+         another statistic, or add --no-densify."
+    )]
+    GeometricLoss,
+    /// The device has no atomic additions of floats.
+    #[error(
+        "geometry.backward is \"atomic\", but the device has no atomics of 32-bit floats (shaderBufferFloat32AtomicAdd); use \
+         \"auto\"."
+    )]
+    FloatAtomics,
+    /// An environment map or visibility field of the settings' size is not possible.
+    #[error("{setting}: {reason}")]
+    Size {
+        /// Table of the settings.
+        setting: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
 impl TrainError {
-    /// Makes the error of a training that has diverged, before anything is kept of it.
+    /// Makes the error of a training that has diverged, before anything of it is saved.
     pub(crate) fn diverged(step: u32, reason: impl Into<String>) -> TrainError {
         TrainError::Diverged { step, reason: reason.into(), advice: String::new() }
     }
 
-    /// Whether the device's memory did not suffice.
+    /// Returns whether the device's memory did not suffice.
     pub fn is_out_of_memory(&self) -> bool {
         match self {
             TrainError::Engine(error) => error.is_out_of_memory(),

@@ -1,46 +1,48 @@
-//! Whether the training views see the points that training starts from: checked before the first step, on the processor.
+//! Check that the training views see the scene's points.
+//! The check runs on the CPU before the first step.
 //!
-//! A training whose views see nothing ends in black images. Poses and points in different units are the usual cause.
+//! Training with views that see no points ends in black images. Poses and points in different units are the usual
+//! cause.
 
 use crate::error::Result;
 use glam::DVec3;
 use sgs_scene::{Camera, Scene, SceneError};
 
-/// Cells along the sides of a view, in which points are looked for.
+/// Numbers of cells along the width and height of a view. A cell is covered if a point projects to it.
 const CELLS: [usize; 2] = [8, 6];
 
-/// Views and points that are tested at most, spread evenly over all.
+/// Maximum numbers of views and points that are tested, spread evenly over all.
 const MOST_VIEWS: usize = 64;
 const MOST_POINTS: usize = 20_000;
 
-/// Share of its cells in which a view must show points, so that there is no warning.
+/// Least mean share of covered cells without a warning.
 const ENOUGH_CELLS: f64 = 0.1;
 
-/// Share of the points before the cameras that may lie nearer than the near plane.
+/// Largest share of points nearer than the near plane without a warning.
 const FEW_NEAR: f64 = 0.2;
 
-/// Cameras nearer together than this share of the points' distance stand at one place.
+/// Ratio of baseline to point distance below which cameras coincide.
 const ONE_PLACE: f64 = 1e-6;
 
-/// Points this many times as far as the cameras are apart have no parallax.
+/// Points farther than this multiple of the cameras' baseline have no parallax.
 const FAR: f64 = 100.0;
 
-/// What the training views see of a scene's points.
+/// Statistics of how the training views see a scene's points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Framing {
-    /// Training views.
+    /// Number of training views.
     pub views: usize,
-    /// Training views whose pose is that of an earlier one.
+    /// Number of training views with the pose of an earlier one.
     pub repeated: usize,
     /// Share of the points that at least one view sees.
     pub seen: f64,
-    /// Share of the cells of a view that show a point, mean over the views.
+    /// Share of a view's cells that show a point, mean over the views.
     pub covered: f64,
-    /// Share of the points within the images that lie nearer than the near plane.
+    /// Share of the points within the images that are nearer than the near plane.
     pub near: f64,
-    /// Largest distance of a camera from the mean of all, in the scene's units.
+    /// Largest distance of a camera from the mean of all, in scene units.
     pub baseline: f64,
-    /// Median distance of the points from the mean of the cameras, in the scene's units.
+    /// Median distance of the points from the mean camera position, in scene units.
     pub distance: f64,
 }
 
@@ -88,7 +90,8 @@ impl Framing {
         }
     }
 
-    /// Refuses a scene if no training view sees any of its points. Returns warnings otherwise, one sentence each.
+    /// Rejects a scene if no training view sees any of its points.
+    /// Otherwise returns warnings, one sentence each.
     ///
     /// # Errors
     /// [`SceneError::Points`] with the distances and what to do.
@@ -117,7 +120,7 @@ impl Framing {
             warnings.push(format!("training views show points in only {percent:.1} % of their area: {}", apart()));
         }
         let cameras = self.views;
-        // The mean of equal positions is rounded.
+        // The mean of equal positions is subject to rounding.
         let one_place = self.baseline <= ONE_PLACE * self.distance;
         if one_place && self.repeated > 0 {
             warnings.push(format!(
@@ -137,7 +140,8 @@ impl Framing {
     }
 }
 
-/// The cell of a view in which it shows a point, and the point's depth; `None` for a point outside the image or behind the camera.
+/// Returns the cell of a view that a point projects to, and the point's depth.
+/// Returns `None` for a point outside the image or behind the camera.
 fn place(camera: &Camera, point: DVec3) -> Option<(usize, f64)> {
     let pixel = camera.project(point)?;
     let depth = camera.forward().dot(point - camera.position());
@@ -147,7 +151,8 @@ fn place(camera: &Camera, point: DVec3) -> Option<(usize, f64)> {
     (depth > 0.0).then_some((y * CELLS[0] + x, depth))
 }
 
-/// How many cameras have the pose of an earlier one, to the bit.
+/// Returns the number of cameras that repeat the pose of an earlier one.
+/// Poses are compared bit for bit.
 fn repeated(cameras: &[&Camera]) -> usize {
     let bits = |c: &Camera| {
         let numbers = c.rotation.to_cols_array().into_iter().chain(c.translation.to_array());

@@ -1,4 +1,5 @@
-//! Ways for damaged files to readers that otherwise need a device to come to (`tests/fuzz`). Nobody else has a use for them.
+//! Entry points for fuzz tests (`tests/fuzz`) of the checkpoint readers.
+//! They feed damaged files to readers that otherwise require a device, and have no other use.
 
 use crate::course::Course;
 use crate::divergence::{Seen, Watch};
@@ -9,21 +10,24 @@ use crate::intrinsic::Saved;
 use sgs_passes::scene::Model;
 use std::path::Path;
 
-/// Reads the state of a training of a model without normals, of whatever degree if that is to be so, and goes on watching from there; what it holds, in words.
+/// Reads a geometry checkpoint and continues the divergence check from its state.
+/// The model has no normals. With `any_degree` the checkpoint may hold any spherical-harmonics degree. Returns a short
+/// summary of the contents.
 ///
 /// # Errors
-/// If it is damaged or of another model.
+/// If the checkpoint is damaged or belongs to another model.
 pub fn checkpoint(path: &Path, sh_degree: u32, semantics: bool, any_degree: bool) -> Result<String> {
     let state = checkpoint::load(path, Model { sh_degree, normals: false, semantics }, any_degree)?;
     let known = goes_on(&state.course, state.step);
     Ok(format!("{} {known} {}", state.parameters.len().min(3), state.course.roll_backs.len().min(3)))
 }
 
-/// Reads the state of a training of materials of two splats with a light of one lobe and surroundings of one texel a side, and goes
-/// on watching from there; what it holds, in words.
+/// Reads an intrinsic checkpoint and continues the divergence check from its state.
+/// The model has two splats, a light with one lobe and an environment map of one texel per face edge. Returns a short
+/// summary of the contents.
 ///
 /// # Errors
-/// If it is damaged or of another model.
+/// If the checkpoint is damaged or belongs to another model.
 pub fn intrinsic_checkpoint(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(|e| error(path, e.to_string()))?;
     let saved = Saved::read(path, &bytes)?;
@@ -42,23 +46,24 @@ pub fn intrinsic_checkpoint(path: &Path) -> Result<String> {
         saved.floats("environment_gathered", 18)?;
     }
     saved.floats("light_gains", 1)?;
-    let mut asked = Vec::new();
+    let mut requested = Vec::new();
     if saved.has("relit_asked_at") {
-        asked = saved.asked_at(2)?;
-        assert!(asked.iter().all(|step| step.saturating_sub(1) <= saved.step), "what was asked has been");
+        requested = saved.requested_at(2)?;
+        assert!(requested.iter().all(|step| step.saturating_sub(1) <= saved.step), "what was asked has been");
         saved.words("relit_estimates0", 4)?;
     }
-    let decided = [saved.lobes, saved.levels, saved.texels, saved.pace.map(|[every, _, _]| every)].map(|n| n.is_some());
+    let decided = [saved.lobes, saved.levels, saved.texels, saved.update_interval.map(|[every, _, _]| every)]
+        .map(|n| n.is_some());
     Ok(format!(
         "{known} {} {} {decided:?} {} {gathered} {}",
         before.len().min(3),
         saved.decisions.len().min(3),
-        asked.len(),
+        requested.len(),
         saved.last.is_some()
     ))
 }
 
-/// Watches from what a checkpoint says of how training goes. Whether that was known.
+/// Continues the divergence check from a checkpoint. Returns whether its state could be restored.
 fn goes_on(course: &Course, from: u32) -> bool {
     let mut watch = Watch::new(vec![0.1; 2]);
     let known = watch.restore(&course.watch);

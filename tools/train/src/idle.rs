@@ -1,7 +1,7 @@
-//! Losses that have a weight and cannot run: what is missing, and how to get it.
+//! Losses that have a weight and cannot run, with the missing input and the remedy.
 //!
-//! A switch that leaves a part of the model out (`geometry.normals = false`, no lights) leaves its losses out as well, without
-//! a warning.
+//! A switch that removes a component of the model (`geometry.normals = false`, no lights) also removes its losses,
+//! without a warning.
 
 use serde::Serialize;
 use sgs_config::{Metallic, Settings};
@@ -9,20 +9,20 @@ use sgs_config::{Metallic, Settings};
 /// Loss whose weight is not zero and that cannot run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct IdleLoss {
-    /// `geometry` or `intrinsic`.
+    /// Stage: `geometry` or `intrinsic`.
     pub stage: &'static str,
     /// Name of the loss.
     pub loss: &'static str,
-    /// The setting that holds its weight.
+    /// Setting that holds the weight of the loss.
     pub setting: &'static str,
-    /// What is missing.
+    /// Missing input.
     pub missing: String,
-    /// How to get it.
+    /// How to provide the input.
     pub remedy: String,
 }
 
 impl IdleLoss {
-    /// Warnings, a sentence for all losses of a stage that lack the same.
+    /// Returns the warnings: one sentence for all losses of a stage that lack the same input.
     pub fn warnings(all: &[IdleLoss]) -> Vec<String> {
         let mut groups: Vec<Vec<&IdleLoss>> = Vec::new();
         for idle in all {
@@ -47,7 +47,7 @@ impl IdleLoss {
     }
 }
 
-/// Words as a list in a sentence.
+/// Joins words to a list in a sentence.
 fn listed(words: &[&str]) -> String {
     match words {
         [] => String::new(),
@@ -56,7 +56,7 @@ fn listed(words: &[&str]) -> String {
     }
 }
 
-/// What the geometry stage found.
+/// Inputs that the geometry stage found.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FoundForGeometry {
     pub normals: bool,
@@ -64,10 +64,10 @@ pub(crate) struct FoundForGeometry {
     pub regions: bool,
 }
 
-/// What the intrinsic stage found.
+/// Inputs that the intrinsic stage found.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FoundForMaterials {
-    /// Priors of albedo, roughness, metallic.
+    /// Whether priors exist of albedo, roughness, metallic.
     pub priors: [bool; 3],
     pub regions: bool,
     /// Whether a provider of materials answers.
@@ -89,7 +89,7 @@ fn regions(s: &Settings) -> (String, String) {
     ("the provider of masks does not answer".into(), "mend provider.command".into())
 }
 
-/// Losses of the geometry stage that cannot run.
+/// Returns the losses of the geometry stage that cannot run.
 pub(crate) fn of_geometry(s: &Settings, found: FoundForGeometry) -> Vec<IdleLoss> {
     let g = &s.geometry;
     let mut idle = Vec::new();
@@ -127,7 +127,8 @@ pub(crate) fn of_geometry(s: &Settings, found: FoundForGeometry) -> Vec<IdleLoss
     idle
 }
 
-/// Losses of the intrinsic stage that cannot run. `s`: settings without what the scene does not require.
+/// Returns the losses of the intrinsic stage that cannot run.
+/// `s`: settings after automatic model selection.
 pub(crate) fn of_materials(s: &Settings, found: FoundForMaterials) -> Vec<IdleLoss> {
     let i = &s.intrinsic;
     let l = &i.losses;
@@ -144,9 +145,6 @@ pub(crate) fn of_materials(s: &Settings, found: FoundForMaterials) -> Vec<IdleLo
     }
     if l.metallic > 0.0 && !metallic && i.metallic != Metallic::Off {
         add("metallic prior", "intrinsic.losses.metallic", prior("metallic"));
-    }
-    if l.gradients > 0.0 && l.albedo > 0.0 && !albedo {
-        add("gradients of priors", "intrinsic.losses.gradients", prior("albedo"));
     }
     if l.cross_view > 0.0 {
         if i.cross_view_from > i.steps {
@@ -201,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn geometry_names_what_each_loss_lacks() {
+    fn idle_geometry_losses_name_missing_inputs() {
         let mut s = Settings::default();
         let none = FoundForGeometry { normals: false, semantics: false, regions: false };
         let idle = of_geometry(&s, none);
@@ -225,7 +223,7 @@ mod tests {
         assert!(text(&s).contains("the provider of masks does not answer"), "{}", text(&s));
         s.geometry.steps = 100;
         assert!(text(&s).contains("begins at step 2000, and training ends at step 100"), "{}", text(&s));
-        // What is switched off or weighs nothing is missed by nobody.
+        // Losses that are switched off or have weight zero cause no warning.
         (s.geometry.normals, s.geometry.semantics, s.geometry.correspondence) = (false, false, false);
         assert_eq!(of_geometry(&s, none), []);
         let mut s = Settings::default();
@@ -235,14 +233,14 @@ mod tests {
     }
 
     #[test]
-    fn materials_name_what_each_loss_lacks() {
+    fn idle_intrinsic_losses_name_missing_inputs() {
         let mut s = Settings::default();
         let none = FoundForMaterials { priors: [false; 3], regions: false, estimates: false };
         let all = FoundForMaterials { priors: [true; 3], regions: true, estimates: true };
         let idle = of_materials(&s, none);
-        let expected = ["albedo", "roughness", "metallic", "gradients", "cross_view", "relight", "own_prior"];
+        let expected = ["albedo", "roughness", "metallic", "cross_view", "relight", "own_prior"];
         assert_eq!(names(&idle), expected);
-        // By default no provider is asked: the published loss does not run, the comparison with priors does.
+        // The default has no provider: the published loss does not run, the comparison with priors does.
         assert_eq!(names(&of_materials(&s, all)), ["relight"]);
         s.intrinsic.relight.provider = "ask".into();
         assert_eq!(of_materials(&s, all), []);
@@ -257,7 +255,7 @@ mod tests {
         );
         s.intrinsic.steps = 10;
         assert_eq!(names(&of_materials(&s, all)), ["relight", "own_prior"]);
-        // The paper's preset has the published losses alone.
+        // The paper's preset has the published losses only.
         let paper = Settings::from_table(Preset::find("paper").unwrap().table().unwrap()).unwrap();
         assert_eq!(paper.intrinsic.own_prior_weight(), 0.0);
         assert_eq!(names(&of_materials(&paper, all)), ["relight"]);

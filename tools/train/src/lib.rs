@@ -1,8 +1,7 @@
-//! Training: the [`Trainer`], its stages, and the networks that it asks.
+//! Training: the [`Trainer`], its stages, and the providers that it queries.
 //!
-//! Knows datasets and schedules; never Vulkan calls.
+//! This crate knows datasets and schedules; it makes no Vulkan calls.
 
-mod asked;
 mod correspondence;
 mod course;
 mod data;
@@ -19,6 +18,7 @@ mod limits;
 mod memory;
 mod normals;
 mod pseudo;
+mod region_provider;
 mod regions;
 mod schedule;
 mod semantics;
@@ -26,18 +26,18 @@ mod stage;
 mod trainer;
 mod uniforms;
 
-pub use asked::Look;
 pub use correspondence::Correspondence;
 pub use data::TrainingData;
 pub use decision::Decision;
 pub use divergence::RollBack;
-pub use error::{Result, TrainError};
+pub use error::{Requirement, Result, TrainError};
 pub use framing::Framing;
 pub use geometry::{Geometry, Progress, Sight, StepLog};
 pub use idle::IdleLoss;
 pub use intrinsic::{Intrinsic, IntrinsicLog, IntrinsicNeeds, LoggedLosses, Probe};
 pub use memory::Needs;
 pub use pseudo::PseudoViews;
+pub use region_provider::FrameRendering;
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};

@@ -1,41 +1,41 @@
-//! Limits of a device on single buffers, checked with figures before training allocates anything.
+//! Checks of single-buffer limits of a device, before training allocates anything.
 
 use crate::error::{Result, TrainError};
 use sgs_engine::DeviceInfo;
 
-/// What makes a buffer smaller.
+/// Means of reducing the size of a buffer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Remedy {
-    /// Fewer or smaller views; how many there are, and the scale that they were read at.
+    /// Fewer or smaller views. Holds the number of views, and the scale that they were read at.
     Views { views: usize, scale: f64 },
     /// Smaller views or fewer Gaussians.
     Step,
 }
 
-/// One buffer that training needs.
+/// Size of one buffer that training needs.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Single {
-    /// What it holds, for people; a plural.
+    /// Name of the contents, in the plural, for the error message.
     pub what: &'static str,
     pub bytes: u64,
-    /// Whether kernels bind it whole.
+    /// Whether kernels bind the whole buffer.
     pub bound: bool,
     pub remedy: Remedy,
 }
 
 impl Single {
-    /// A buffer that kernels bind whole.
+    /// Makes the entry of a buffer that kernels bind whole.
     pub fn bound(what: &'static str, bytes: u64, remedy: Remedy) -> Single {
         Single { what, bytes, bound: true, remedy }
     }
 
-    /// A buffer of which kernels bind parts.
+    /// Makes the entry of a buffer of which kernels bind ranges.
     pub fn buffer(what: &'static str, bytes: u64, remedy: Remedy) -> Single {
         Single { what, bytes, bound: false, remedy }
     }
 }
 
-/// Refuses the first buffer that is larger than the device allows.
+/// Rejects the first buffer that is larger than the device allows.
 ///
 /// # Errors
 /// [`TrainError::Limit`] with the size, the limit and what to do.
@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn refusals_carry_both_sizes_and_what_fits() {
+    fn limit_errors_state_both_sizes_and_a_remedy() {
         let views = |scale| Remedy::Views { views: 600, scale };
         assert_eq!(
             refusal(GIB * 52 / 10, 4 * GIB, views(1.0)),

@@ -1,44 +1,43 @@
-//! What training will take of the device's memory, added up before anything is made.
+//! Device memory that the geometry stage will need, summed before any allocation.
 //!
-//! Promises that the sum is the one of the buffers that the first step has, byte for byte, plus the staging memory of an
-//! upload. Leaves room for growth to densification, which stops where the budget ends.
+//! Guarantees: the sum equals, to the byte, the sizes of all buffers at the first step plus the staging memory of an
+//! upload. The sum holds no reserve for growth. Densification itself stops at the budget.
 
 use crate::correspondence::Correspondence;
 use crate::error::{Result, TrainError};
 use crate::uniforms::uniform;
 use serde::Serialize;
-use sgs_config::Settings;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, PSEUDO_VIEWS, Status};
 use sgs_passes::scene::{Decoder, Layout};
 
-/// Bytes of device memory by what they are for.
+/// Bytes of device memory by purpose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Needs {
     /// Training photographs.
     pub photographs: u64,
     /// Normal priors.
     pub priors: u64,
-    /// Semantic priors, texts and the decoder.
+    /// Semantic priors, text embeddings and the decoder.
     pub semantics: u64,
     /// Regions that are compared between views.
     pub regions: u64,
-    /// Pictures of what a network is asked about.
-    pub asked: u64,
-    /// Parameters of the Gaussians, at first capacity.
+    /// Renderer of the images that a provider is shown.
+    pub requested: u64,
+    /// Parameters of the Gaussians, at the initial capacity.
     pub parameters: u64,
     /// Adam's moments.
     pub moments: u64,
-    /// Both, of bands of spherical harmonics that may come later, and what steps with them take more.
+    /// Later bands of spherical harmonics: parameters, moments and additional step memory.
     pub bands: u64,
     /// Densification statistics.
     pub statistics: u64,
     /// Transients of a step.
     pub arena: u64,
-    /// More of them from when on there are pseudo-views.
+    /// Additional transients of steps with pseudo-views.
     pub pseudo_arena: u64,
-    /// Transients of densification, where they do not fit into those of a step.
+    /// Transients of densification, where they exceed those of a step.
     pub densify_arena: u64,
     /// Uniforms and reports.
     pub small: u64,
@@ -47,7 +46,7 @@ pub struct Needs {
 }
 
 impl Needs {
-    /// Adds up what the first steps take.
+    /// Sums the memory of the first steps.
     pub(crate) fn of(
         device: &Device,
         tuning: &Tuning,
@@ -57,7 +56,7 @@ impl Needs {
     ) -> Result<Needs> {
         let plan = GeometryStep::plan(tuning, layout, inputs, options)?;
         let densify = if layout.statistics { DensifyStep::plan(tuning, layout)?.arena_bytes } else { 0 };
-        // What goes to the device or comes back at once: a group's moments at most, or a kind of data.
+        // The largest transfer is either a parameter group's moments or one kind of input data.
         let widest = layout.model.groups().map(|g| 8 * u64::from(g.width())).max().unwrap_or(0);
         let data = inputs.targets.max(inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES));
         let largest = data.max(inputs.normals.unwrap_or(0)).max(widest * u64::from(layout.capacity));
@@ -65,9 +64,9 @@ impl Needs {
             photographs: inputs.targets,
             priors: inputs.normals.unwrap_or(0),
             semantics: inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES),
-            // Known once they are loaded.
+            // Known once the regions are loaded.
             regions: 0,
-            asked: 0,
+            requested: 0,
             parameters: layout.parameter_bytes(),
             moments: layout.moment_bytes(),
             bands: 0,
@@ -80,7 +79,7 @@ impl Needs {
         })
     }
 
-    /// Adds what comparing regions between views takes later.
+    /// Adds the memory of region comparison between views, which begins later.
     pub(crate) fn with_views(
         mut self,
         device: &Device,
@@ -91,7 +90,7 @@ impl Needs {
         correspondence: &Correspondence,
     ) -> Result<Needs> {
         self.regions = correspondence.bytes();
-        self.asked = correspondence.looking(device, layout, options.largest, options.entry_capacity)?;
+        self.requested = correspondence.looking(device, layout, options.largest, options.entry_capacity)?;
         let inputs = InputSizes { regions: Some(self.regions), ..*inputs };
         let options = GeometryOptions { pseudo: Some(correspondence.masks()), ..*options };
         let plan = GeometryStep::plan(tuning, layout, &inputs, &options)?;
@@ -100,14 +99,16 @@ impl Needs {
         Ok(self)
     }
 
-    /// Adds what comes on top where all bands of spherical harmonics come, with which these are the needs.
+    /// Adds the memory of later bands of spherical harmonics.
+    /// `all`: the needs with all bands.
     pub(crate) fn with_bands(mut self, all: &Needs) -> Needs {
         self.bands = 0;
         self.bands = all.total().saturating_sub(self.total());
         self
     }
 
-    /// What making room takes for so many, for a moment: one group is there twice, steps are not.
+    /// Returns the peak memory of growing to a larger capacity.
+    /// One parameter group exists twice during the growth; the memory of steps is released.
     pub(crate) fn growing(&self, from: &Layout, to: &Layout) -> u64 {
         if to.capacity <= from.capacity {
             return 0;
@@ -117,19 +118,19 @@ impl Needs {
         self.total() - steps + widest * u64::from(from.capacity)
     }
 
-    /// All of it.
+    /// Returns the total number of bytes.
     pub fn total(&self) -> u64 {
         self.parts().into_iter().map(|(_, bytes)| bytes).sum()
     }
 
-    /// What for, and how many bytes.
+    /// Returns all entries with names and bytes.
     pub fn parts(&self) -> [(&'static str, u64); 14] {
         [
             ("photographs", self.photographs),
             ("normal priors", self.priors),
             ("semantic priors", self.semantics),
             ("regions", self.regions),
-            ("pictures for a network", self.asked),
+            ("images for a network", self.requested),
             ("parameters", self.parameters),
             ("moments", self.moments),
             ("bands that may come", self.bands),
@@ -142,16 +143,16 @@ impl Needs {
         ]
     }
 
-    /// Refuses if it does not fit.
+    /// Rejects needs that exceed the budget.
     pub(crate) fn check(&self, budget: &Budget) -> Result<()> {
         let advice = "use --scale, --views, fewer points, a lower geometry.sh_degree, or a larger --memory-budget";
-        // Bands for which there is no room are left out.
+        // Bands that do not fit are left out, so they do not count here.
         let first = Needs { bands: 0, ..*self };
         refuse_beyond(budget, first.total(), &first.parts(), "The first step", advice)
     }
 }
 
-/// Refuses what does not fit, with the figures.
+/// Rejects a total that exceeds the budget, with the figures.
 pub(crate) fn refuse_beyond(
     budget: &Budget,
     total: u64,
@@ -177,22 +178,13 @@ pub(crate) fn refuse_beyond(
     )))
 }
 
-/// The budget that settings and device allow together.
-pub(crate) fn allowed(device: &Device, settings: &Settings) -> Budget {
-    let b = device.budget();
-    match settings.geometry.densify.max_mib {
-        0 => b,
-        mib => Budget { budget: b.budget.min(mib << 20), ..b },
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use sgs_engine::BudgetSource;
 
     #[test]
-    fn what_does_not_fit_is_refused_with_the_figures() {
+    fn needs_beyond_the_budget_are_rejected_with_figures() {
         let needs = Needs { photographs: 3 << 20, arena: 2 << 20, small: 100, ..Needs::default() };
         let budget = |budget, used| Budget { heap: 1 << 30, budget, used, source: BudgetSource::Configured };
         assert!(needs.check(&budget(needs.total(), 0)).is_ok());

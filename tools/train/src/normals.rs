@@ -1,19 +1,20 @@
-//! Where normals begin.
+//! Initial normals of the Gaussians.
 //!
-//! A normal of zero has no direction: its first gradient is a thousand times what later ones are, and Adam would hold it
-//! still for thousands of steps by the memory of that one. So each Gaussian begins with what the priors say at the pixels
-//! that it lies on, or with the way to the nearest camera where they say nothing.
+//! A normal of zero has no direction: its first gradient is about a thousand times the later ones. Adam's second moment
+//! would then hold the normal still for thousands of steps. So each Gaussian starts with the normal priors at the
+//! pixels that it projects to. Without a prior there, the normal points to the nearest camera.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use sgs_passes::loss::octahedral_decode;
 use sgs_scene::Camera;
 
-/// A training view: its camera, and its prior as it is packed for the device.
+/// Training view: its camera, and its prior as packed for the device.
 pub(crate) type Prior<'a> = (&'a Camera, &'a [u32]);
 
-/// Unit normals for some positions. Views behind the surface that the others see, which a wall may hide, are few: the sum
-/// over all views in whose image a position lies is good enough to begin with.
+/// Returns initial unit normals for positions.
+/// Each normal is the direction of the summed priors of all views whose image contains the position. Occlusion is
+/// ignored: views that a wall hides from the position are few, and the sum is only a start.
 pub(crate) fn initial_normals(means: &[[f32; 3]], views: &[Prior<'_>]) -> Vec<[f32; 3]> {
     means.par_iter().map(|&p| initial_normal(Vec3::from(p).as_dvec3(), views).as_vec3().to_array()).collect()
 }
@@ -33,7 +34,7 @@ fn initial_normal(p: DVec3, views: &[Prior<'_>]) -> DVec3 {
             continue;
         }
         let said = prior.get(y * camera.width as usize + x).and_then(|n| octahedral_decode(*n));
-        // A surface that looks away from the camera is another one.
+        // A prior that faces away from the camera belongs to another surface.
         sum += said.map(DVec3::from).filter(|n| n.dot(way) > 0.0).unwrap_or(DVec3::ZERO);
     }
     sum.try_normalize().unwrap_or(nearest)
@@ -61,11 +62,11 @@ mod tests {
     }
 
     #[test]
-    fn the_prior_decides_where_it_is_seen() {
+    fn priors_determine_normals_inside_the_image() {
         let near = camera(0.0);
         let mut prior = vec![0; 16];
         prior[2 * 4 + 2] = octahedral_encode([0.6, 0.0, -0.8]);
-        // Looks away from the camera: not what it sees.
+        // Faces away from the camera, so this prior is ignored.
         prior[2 * 4 + 3] = octahedral_encode([0.0, 0.0, 1.0]);
         let views = [(&near, &prior[..])];
         let normals = initial_normals(&[[0.1, 0.1, 2.0], [0.9, 0.1, 2.0], [9.0, 0.0, 2.0], [0.0, 0.0, -1.0]], &views);
@@ -76,7 +77,7 @@ mod tests {
         assert!(apart(normals[2], way(DVec3::new(9.0, 0.0, 2.0))) < 1e-6, "beside the image: {normals:?}");
         assert!(apart(normals[3], [0.0, 0.0, 1.0]) < 1e-6, "behind the camera: {normals:?}");
         assert!(apart(initial_normals(&[[0.0; 3]], &views)[0], [0.0, 0.0, 1.0]) < 1e-6, "in the camera");
-        // Two views agree on the sum.
+        // Two views: the normal is the direction of the sum.
         let far = camera(-1.0);
         let mut other = vec![0; 16];
         other[2 * 4 + 2] = octahedral_encode([-0.6, 0.0, -0.8]);

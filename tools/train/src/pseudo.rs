@@ -1,17 +1,17 @@
-//! Pseudo-views: cameras between training views and their neighbors, from where a region must mean the same (SGS-Intrinsic,
-//! algorithm 1).
+//! Pseudo-views: cameras between training views and neighbors (SGS-Intrinsic, algorithm 1).
+//! Regions must have the same semantics and albedo from these cameras.
 //!
-//! Every training view has two sequences of poses, both with their ends: sequence 0 goes from the view to the training view
-//! nearest to it, sequence 1 comes to the view from another neighbor: the second-nearest training view, or, as the paper
-//! has it, the nearest test view (its pose is used, never its image). Nearness is
-//! λ_t |c1 − c2| + λ_r arccos(2 (q1·q2)² − 1), of camera centers and rotations; of equals the first in the split's order is
-//! nearest. Orientations turn by the shorter arc at even speed.
+//! Every training view has two sequences of poses, which include their end poses. Sequence 0 leads from the view to the
+//! nearest training view. Sequence 1 leads to the view from another neighbor. This neighbor is the second-nearest
+//! training view or, as in the paper, the nearest test view (only its pose is used, never its image). The distance is
+//! |c1 − c2| + arccos(2 (q1·q2)² − 1), with camera centers c and rotations q. Ties go to the first view in the
+//! split's order. Orientations turn along the shorter arc at constant speed.
 //!
-//! A pseudo-view has the size and intrinsics of its training view. The published code gives all of them those of the first
-//! training camera, which is the same where there is one camera and wrong where cameras differ.
+//! A pseudo-view has the size and intrinsics of its training view. The published code uses the intrinsics of the first
+//! training camera for all. Both agree for a single camera; the published choice is wrong where cameras differ.
 //!
-//! Degenerate scenes are defined: coincident poses give a sequence that stands still; a view without any other has itself
-//! as neighbor; with two training views and no test view both sequences join the same two.
+//! Degenerate scenes are defined. Coincident poses give a constant sequence. A view without other views is its own
+//! neighbor. With two training views and no test view, both sequences join the same two views.
 
 mod path;
 
@@ -26,23 +26,23 @@ use sgs_scene::{Camera, Scene};
 struct Sequence {
     /// Name of the view at the other end.
     neighbor: String,
-    /// Poses where it begins and ends, and the positions before and behind that bend it.
+    /// First and last pose, and the positions before and after them that bend the path.
     from: Pose,
     to: Pose,
     around: [Option<glam::DVec3>; 2],
 }
 
-/// The pseudo-views of a scene: two sequences for every training view.
+/// Pseudo-views of a scene: two sequences for every training view.
 #[derive(Clone, Debug)]
 pub struct PseudoViews {
     poses: u32,
     position: Position,
-    /// By position in the split.
+    /// Training camera and its sequences, by position in the split.
     views: Vec<(Camera, [Sequence; 2])>,
 }
 
 impl PseudoViews {
-    /// Of a scene's training views, in the order of the split.
+    /// Builds the pseudo-views of a scene's training views, in the order of the split.
     ///
     /// # Errors
     /// If an option is impossible, or the split names a view that does not exist.
@@ -58,21 +58,20 @@ impl PseudoViews {
         Ok(PseudoViews::between(&cameras(&scene.split.train)?, &test, options))
     }
 
-    /// Of cameras.
+    /// Builds the pseudo-views of given cameras.
     pub fn between(train: &[Camera], test: &[Camera], options: &PseudoOptions) -> PseudoViews {
         let poses: Vec<Pose> = train.iter().map(Pose::of).collect();
-        let apart = |a: &Pose, b: &Pose| a.distance(b, options.lambda_t, options.lambda_r);
         let mut views = Vec::new();
         for (i, (camera, own)) in train.iter().zip(&poses).enumerate() {
             let mut others: Vec<usize> = (0..train.len()).filter(|&j| j != i).collect();
-            // Stable: of equals the first stays first.
-            others.sort_by(|&a, &b| apart(own, &poses[a]).total_cmp(&apart(own, &poses[b])));
+            // The sort is stable: ties keep the split's order.
+            others.sort_by(|&a, &b| own.distance(&poses[a]).total_cmp(&own.distance(&poses[b])));
             let near = others.first().copied().unwrap_or(i);
             let next = others.get(1).copied().unwrap_or(near);
             let mut second = (train[next].name.clone(), poses[next]);
             if options.neighbors == Neighbors::Test {
                 let seen = test.iter().map(|c| (c, Pose::of(c)));
-                let nearest = seen.min_by(|(_, a), (_, b)| apart(own, a).total_cmp(&apart(own, b)));
+                let nearest = seen.min_by(|(_, a), (_, b)| own.distance(a).total_cmp(&own.distance(b)));
                 if let Some((camera, pose)) = nearest {
                     second = (camera.name.clone(), pose);
                 }
@@ -87,18 +86,19 @@ impl PseudoViews {
         PseudoViews { poses: options.poses.max(1), position: options.position, views }
     }
 
-    /// Training views.
+    /// Returns the number of training views.
     pub fn views(&self) -> usize {
         self.views.len()
     }
 
-    /// Poses of each of the two sequences of a view.
+    /// Returns the number of poses of each of the two sequences of a view.
     pub fn poses(&self) -> u32 {
         self.poses
     }
 
-    /// The camera of a pseudo-view: training view by position in the split, sequence 0 or 1, pose below
-    /// [`PseudoViews::poses`]. Its name is that of [`PseudoViews::name`].
+    /// Returns the camera of a pseudo-view.
+    /// `view`: training view by position in the split; `which`: sequence 0 or 1; `index`: pose below
+    /// [`PseudoViews::poses`]. The camera's name is [`PseudoViews::name`].
     pub fn camera(&self, view: usize, which: usize, index: u32) -> Camera {
         let (own, sequences) = &self.views[view];
         let s = &sequences[which];
@@ -114,17 +114,18 @@ impl PseudoViews {
         }
     }
 
-    /// The name of a pseudo-view, which its files have: `STEM_0_07`.
+    /// Returns the name of a pseudo-view, which is also its file stem: `STEM_0_07`.
     pub fn name(&self, view: usize, which: usize, index: u32) -> String {
         format!("{}_{which}_{index:02}", self.views[view].0.name)
     }
 
-    /// The view that a sequence joins the training view with.
+    /// Returns the name of the view at the other end of a sequence.
     pub fn neighbor(&self, view: usize, which: usize) -> &str {
         &self.views[view].1[which].neighbor
     }
 
-    /// Which pose of each sequence a step sees: uniform, a function of seed and step alone.
+    /// Draws the pose of each sequence for a step, uniformly.
+    /// The result depends on seed and step only.
     pub fn draw(&self, seed: u64, step: u32) -> [u32; 2] {
         [0x7073_6575_646f_0000, 0x7073_6575_646f_0001].map(|which| {
             let drawn = hash(seed ^ which, u64::from(step)) % u64::from(self.poses);
@@ -132,7 +133,7 @@ impl PseudoViews {
         })
     }
 
-    /// Every camera, view by view, sequence by sequence.
+    /// Returns all cameras, by view, then by sequence.
     pub fn cameras(&self) -> Vec<Camera> {
         let all = (0..self.views.len()).flat_map(|v| [(v, 0), (v, 1)]);
         all.flat_map(|(v, which)| (0..self.poses).map(move |i| self.camera(v, which, i))).collect()

@@ -1,16 +1,18 @@
-//! Regions of the training views: which pixels are the same thing, for what both stages compare between views.
+//! Regions of the training views: sets of pixels of one object or class.
+//! Both stages compare regions between views.
 //!
-//! A provider of masks comes first ([`Regions`]). Without one they come from `priors/masks` if any training view has a map there, else from the semantic targets: a pixel's region is
-//! then the class of the nearest sample of the map, plus one. Pixels that do not count in the photograph are in no region.
+//! A provider of masks has priority ([`Regions`]). Otherwise regions come from `priors/masks`, if any training view has
+//! a map there. Otherwise they come from the semantic targets: a pixel's region is then the class of the nearest sample
+//! of the map, plus one. Invalid pixels of the photograph belong to no region.
 //!
-//! A step is about one region of its training view, chosen as a point prompt would choose it: by a pixel, uniformly among
-//! those that are in a region. Regions of fewer than [`LEAST_PIXELS`] are no evidence and are never chosen. A view without
-//! any region is named in one warning, and its steps are about none.
+//! A step uses one region of its training view. The step draws a pixel uniformly among those in an eligible region,
+//! like a point prompt, and takes its region. Regions of fewer than [`LEAST_PIXELS`] pixels are never chosen: they are
+//! no evidence. One warning names the views without any region; their steps compare none.
 //!
-//! Masks of pseudo-views from outside ([`PseudoMaps`]) have the same numbers, so that one kernel finds either; without them
-//! regions are carried by depth.
+//! Masks of pseudo-views from files ([`PseudoMaps`]) use the same region numbers, so one kernel handles both. Without
+//! these masks, depth carries regions to the pseudo-views.
 
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result, TrainError};
 use crate::pseudo::PseudoViews;
 use crate::schedule::hash;
 use crate::semantics::{SemanticData, SemanticLabels, SemanticView};
@@ -20,13 +22,14 @@ use sgs_passes::loss::{NO_LABEL, pack_regions};
 use sgs_scene::Scene;
 pub(crate) use source::{RegionInputs, Regions};
 
-/// Smaller regions are never chosen; the loss would leave them out.
+/// Least number of pixels of a region that may be chosen.
+/// The loss would ignore smaller regions.
 pub const LEAST_PIXELS: u32 = 16;
 
-/// Where regions come from.
+/// Source of regions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RegionSource {
-    /// `priors/masks`.
+    /// Maps in `priors/masks`.
     Masks,
     /// Classes of the semantic targets.
     Labels,
@@ -35,24 +38,25 @@ pub enum RegionSource {
 /// Regions of one training view.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RegionView {
-    /// Its first pixel among those of all views: that of its photograph.
+    /// First pixel among those of all views; equals the first pixel of the photograph.
     pub first: u32,
-    /// The regions that may be chosen, by number: number and pixels.
+    /// Region number and pixel count of each eligible region, in ascending order.
     pub regions: Vec<(u16, u32)>,
 }
 
 /// Regions of the training views on the host, in the order of the split.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RegionMaps {
-    /// Where they come from.
+    /// Source of the regions.
     pub source: RegionSource,
-    /// By training view.
+    /// Regions by training view.
     pub views: Vec<RegionView>,
     ids: Vec<u16>,
 }
 
 impl RegionMaps {
-    /// The regions of a scene's training views; none if there are neither masks nor semantic targets, or no view has any.
+    /// Loads the regions of a scene's training views.
+    /// Returns none without masks and semantic targets, or if no view has any region.
     ///
     /// # Errors
     /// If a mask cannot be read, or the views hold too many pixels.
@@ -60,7 +64,8 @@ impl RegionMaps {
         RegionMaps::of_scene(scene, || semantic.map(|s| s.labels(device)).transpose())
     }
 
-    /// As [`RegionMaps::load`], where classes are worked out only if there are no masks.
+    /// Loads regions like [`RegionMaps::load`], with lazily computed classes.
+    /// `labels` is called only if no masks exist.
     ///
     /// # Errors
     /// If a file cannot be read, or the views hold too many pixels.
@@ -75,7 +80,7 @@ impl RegionMaps {
         Ok(RegionMaps::from_labels(scene, &said.views, &said.labels)?.known(scene))
     }
 
-    /// From `priors/masks`; none if no training view has a map there.
+    /// Reads regions from `priors/masks`. Returns none if no training view has a map there.
     ///
     /// # Errors
     /// If a map cannot be read, or the views hold too many pixels.
@@ -90,7 +95,8 @@ impl RegionMaps {
         RegionMaps::collect(scene, RegionSource::Masks, ids).map(Some)
     }
 
-    /// From the classes of semantic targets: `labels` by sample, the maps of the views one behind the other.
+    /// Builds regions from the classes of semantic targets.
+    /// `labels`: class by sample, with the maps of the views stored consecutively.
     ///
     /// # Errors
     /// If the views hold too many pixels.
@@ -105,7 +111,7 @@ impl RegionMaps {
         RegionMaps::collect(scene, RegionSource::Labels, ids)
     }
 
-    /// Joins the views' numbers; an empty list is a view without any.
+    /// Concatenates the region numbers of all views. An empty list is a view without regions.
     fn collect(scene: &Scene, source: RegionSource, of: impl Fn(usize) -> Result<Vec<u16>>) -> Result<RegionMaps> {
         let mut maps = RegionMaps { source, views: Vec::new(), ids: Vec::new() };
         for (view, &i) in scene.split.train.iter().enumerate() {
@@ -122,7 +128,7 @@ impl RegionMaps {
         Ok(maps)
     }
 
-    /// None if no view has a region; views that have none are named in a warning.
+    /// Returns none if no view has a region. Warns about views without any.
     fn known(self, scene: &Scene) -> Option<RegionMaps> {
         let without: Vec<&str> = scene
             .split
@@ -144,12 +150,13 @@ impl RegionMaps {
         (without.len() < self.views.len()).then_some(self)
     }
 
-    /// Bytes of device memory.
+    /// Returns the number of bytes of device memory.
     pub fn bytes(&self) -> u64 {
         packed_bytes(&self.ids)
     }
 
-    /// Puts them into device memory, as `region_mask` takes them: the ids of a view begin at its first pixel.
+    /// Uploads the region numbers in the format of the kernel `region_mask`.
+    /// The numbers of a view begin at its first pixel.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -157,7 +164,8 @@ impl RegionMaps {
         upload(device, "regions", &self.ids)
     }
 
-    /// The region that a step at a training view is about; 0 if the view has none. A function of view, seed and step.
+    /// Draws the region for a step at a training view; 0 if the view has none.
+    /// The result depends on view, seed and step only.
     pub fn draw(&self, view: usize, seed: u64, step: u32) -> u32 {
         let regions = &self.views[view].regions;
         let pixels: u64 = regions.iter().map(|r| u64::from(r.1)).sum();
@@ -171,7 +179,7 @@ impl RegionMaps {
         0
     }
 
-    /// The numbers of a view's pixels.
+    /// Returns the region numbers of a view's pixels.
     pub fn ids(&self, view: usize) -> &[u16] {
         let first = self.views[view].first as usize;
         let end = self.views.get(view + 1).map_or(self.ids.len(), |v| v.first as usize);
@@ -179,20 +187,22 @@ impl RegionMaps {
     }
 }
 
-/// Masks of all pseudo-views, segmented outside: `priors/masks/pseudo/STEM_{0|1}_{index:02}.png`.
+/// Masks of all pseudo-views, segmented by an external tool.
+/// Files: `priors/masks/pseudo/STEM_{0|1}_{index:02}.png`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PseudoMaps {
     poses: u32,
-    /// First pixel and number of pixels of a pseudo-view, by training view.
+    /// First pixel and pixels per pseudo-view, by training view.
     views: Vec<(u32, u32)>,
     ids: Vec<u16>,
 }
 
 impl PseudoMaps {
-    /// Reads them; none if there is not one. Where there are some, all must be there.
+    /// Reads the masks of all pseudo-views. Returns none if no mask exists.
+    /// If any mask exists, all must exist.
     ///
     /// # Errors
-    /// If one is missing or cannot be read, or they hold too many pixels.
+    /// If a mask is missing or cannot be read, or the masks hold too many pixels.
     pub fn load(scene: &Scene, pseudo: &PseudoViews) -> Result<Option<PseudoMaps>> {
         let cameras = pseudo.cameras();
         let read = |c: &sgs_scene::Camera| Ok(scene.pseudo_region_prior(c)?.map(|m| m.ids));
@@ -223,18 +233,19 @@ impl PseudoMaps {
         Ok(Some(maps))
     }
 
-    /// The first pixel of a pseudo-view: `target_offset` of the step that `region_mask` is given for it.
+    /// Returns the first pixel of a pseudo-view.
+    /// This is the step's `target_offset` for the kernel `region_mask`.
     pub fn first(&self, view: usize, which: usize, index: u32) -> u32 {
         let (first, pixels) = self.views[view];
         first + (which as u32 * self.poses + index) * pixels
     }
 
-    /// Bytes of device memory: two a pixel of each pseudo-view.
+    /// Returns the number of bytes of device memory: two per pixel of each pseudo-view.
     pub fn bytes(&self) -> u64 {
         packed_bytes(&self.ids)
     }
 
-    /// Puts them into device memory.
+    /// Uploads the masks to the device.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -242,14 +253,14 @@ impl PseudoMaps {
         upload(device, "pseudo_regions", &self.ids)
     }
 
-    /// The numbers, of all views.
+    /// Returns the region numbers of all views.
     pub fn ids(&self) -> &[u16] {
         &self.ids
     }
 }
 
-/// The class of the nearest sample, plus one; samples lie as the semantic loss has them, the first and the last on those of
-/// the picture.
+/// Returns, for each pixel, the class of the nearest sample plus one, or 0.
+/// The layout matches the semantic loss: the first and last samples lie on the first and last pixels.
 fn classes(samples: &[u32], map: [u32; 2], size: [u32; 2]) -> Vec<u16> {
     let nearest = |at: u32, k: usize| {
         let (last, steps) = (u64::from(size[k].max(2) - 1), u64::from(map[k] - 1));
@@ -263,7 +274,7 @@ fn classes(samples: &[u32], map: [u32; 2], size: [u32; 2]) -> Vec<u16> {
     (0..size[1]).flat_map(row).collect()
 }
 
-/// The numbers that occur often enough, and how often.
+/// Returns the regions of at least [`LEAST_PIXELS`] pixels, with pixel counts.
 fn regions_of(ids: &[u16]) -> Vec<(u16, u32)> {
     let mut counts = vec![0_u32; 1 << 16];
     ids.iter().for_each(|id| counts[usize::from(*id)] += 1);
@@ -272,8 +283,8 @@ fn regions_of(ids: &[u16]) -> Vec<(u16, u32)> {
 }
 
 fn first_pixel(pixels: usize) -> Result<u32> {
-    u32::try_from(pixels)
-        .map_err(|_| TrainError::Setting("Region maps hold more than 2^32 pixels; use --scale or fewer poses.".into()))
+    let many = Requirement::FewerPixels { what: "Region maps", remedy: "--scale or fewer poses" };
+    Ok(u32::try_from(pixels).map_err(|_| many)?)
 }
 
 fn packed_bytes(ids: &[u16]) -> u64 {
@@ -282,7 +293,7 @@ fn packed_bytes(ids: &[u16]) -> u64 {
 
 fn upload(device: &Device, name: &str, ids: &[u16]) -> Result<DeviceBuffer> {
     let buffer = device.buffer(name, packed_bytes(ids), Location::Device)?;
-    // In pieces, so that not everything is in the host's memory twice.
+    // Uploads in chunks, so that the host does not hold a second copy of everything.
     const PIECE: usize = 1 << 20;
     for (i, piece) in ids.chunks(PIECE).enumerate() {
         device.upload(&buffer, (2 * i * PIECE) as u64, bytemuck::cast_slice(&pack_regions(piece)))?;

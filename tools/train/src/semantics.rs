@@ -1,6 +1,7 @@
-//! Semantic features of the training views on the GPU, one behind the other, with what they say; and the classes' texts.
+//! Semantic features and targets of the training views, and class embeddings.
+//! The maps of all views are stored consecutively in GPU memory.
 
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result, TrainError};
 use half::f16;
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph};
@@ -12,24 +13,24 @@ use sgs_passes::scene::{Decoder, EMBEDDING};
 use sgs_scene::{Camera, FeatureMap, Scene, TextEmbeddings};
 use std::sync::Arc;
 
-/// A view's map in the buffers of all.
+/// Map of a view in the buffers of all views.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SemanticView {
-    /// Columns and rows of the map; zeros for a view without one.
+    /// Width and height of the map; zeros for a view without a map.
     pub size: [u32; 2],
     /// First sample.
     pub offset: u32,
-    /// Samples that say something.
+    /// Number of valid samples.
     pub valid: u32,
-    /// Samples that have a class.
+    /// Number of samples with a class.
     pub labeled: u32,
 }
 
-/// What the semantic priors of the training views are, before any of them is on the device.
+/// Semantic priors of the training views, before any of them is on the device.
 pub struct SemanticMaps {
-    /// Names of the classes, and their texts as stored.
+    /// Class names and text embeddings, as stored.
     pub text: TextEmbeddings,
-    /// By training view, in the order of the split; what their maps say is not known yet.
+    /// Maps by training view, in the order of the split; counts of samples are not yet known.
     views: Vec<SemanticView>,
     samples: u64,
     largest: u32,
@@ -37,47 +38,45 @@ pub struct SemanticMaps {
 
 /// Classes of the samples of all maps.
 pub struct SemanticLabels {
-    /// By training view.
+    /// Maps by training view.
     pub views: Vec<SemanticView>,
-    /// By sample, the maps one behind the other; [`sgs_passes::loss::NO_LABEL`] where a sample has no class.
+    /// Class of each sample, with the maps stored consecutively.
+    /// The class is [`sgs_passes::loss::NO_LABEL`] for a sample without a class.
     pub labels: Vec<u32>,
 }
 
-/// What semantic losses compare with.
+/// Device data that semantic losses compare with.
 pub struct SemanticData {
-    /// `[samples * 512]` halves.
+    /// Features: `[samples * 512]` halves.
     pub features: DeviceBuffer,
-    /// `[samples]` of `SemanticTarget`.
+    /// Targets: `[samples]` of `SemanticTarget`.
     pub targets: DeviceBuffer,
-    /// `[classes * 512]` floats, each row of length one.
+    /// Class embeddings: `[classes * 512]` floats, each row of unit length.
     pub embeddings: DeviceBuffer,
-    /// Names of the classes, and their texts as stored.
+    /// Class names and text embeddings, as stored.
     pub text: TextEmbeddings,
-    /// Samples of the largest map.
+    /// Number of samples of the largest map.
     pub largest: u32,
-    /// By training view, in the order of the split.
+    /// Maps by training view, in the order of the split.
     pub views: Vec<SemanticView>,
 }
 
 impl SemanticMaps {
-    /// Looks at the maps of the training views; none without text embeddings or without any map. Maps may differ in size.
-    /// Of a map that is larger than its image, the cells nearest to the image's pixels are kept.
+    /// Inspects the maps of the training views.
+    /// Returns none without text embeddings or without any map. Maps may differ in size. A map larger than its image is
+    /// reduced to the cells nearest to the image's pixels.
     ///
     /// # Errors
-    /// If a file cannot be used, a width is not 512, or there are too many samples.
+    /// If a file cannot be used, the feature width is not 512, or the maps hold too many samples.
     pub fn read(scene: &Scene) -> Result<Option<SemanticMaps>> {
         let Some(text) = scene.text_embeddings()? else { return Ok(None) };
         if text.channels != EMBEDDING {
-            return Err(TrainError::Setting(format!(
-                "The text embeddings are {} wide, but the decoder makes {EMBEDDING} numbers; compute priors/semantic with \
-                 CLIP ViT-B/16 or a network of that width.",
-                text.channels
-            )));
+            return Err(Requirement::EmbeddingWidth { found: text.channels, expected: EMBEDDING }.into());
         }
         let mut views = Vec::new();
         let mut samples = 0_u64;
         let mut largest = 0;
-        // One map at a time is in the host's memory.
+        // Only one map at a time is in the host's memory.
         for &i in &scene.split.train {
             let map = scene.semantic_prior(i)?;
             let size = map.map_or([0, 0], |m| size_within(&m, &scene.views[i].camera));
@@ -90,14 +89,12 @@ impl SemanticMaps {
         }
         // Kernels count words of two halves in 32 bits.
         if samples * EMBEDDING as u64 / 2 > u64::from(u32::MAX) {
-            return Err(TrainError::Setting(format!(
-                "The semantic maps hold {samples} cells, more than the 16777215 that one buffer can; make them smaller."
-            )));
+            return Err(Requirement::FewerCells(samples).into());
         }
         Ok(Some(SemanticMaps { text, views, samples, largest }))
     }
 
-    /// Refuses maps that together exceed what a kernel can be bound to.
+    /// Rejects maps whose total size exceeds the device's largest binding.
     ///
     /// # Errors
     /// If the device's largest binding is smaller than the features of all views.
@@ -118,12 +115,12 @@ impl SemanticMaps {
         )))
     }
 
-    /// What they will take.
+    /// Returns the sizes of the device data.
     pub fn sizes(&self) -> SemanticSizes {
         SemanticSizes { samples: self.samples, largest: self.largest, classes: self.text.labels.len() as u32 }
     }
 
-    /// Puts them into device memory and works out what they say.
+    /// Uploads the maps and computes the targets of their samples.
     ///
     /// # Errors
     /// If a file cannot be read any more, or memory runs out.
@@ -152,7 +149,7 @@ impl SemanticMaps {
         Ok(SemanticData { features, targets, embeddings, text, largest, views })
     }
 
-    /// Works out classes alone, with one map at a time in device memory.
+    /// Computes only the classes, with one map at a time in device memory.
     ///
     /// # Errors
     /// If a file cannot be read any more, or memory runs out.
@@ -169,7 +166,7 @@ impl SemanticMaps {
         for &i in &scene.split.train {
             let Some(FeatureMap { data, .. }) = scene.semantic_prior(i)? else { continue };
             device.upload(&features, 0, bytemuck::cast_slice::<f16, u8>(&data))?;
-            // Samples past the end of a smaller map are those of an earlier one, and are left out.
+            // Samples past the end of a smaller map are left over from an earlier one and are ignored.
             work_out(device, &features, &embeddings, self.text.labels.len() as u32, self.largest, &targets)?;
             labels.extend(labels_of(device, &targets, data.len() / EMBEDDING)?);
         }
@@ -182,12 +179,13 @@ fn labels_of(device: &Device, targets: &DeviceBuffer, samples: usize) -> Result<
     Ok(said.iter().map(|t| t.label).collect())
 }
 
-/// Columns and rows of a map that are used with a camera: no more than the image has.
+/// Returns the used width and height of a map: at most those of the image.
 fn size_within(map: &FeatureMap, camera: &Camera) -> [u32; 2] {
     [(map.width as u32).min(camera.width), (map.height as u32).min(camera.height)]
 }
 
-/// The map with so many columns and rows: of more, those nearest to evenly spread ones, the first and the last included.
+/// Reduces a map to a given width and height.
+/// The result holds the cells nearest to evenly spaced positions, including the first and the last.
 fn thinned(map: FeatureMap, [width, height]: [u32; 2]) -> FeatureMap {
     let (width, height) = (width as usize, height as usize);
     if (map.width, map.height) == (width, height) {
@@ -209,15 +207,15 @@ fn thinned(map: FeatureMap, [width, height]: [u32; 2]) -> FeatureMap {
 }
 
 impl SemanticData {
-    /// Loads the maps of the training views; none without text embeddings or without any map.
+    /// Loads the maps of the training views. Returns none without text embeddings or any map.
     ///
     /// # Errors
-    /// If a file cannot be used, a width is not 512, or memory runs out.
+    /// If a file cannot be used, the feature width is not 512, or memory runs out.
     pub fn load(device: &Device, scene: &Scene) -> Result<Option<SemanticData>> {
         SemanticMaps::read(scene)?.map(|maps| maps.upload(device, scene)).transpose()
     }
 
-    /// The classes of all samples.
+    /// Returns the classes of all samples.
     ///
     /// # Errors
     /// If the device fails.
@@ -226,7 +224,7 @@ impl SemanticData {
         Ok(SemanticLabels { views: self.views.clone(), labels: labels_of(device, &self.targets, samples)? })
     }
 
-    /// What a step is bound to.
+    /// Returns the inputs that a step binds.
     pub fn inputs<'a>(&'a self, decoder: &'a Decoder) -> SemanticInputs<'a> {
         SemanticInputs {
             decoder,
@@ -237,7 +235,7 @@ impl SemanticData {
         }
     }
 
-    /// Bytes of device memory.
+    /// Returns the number of bytes of device memory.
     pub fn bytes(&self) -> u64 {
         self.features.bytes() + self.targets.bytes() + self.embeddings.bytes()
     }
@@ -284,7 +282,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn maps_larger_than_the_image_keep_the_nearest_cells() {
+    fn oversized_maps_are_reduced_to_the_nearest_cells() {
         let map = |width: usize, height: usize| FeatureMap {
             width,
             height,

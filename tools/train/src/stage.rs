@@ -1,4 +1,4 @@
-//! What the trainer needs of a stage.
+//! Interface between the trainer and a stage.
 
 use crate::decision::Decision;
 use crate::divergence::RollBack;
@@ -15,23 +15,24 @@ use std::path::Path;
 
 /// Figures of a finished step. `Display` prints the most important ones for people.
 pub trait StepFigures: fmt::Display {
-    /// The step, from 1 on.
+    /// Returns the step, counted from 1.
     fn step(&self) -> u32;
 
-    /// Loss of the image of the step.
+    /// Returns the loss of the step's image.
     fn loss(&self) -> f32;
 
-    /// Number of Gaussians.
+    /// Returns the number of Gaussians.
     fn gaussians(&self) -> u32;
 
-    /// The line of `log.jsonl`. `rates`: the factor of the rollbacks on learning rates.
+    /// Returns the line of `log.jsonl`.
+    /// `rates`: the factor of the rollbacks on learning rates.
     ///
     /// # Errors
     /// If JSON cannot represent a value.
     fn log_line(&self, rates: f64) -> serde_json::Result<String>;
 }
 
-/// What a stage reports while it trains.
+/// Event that a stage reports while it trains.
 pub enum StageEvent<'a> {
     /// A step is finished.
     Step(&'a dyn StepFigures),
@@ -42,28 +43,30 @@ pub enum StageEvent<'a> {
         /// The counts.
         stats: &'a DensifyStats,
     },
-    /// The model was changed by automatic selection.
+    /// Automatic selection changed the model.
     Decision(&'a Decision),
 }
 
-/// A stage of training: a graph, its state, and how to save and restore it. [`crate::Trainer`] owns the loop.
+/// Stage of training: a graph, its state, and how to save and restore it.
+/// [`crate::Trainer`] owns the loop.
 pub trait Stage: Send {
-    /// Which stage it is.
+    /// Returns the kind of the stage.
     fn kind(&self) -> StageKind;
 
-    /// Number of finished steps.
+    /// Returns the number of finished steps.
     fn step(&self) -> u32;
 
-    /// Number of steps in all.
+    /// Returns the total number of steps.
     fn steps(&self) -> u32;
 
-    /// Steps between checkpoints; 0 for one at the end.
+    /// Returns the number of steps between checkpoints; 0 means only one at the end.
     fn checkpoint_interval(&self) -> u32;
 
-    /// The settings, with choices that training made by measurement.
+    /// Returns the settings, with the choices that training made by measurement.
     fn settings(&self) -> &Settings;
 
-    /// Trains until `last` steps are finished or `proceed` returns false. Returns with no work in flight.
+    /// Trains until `last` steps are finished or `proceed` returns false.
+    /// Returns with no work in flight.
     ///
     /// # Errors
     /// If the device fails or training diverges.
@@ -77,7 +80,7 @@ pub trait Stage: Send {
     /// Writes a checkpoint.
     ///
     /// # Errors
-    /// If the file cannot be written; an earlier one stays whole.
+    /// If the file cannot be written; an existing file then stays intact.
     fn save(&self, path: &Path) -> Result<()>;
 
     /// Continues from a checkpoint.
@@ -86,53 +89,55 @@ pub trait Stage: Send {
     /// If the file is damaged or belongs to other settings.
     fn restore(&mut self, path: &Path) -> Result<()>;
 
-    /// Marks the current state as the rollback candidate unless another one waits for validation. Returns whether the current state is
-    /// the candidate.
+    /// Marks the current state as a rollback candidate unless another is pending.
+    /// Returns whether the current state is the candidate.
     fn set_candidate(&mut self) -> bool;
 
     /// Returns whether the current state is the rollback candidate.
     fn is_candidate(&self) -> bool;
 
-    /// Returns true once when training has gone well since the candidate.
+    /// Returns true, once, when training has gone well since the candidate.
     fn validate_candidate(&mut self) -> bool;
 
-    /// Rollbacks after divergence.
+    /// Returns the rollbacks after divergence.
     fn roll_backs(&self) -> &[RollBack];
 
-    /// Records that this restored state replaces one that diverged at `step`, and halves learning rates. `before`: earlier rollbacks.
+    /// Records that this restored state replaces a state that diverged at `step`.
+    /// Halves the learning rates. `before`: earlier rollbacks.
     fn roll_back(&mut self, before: &[RollBack], step: u32);
 
-    /// Options of `sgs train` that lower the learning rates which most often make the stage diverge.
+    /// Returns options of `sgs train` that lower critical learning rates.
+    /// These are the rates that most often make the stage diverge.
     fn lower_rates(&self) -> String;
 
-    /// Decisions of automatic model selection.
+    /// Returns the decisions of automatic model selection.
     fn decisions(&self) -> &[Decision];
 
-    /// Losses that have a weight and cannot run.
+    /// Returns the losses that have a weight and cannot run.
     fn idle_losses(&self) -> &[IdleLoss];
 
-    /// Number of Gaussians.
+    /// Returns the number of Gaussians.
     ///
     /// # Errors
     /// If the device fails.
     fn count(&self) -> Result<u32>;
 
-    /// Highest band of spherical harmonics, where the stage trains them.
+    /// Returns the spherical-harmonics degree, if the stage trains these bands.
     fn sh_degree(&self) -> Option<u32>;
 
-    /// The Gaussians in the scene's unit.
+    /// Returns the Gaussians in the scene's unit.
     ///
     /// # Errors
     /// If the device fails.
     fn splats(&self) -> Result<Splats>;
 
-    /// All light of the current state, where the stage trains light.
+    /// Returns all light of the current state, where the stage trains light.
     ///
     /// # Errors
     /// If the device fails.
     fn light(&self) -> Result<Option<RunLight>>;
 
-    /// Renders the current state as people see it, display-referred, one image per camera.
+    /// Renders the current state, display-referred, one image per camera.
     ///
     /// # Errors
     /// If the device fails or memory runs out.
@@ -153,7 +158,7 @@ pub trait Stage: Send {
     /// Takes the times of passes since the last call.
     fn take_times(&mut self) -> Vec<PassTime>;
 
-    /// The plan of a step.
+    /// Returns the plan of a step.
     ///
     /// # Errors
     /// If the plan has to be made again and memory runs out.

@@ -5,12 +5,12 @@ use sgs_engine::graph::BufferKind;
 use sgs_engine::graph::Plan;
 use sgs_passes::pipeline::Step;
 
-/// Bytes of the uniform of a step of one view.
+/// Returns the number of bytes of the uniform of a single-view step.
 pub(crate) fn uniform(device: &Device) -> u64 {
     (size_of::<Step>() as u64).next_multiple_of(device.info().uniform_alignment.max(16))
 }
 
-/// Bytes of the uniforms of all replays of a plan that are in flight.
+/// Returns the number of bytes of the uniforms of all in-flight replays of a plan.
 pub(crate) fn uniform_bytes(device: &Device, plan: &Plan, frames: usize) -> u64 {
     let info = device.info();
     let alignment = info.uniform_alignment.max(info.storage_alignment).max(16);

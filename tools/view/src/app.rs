@@ -1,7 +1,7 @@
-//! The window and its events.
+//! Window and event loop.
 //!
-//! Promises: the window is drawn when something changed and not otherwise; a display that is not there is found out before
-//! anything is read. Leaves what events mean to the stage.
+//! Guarantees: the window is drawn only after a change. A missing display is detected before any file is read. The
+//! stage interprets events.
 
 use crate::channel::Channel;
 use crate::error::{Result, ViewerError};
@@ -19,57 +19,57 @@ use winit::event::{ElementState, KeyEvent, MouseButton, MouseScrollDelta, Window
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::window::{Window, WindowId};
 
-/// How often it is asked whether the camera rests, where a coarse frame is shown.
+/// Interval of polls for a resting camera, while a coarse frame is shown.
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
-/// Frames after which a window is expected to make nothing more.
+/// Frames after which the window is expected to create no more buffers or images.
 const WARM: u64 = 4;
 
-/// What is shown, and how.
+/// Options of the viewer.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// A run directory or a PLY file.
+    /// Run directory, or PLY or glTF file.
     pub source: PathBuf,
-    /// Cameras to begin with: a transforms file; those of the run's scene by default.
+    /// Transforms file of the initial cameras. Default: the cameras of the run's scene.
     pub cameras: Option<PathBuf>,
-    /// What is shown first; color by default.
+    /// Initial channel. Default: color.
     pub channel: Option<Channel>,
-    /// Columns and rows of the window's inside.
+    /// Width and height of the window's interior in pixels.
     pub size: Option<[u32; 2]>,
-    /// Where pictures and edits go.
+    /// Folder for saved images and edits.
     pub output: PathBuf,
-    /// So many frames are drawn, and the window is closed.
+    /// Number of frames after which the window closes.
     pub frames: Option<u64>,
-    /// The last of these is written here.
+    /// File for the last of these frames.
     pub save: Option<PathBuf>,
-    /// The device.
+    /// Device options.
     pub device: DeviceOptions,
 }
 
-/// What came of it.
+/// Result of a viewer session.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outcome {
-    /// Frames that were drawn.
+    /// Number of drawn frames.
     pub frames: u64,
-    /// The window's size at the end.
+    /// Final size of the window in pixels.
     pub size: [u32; 2],
-    /// The device.
+    /// Name of the device.
     pub device: String,
-    /// Buffers and images made while frames were drawn, from the fifth on.
+    /// Buffers and images created while drawing, from the fifth frame on.
     pub made_later: u64,
-    /// Files that were written.
+    /// Written files.
     pub saved: Vec<PathBuf>,
-    /// What validation said.
+    /// Validation messages.
     pub messages: Vec<String>,
 }
 
 /// Shows a window until it is closed.
 ///
 /// # Errors
-/// If there is no display, no device that can show in its windows, or the source cannot be shown.
+/// If no display exists, no device can present to its windows, or the source cannot be shown.
 pub fn run(options: Options) -> Result<Outcome> {
     let events = EventLoop::new().map_err(|e| {
         let text = e.to_string();
-        // The libraries say where in their source they found out.
+        // The libraries prefix the reason with a location in their source.
         let reason = text.rsplit(": ").next().unwrap_or(&text).trim_end_matches('.');
         ViewerError::NoDisplay(reason.to_owned())
     })?;
@@ -92,18 +92,18 @@ pub fn run(options: Options) -> Result<Outcome> {
 
 struct App {
     options: Options,
-    /// Until the window is there.
+    /// Source, until the window exists.
     source: Option<Source>,
     open: Option<Open>,
     failed: Option<ViewerError>,
     last: Instant,
     outcome: Outcome,
-    /// What had been made once the window was warm.
+    /// Number of buffers and images created by the end of frame [`WARM`].
     warm: Option<u64>,
 }
 
 struct Open {
-    // Before the window, which its surface holds anyway.
+    // Dropped before the window, which its surface holds anyway.
     stage: Stage,
     device: Device,
     window: Arc<Window>,
@@ -113,7 +113,7 @@ impl App {
     fn start(&mut self, events: &ActiveEventLoop) -> Result<()> {
         let Some(source) = self.source.take() else { return Ok(()) };
         let [width, height] = self.options.size.unwrap_or_else(|| match source.cameras.first() {
-            // The camera's shape at a size that is good to look at.
+            // The camera's aspect ratio, within 1280 by 800 pixels.
             Some(camera) => {
                 let scale = (1280.0 / f64::from(camera.width)).min(800.0 / f64::from(camera.height));
                 [camera.width, camera.height].map(|s| ((f64::from(s) * scale).round() as u32).max(160))
@@ -187,7 +187,7 @@ impl App {
         self.last = now;
         window.pre_present_notify();
         if !stage.draw()? {
-            // The window has changed under the picture; without a size it says so when it gets one.
+            // The window changed during the frame. A window without a size sends an event when it gets one.
             stage.canvas.resize(window.inner_size().into())?;
             return Ok(());
         }
@@ -206,7 +206,7 @@ impl App {
         Ok(())
     }
 
-    /// Says when to come back.
+    /// Sets the time of the next wake-up and requests a redraw if needed.
     fn rest(&mut self, events: &ActiveEventLoop) -> Result<()> {
         let Some(Open { stage, window, .. }) = &mut self.open else { return Ok(()) };
         let coarse = stage.settles();
@@ -230,14 +230,14 @@ impl App {
     }
 }
 
-/// A key goes down or up; true if that closes the window.
+/// Handles a key press or release. Returns true if it closes the window.
 fn key(stage: &mut Stage, event: &KeyEvent) -> Result<bool> {
     if let Some(way) = walk(&event.logical_key) {
         stage.walk(way, event.state.is_pressed());
         return Ok(false);
     }
-    // What is switched would flicker if a key were held.
-    let repeats = |a: &Action| matches!(a, Action::Lamp(_) | Action::Exposure(_) | Action::Sky(_));
+    // A toggle would flicker while its key repeats.
+    let repeats = |a: &Action| matches!(a, Action::LightParameters(_) | Action::Exposure(_) | Action::Sky(_));
     match action(&event.logical_key).filter(|a| event.state.is_pressed() && (!event.repeat || repeats(a))) {
         Some(action) => stage.act(action),
         None => Ok(false),
@@ -267,7 +267,7 @@ impl ApplicationHandler for App {
         let Some(Open { stage, device, window }) = self.open.take() else { return };
         self.outcome.size = stage.canvas.size();
         self.outcome.saved = stage.saved.clone();
-        // Everything goes before the connection to the display does.
+        // Stage and window are dropped before the connection to the display closes.
         drop((stage, window));
         self.outcome.messages = device.messages().take();
     }

@@ -1,8 +1,8 @@
-//! From Gaussians and light to the window: a view, the display over it, the window's images.
+//! Window content: a view of the Gaussians, the display overlay, the swapchain.
 //!
-//! Promises: a frame of the same channel and size makes nothing; the window's size is followed, and without a size nothing is
-//! drawn. A frame that lacked room for tile entries is drawn again before it is shown. While the camera moves, frames may be
-//! smaller than the window: as small as they must be to take less than [`SLOW`].
+//! Guarantees: a frame of unchanged channel and size creates no buffers or images. The canvas follows the window's size
+//! and draws nothing without a size. A frame that lacks capacity for tile entries is drawn again before it is shown.
+//! While the camera moves, frames may be smaller than the window: as small as needed to take less than [`SLOW`].
 
 use crate::channel::{Channel, Drawn};
 use crate::error::Result;
@@ -21,40 +21,45 @@ use sgs_scene::{Camera, Splats};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Frames that may be in flight together.
+/// Number of frames in flight.
 const FRAMES: usize = 2;
-/// Attempts to draw a frame whose buffers are too small. Each makes room for what the one before wanted.
+/// Attempts to draw a frame with insufficient buffers.
+///
+/// Each attempt grows the buffers to the previous attempt's demand.
 const ATTEMPTS: u32 = 6;
-/// A frame that takes longer is drawn at a lower resolution while the camera moves.
+/// Time limit of a frame, above which the resolution drops while the camera moves.
 const SLOW: Duration = Duration::from_millis(80);
-/// The most pixels of the window along a pixel of a frame.
+/// Largest number of window pixels along a pixel of a frame.
 const MOST_FACTOR: u32 = 16;
 
-/// What draws.
+/// Renderer and swapchain of the window.
 pub struct Canvas {
     device: Device,
     gaussians: Gaussians,
     chain: Swapchain,
     font: Font,
-    /// The channel that the two below are made for.
+    /// Channel of `made` and `coarse`.
     channel: Option<Channel>,
     made: Option<Made>,
-    /// For frames while the camera moves, and pixels of the window along a pixel of such a frame.
+    /// Resources for frames while the camera moves. `factor`: window pixels along a pixel of such a frame.
     coarse: Option<Made>,
     factor: u32,
-    /// Whether the last frame was one of these.
+    /// True if the last frame was a coarse frame.
     is_coarse: bool,
-    /// How long the last frame took.
+    /// Duration of the last frame.
     took: Duration,
 }
 
-/// Pixels of the window along a pixel of a frame, so that frames that took too long are fast enough: most of their time goes into pixels.
+/// Returns a larger downscaling factor for frames that took too long.
+///
+/// The factor is the number of window pixels along a pixel of a frame. Most of a frame's time is proportional to its
+/// pixels, so the factor grows with the square root of the time.
 fn coarser(factor: u32, took: Duration) -> u32 {
     let by = (took.as_secs_f64() / SLOW.as_secs_f64()).sqrt();
     ((f64::from(factor) * by).ceil() as u32).clamp(factor + 1, MOST_FACTOR.max(factor + 1))
 }
 
-/// What is made for one channel and size.
+/// Resources for one channel and size.
 struct Made {
     factor: u32,
     view: Drawing,
@@ -83,24 +88,24 @@ impl Drawing {
     }
 }
 
-/// One frame.
-pub struct Picture<'a> {
-    /// What is shown.
+/// Parameters of one frame.
+pub struct CanvasImage<'a> {
+    /// Channel.
     pub channel: Channel,
-    /// From where; of the canvas's size.
+    /// Camera of the canvas's size.
     pub camera: &'a Camera,
-    /// Whether the camera moves, so that a fast frame is better than a fine one.
+    /// True while the camera moves; a fast frame is then preferred to a fine one.
     pub moving: bool,
-    /// Factor of light or values.
+    /// Factor on light or values.
     pub gain: f32,
-    /// Pixels along a pixel of a letter.
+    /// Screen pixels along a pixel of a letter.
     pub letter_size: u32,
-    /// Handles.
+    /// Handles of lights.
     pub marks: &'a [Mark],
 }
 
 impl Canvas {
-    /// For a window of about this size.
+    /// Creates a canvas for a window of about this size.
     pub fn new(device: &Device, surface: &Arc<Surface>, splats: &Splats, size: [u32; 2]) -> Result<Canvas> {
         let degree = splats.sh_degree() as u32;
         let model = Model { sh_degree: degree, normals: splats.normals.is_some(), ..Model::default() };
@@ -122,21 +127,23 @@ impl Canvas {
         })
     }
 
-    /// Columns and rows; zeros while there is nothing to draw on.
+    /// Returns width and height; zeros while the window has no area.
     pub fn size(&self) -> [u32; 2] {
         self.chain.size()
     }
 
-    /// Takes the window as it is now.
+    /// Adapts to the size of the window.
     pub fn resize(&mut self, size: [u32; 2]) -> Result<()> {
         Ok(self.chain.recreate(size)?)
     }
 
-    /// Draws a frame and shows it; false if the window has changed, and the frame has to be drawn anew for its size.
+    /// Draws and presents a frame.
+    ///
+    /// Returns false if the window changed and the frame must be drawn again for its size.
     pub fn draw(
         &mut self,
         relighter: Option<&Relighter>,
-        picture: &Picture<'_>,
+        image: &CanvasImage<'_>,
         write: impl FnOnce(&mut Page),
     ) -> Result<bool> {
         if !self.chain.is_open() {
@@ -144,56 +151,56 @@ impl Canvas {
         }
         let begun = Instant::now();
         let size = self.chain.size();
-        if self.channel != Some(picture.channel) {
-            (self.channel, self.made, self.coarse, self.factor) = (Some(picture.channel), None, None, 1);
+        if self.channel != Some(image.channel) {
+            (self.channel, self.made, self.coarse, self.factor) = (Some(image.channel), None, None, 1);
         }
-        // What has another size goes first: there may be no room for both.
+        // Resources of another size are dropped first, because memory may not suffice for both.
         for slot in [&mut self.made, &mut self.coarse] {
             slot.take_if(|m| m.display.window().size() != size);
         }
-        self.is_coarse = picture.moving && self.factor > 1;
+        self.is_coarse = image.moving && self.factor > 1;
         let factor = if self.is_coarse { self.factor } else { 1 };
         let slot = if self.is_coarse { &mut self.coarse } else { &mut self.made };
         let ready = slot.take().filter(|m| m.factor == factor);
         let reused = ready.is_some();
         let mut made = match ready {
             Some(made) => made,
-            None => self.make(relighter, picture.channel, size, factor)?,
+            None => self.make(relighter, image.channel, size, factor)?,
         };
-        let drawn = self.submit(&mut made, relighter, picture, write);
+        let drawn = self.submit(&mut made, relighter, image, write);
         let shown = drawn.and_then(|drawn| match drawn {
             true => Ok(self.chain.present(made.display.window())? == PresentStatus::Presented),
             false => Ok(false),
         });
         *(if self.is_coarse { &mut self.coarse } else { &mut self.made }) = Some(made);
         self.took = begun.elapsed();
-        if reused && picture.moving && self.took > SLOW && self.factor < MOST_FACTOR {
+        if reused && image.moving && self.took > SLOW && self.factor < MOST_FACTOR {
             self.factor = coarser(self.factor, self.took);
         }
         shown
     }
 
-    /// Draws a frame until its buffers have room for all of it, and what lies over it.
+    /// Draws a frame until its buffers have enough capacity, then the overlay.
     fn submit(
         &self,
         Made { view, display, page, .. }: &mut Made,
         relighter: Option<&Relighter>,
-        picture: &Picture<'_>,
+        image: &CanvasImage<'_>,
         write: impl FnOnce(&mut Page),
     ) -> Result<bool> {
-        let [width, height] = display.picture().size();
-        let camera = sgs_run::camera(&picture.camera.scaled(width, height));
+        let [width, height] = display.image().size();
+        let camera = sgs_run::camera(&image.camera.scaled(width, height));
         for _ in 0..ATTEMPTS {
             let before = view.report()?.incomplete;
             match (&mut *view, relighter) {
                 (Drawing::Blended(view), _) => {
                     let frame = Frame { camera, sh_degree: u32::MAX, background: [0.0; 3] };
-                    view.submit(&self.gaussians, display.picture(), &frame)?;
+                    view.submit(&self.gaussians, display.image(), &frame)?;
                 }
                 (Drawing::Lit(view), Some(relighter)) => {
                     let frame = LitFrame { camera, background: [0.0; 3], exposure: 1.0 };
                     let (scene, lighting) = (relighter.scene(), relighter.lighting());
-                    view.frame(scene, lighting, display.picture(), &frame, |exec, uniforms| exec.submit(uniforms))?;
+                    view.frame(scene, lighting, display.image(), &frame, |exec, uniforms| exec.submit(uniforms))?;
                 }
                 (Drawing::Lit(_), None) => return Ok(false),
             }
@@ -205,11 +212,11 @@ impl Canvas {
         page.clear();
         write(page);
         display.submit(&Shown {
-            kind: picture.channel.kind(),
-            gain: picture.gain,
-            marks: picture.marks,
+            kind: image.channel.kind(),
+            gain: image.gain,
+            marks: image.marks,
             text: page.cells(),
-            letter_size: picture.letter_size,
+            letter_size: image.letter_size,
         })?;
         Ok(true)
     }
@@ -233,35 +240,36 @@ impl Canvas {
             }
         };
         let cell = letters().cell;
-        let marks = crate::lamps::MOST as u32;
+        let marks = crate::lights::MOST as u32;
         let room = DisplayRoom { columns: (window[0] / cell[0]).max(1), rows: (window[1] / cell[1]).max(1), marks };
         let display = Display::scaled(device, &self.font, [window, size], self.chain.format(), room)?;
         Ok(Made { factor, view, display, page: Page::new(room) })
     }
 
-    /// Whether the last frame was smaller than the window.
+    /// Returns true if the last frame was smaller than the window.
     pub fn is_coarse(&self) -> bool {
         self.is_coarse
     }
 
-    /// How long the last frame took, from its beginning until it was handed to the window.
+    /// Returns the duration of the last frame, from its start until presentation.
     pub fn took(&self) -> Duration {
         self.took
     }
 
-    /// The last frame of the window's size without marks and letters, as texels of the window's format; and whether blue comes
-    /// first in them. Waits.
-    pub fn read(&mut self, picture: &Picture<'_>) -> Result<Option<(Vec<u8>, bool)>> {
+    /// Reads the last frame of the window's size, without marks and letters. Waits for the device.
+    ///
+    /// Returns texels in the window's format, and true if blue is the first channel.
+    pub fn read(&mut self, image: &CanvasImage<'_>) -> Result<Option<(Vec<u8>, bool)>> {
         let Some(Made { display, .. }) = &mut self.made else { return Ok(None) };
-        let kind = picture.channel.kind();
-        display.submit(&Shown { kind, gain: picture.gain, marks: &[], text: &[], letter_size: 1 })?;
+        let kind = image.channel.kind();
+        display.submit(&Shown { kind, gain: image.gain, marks: &[], text: &[], letter_size: 1 })?;
         display.finish()?;
         let texels = self.device.download_image(display.window())?;
         let blue_first = matches!(self.chain.format(), ImageFormat::Bgra8Unorm | ImageFormat::Bgra8Srgb);
         Ok(Some((texels, blue_first)))
     }
 
-    /// Buffers and images made so far.
+    /// Returns the number of buffers and images created.
     pub fn made(&self) -> u64 {
         self.device.activity().made
     }
@@ -272,7 +280,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_get_as_coarse_as_they_must() {
+    fn downscaling_factor_follows_frame_time() {
         let of = |factor, millis| coarser(factor, Duration::from_millis(millis));
         assert_eq!([of(1, 81), of(1, 300), of(1, 2000), of(5, 119), of(8, 100)], [2, 2, 5, 7, 9]);
         assert_eq!([of(1, 1_000_000), of(15, 81), of(12, 500)], [16; 3]);

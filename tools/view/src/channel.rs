@@ -1,11 +1,11 @@
-//! What of a scene is shown: the names of `sgs render`, and the keys that choose them.
+//! Channels of a scene: the names of `sgs render` and the keys that select them.
 
 use sgs_passes::pipeline::LitLayer;
 use sgs_passes::splat::{Layer, ShownKind};
 
-/// A channel.
+/// Channel of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[allow(missing_docs)] // They are named as `sgs render` names them.
+#[allow(missing_docs)] // Named as in `sgs render`.
 pub enum Channel {
     Rgb,
     Pbr,
@@ -22,7 +22,7 @@ pub enum Channel {
     Alpha,
 }
 
-/// Which kind of view draws a channel.
+/// Kind of view that draws a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Drawn {
     Blended(Layer),
@@ -30,7 +30,7 @@ pub(crate) enum Drawn {
 }
 
 impl Channel {
-    /// All of them. The first nine have keys, 1 to 9.
+    /// All channels. The first nine have keys, 1 to 9.
     pub const ALL: [Channel; 13] = [
         Channel::Rgb,
         Channel::Pbr,
@@ -47,7 +47,7 @@ impl Channel {
         Channel::Alpha,
     ];
 
-    /// Its name.
+    /// Returns the name.
     pub fn name(self) -> &'static str {
         match self {
             Channel::Rgb => "rgb",
@@ -66,12 +66,12 @@ impl Channel {
         }
     }
 
-    /// By its name.
+    /// Returns the channel of a name.
     pub fn named(name: &str) -> Option<Channel> {
         Channel::ALL.into_iter().find(|c| c.name() == name)
     }
 
-    /// By a digit.
+    /// Returns the channel of a digit key.
     pub(crate) fn numbered(digit: char) -> Option<Channel> {
         let digit = digit.to_digit(10)? as usize;
         Channel::ALL[..9].get(digit.checked_sub(1)?).copied()
@@ -105,12 +105,12 @@ impl Channel {
         }
     }
 
-    /// Whether lamps show in it, so that handles make sense.
-    pub(crate) fn shows_lamps(self) -> bool {
+    /// Returns true if lights affect the channel, so that handles are useful.
+    pub(crate) fn shows_lights(self) -> bool {
         matches!(self, Channel::Pbr | Channel::Diffuse | Channel::Specular | Channel::Direct | Channel::Visibility)
     }
 
-    /// Whether exposure means anything: not for what is a quantity with an end.
+    /// Returns true if exposure applies. Bounded quantities have none.
     pub(crate) fn has_exposure(self) -> bool {
         matches!(self, Channel::Rgb | Channel::Depth) || (self.kind() == ShownKind::Linear && self != Channel::Albedo)
     }
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn digits_and_names_lead_to_channels() {
+    fn digits_and_names_select_channels() {
         assert_eq!([Channel::numbered('1'), Channel::numbered('9')], [Some(Channel::Rgb), Some(Channel::Direct)]);
         assert_eq!([Channel::numbered('0'), Channel::numbered('x')], [None; 2]);
         for channel in Channel::ALL {

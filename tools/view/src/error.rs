@@ -1,55 +1,55 @@
-//! Why nothing can be shown.
+//! Errors of the viewer.
 
 use std::path::PathBuf;
 
-/// Errors of this crate: one sentence each.
+/// Errors of this crate, one sentence each.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ViewerError {
-    /// There is no display.
+    /// Missing display.
     #[error(
-        "There is no display to open a window on ({0}); set DISPLAY or WAYLAND_DISPLAY, or write pictures with \
+        "There is no display to open a window on ({0}); set DISPLAY or WAYLAND_DISPLAY, or write images with \
          \"sgs render\"."
     )]
     NoDisplay(String),
-    /// The window's system refused something.
+    /// Error of the window system.
     #[error("The window could not be opened: {0}.")]
     Window(String),
-    /// The channel that was asked for is none of the source's.
+    /// Requested channel that the source lacks.
     #[error("\"{path}\" has no {channel} to be shown; it has {has}.", path = path.display())]
     Channel {
-        /// What is shown.
+        /// Shown source.
         path: PathBuf,
-        /// What was asked for.
+        /// Requested channel.
         channel: &'static str,
-        /// What there is.
+        /// Available channels.
         has: String,
     },
-    /// There is nothing to look at.
+    /// Source without Gaussians.
     #[error("\"{path}\" holds no Gaussians.", path = path.display())]
     Empty {
-        /// What was to be shown.
+        /// Path of the source.
         path: PathBuf,
     },
-    /// A file of cameras without any.
+    /// Camera file without cameras.
     #[error("\"{path}\" holds no cameras.", path = path.display())]
     NoCameras {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// The run cannot be opened.
+    /// Run that cannot be opened.
     #[error(transparent)]
     Run(#[from] sgs_run::RunError),
-    /// The source cannot be relit.
+    /// Source that cannot be relit.
     #[error(transparent)]
     Relight(#[from] sgs_relight::RelightError),
-    /// A file cannot be read or written.
+    /// File that cannot be read or written.
     #[error(transparent)]
     Scene(#[from] sgs_scene::SceneError),
-    /// Drawing failed.
+    /// Failure of drawing.
     #[error(transparent)]
     View(#[from] sgs_passes::pipeline::ViewError),
-    /// The device failed.
+    /// Failure of the device.
     #[error(transparent)]
     Engine(#[from] sgs_engine::Error),
 }

@@ -1,42 +1,43 @@
-//! Where one looks from: around a point, or on foot.
+//! Viewpoint with orbit and walk navigation.
 //!
-//! Promises: a camera that was taken over is given back as it was; the horizon stays as level as it was. Axes are OpenCV's.
+//! Guarantees: a camera converted to a viewpoint and back is unchanged. Navigation keeps the roll of the horizon. Axes
+//! are OpenCV's.
 
 use glam::{DMat3, DVec2, DVec3};
 use sgs_scene::{Camera, NEAR};
 
-/// How steeply one may look, in radians.
+/// Steepest pitch, in radians.
 const STEEPEST: f64 = 1.553;
 
-/// A place and a direction.
+/// Position and direction of the viewer.
 #[derive(Clone, Debug)]
 pub struct Eye {
-    /// Where it is.
+    /// Position in the world.
     pub position: DVec3,
-    /// How far the point is that it turns around.
+    /// Distance to the orbit center.
     pub distance: f64,
-    /// The world's up, a unit vector.
+    /// Up direction of the world, a unit vector.
     up: DVec3,
-    /// To the right of `up`, in radians.
+    /// Rotation to the right about `up`, in radians.
     yaw: f64,
-    /// Upwards.
+    /// Upward angle, in radians.
     pitch: f64,
-    /// Clockwise, about the direction of view.
+    /// Clockwise rotation about the viewing direction, in radians.
     roll: f64,
-    /// Focal lengths, in heights of the picture.
+    /// Focal lengths, in image heights.
     focal: DVec2,
-    /// Depth below which nothing is drawn.
+    /// Near plane: depth below which nothing is drawn.
     near: f64,
 }
 
-/// Two axes that are level: yaw turns from the first to the second.
+/// Returns two horizontal axes. Yaw rotates from the first to the second.
 fn level(up: DVec3) -> [DVec3; 2] {
     let front = up.any_orthonormal_vector();
     [front, front.cross(up)]
 }
 
 impl Eye {
-    /// From a camera, in a world whose up is this.
+    /// Creates a viewpoint from a camera, in a world with the given up direction.
     pub fn of(camera: &Camera, up: DVec3, distance: f64) -> Eye {
         let height = f64::from(camera.height);
         let focal = DVec2::new(camera.fx, camera.fy) / height;
@@ -46,14 +47,14 @@ impl Eye {
         let [front, side] = level(up);
         eye.pitch = forward.dot(up).clamp(-1.0, 1.0).asin();
         eye.yaw = forward.dot(side).atan2(forward.dot(front));
-        // What is left is a turn about the direction of view.
+        // The remaining rotation is a roll about the viewing direction.
         let [right, down, _] = eye.axes();
         let given = camera.rotation.transpose() * DVec3::X;
         eye.roll = given.dot(down).atan2(given.dot(right));
         eye
     }
 
-    /// Looks at a place from so far away, a little from above.
+    /// Creates a viewpoint at `distance` from a target, looking slightly down.
     pub fn at(target: DVec3, up: DVec3, distance: f64) -> Eye {
         let focal = DVec2::splat(1.1);
         let near = NEAR.min(0.005 * distance);
@@ -62,7 +63,7 @@ impl Eye {
         eye
     }
 
-    /// Right, down and forward.
+    /// Returns the right, down and forward axes.
     pub fn axes(&self) -> [DVec3; 3] {
         let forward = self.forward();
         let [front, side] = level(self.up);
@@ -72,28 +73,28 @@ impl Eye {
         [cos * right + sin * down, cos * down - sin * right, forward]
     }
 
-    /// Where it looks.
+    /// Returns the viewing direction.
     pub fn forward(&self) -> DVec3 {
         let [front, side] = level(self.up);
         self.pitch.cos() * (self.yaw.cos() * front + self.yaw.sin() * side) + self.pitch.sin() * self.up
     }
 
-    /// What it turns around.
+    /// Returns the orbit center.
     pub fn target(&self) -> DVec3 {
         self.position + self.distance * self.forward()
     }
 
-    /// Turns about the point in front of it: so far around, and so far over it.
+    /// Rotates about the orbit center by `around` (yaw) and `over` (pitch), in radians.
     pub fn orbit(&mut self, around: f64, over: f64) {
         let target = self.target();
         self.look(around, over);
         self.position = target - self.distance * self.forward();
     }
 
-    /// Turns on the spot.
+    /// Rotates in place, in radians.
     pub fn look(&mut self, right: f64, up: f64) {
         self.yaw += right;
-        // One who already looks steeper, as a camera did, is not thrown back.
+        // A camera may already be steeper; the limit must not snap it back.
         let most = STEEPEST.max(self.pitch.abs());
         self.pitch = (self.pitch + up).clamp(-most, most);
     }
@@ -104,19 +105,21 @@ impl Eye {
         self.position += by.x * right + by.y * down + by.z * forward;
     }
 
-    /// Comes nearer to the point in front, or goes away from it.
+    /// Scales the distance to the orbit center, down to `least`.
     pub fn zoom(&mut self, factor: f64, least: f64) {
         let distance = (self.distance * factor).max(least);
         self.position += (self.distance - distance) * self.forward();
         self.distance = distance;
     }
 
-    /// The length of a pixel at the point that it turns around.
+    /// Returns the length of a pixel at the orbit center.
     pub fn pixel(&self, size: [u32; 2]) -> f64 {
         self.distance / (self.focal.y * f64::from(size[1].max(1)))
     }
 
-    /// As a camera of this size. The field of view holds upright: wider windows show more at the sides.
+    /// Returns the viewpoint as a camera of the given size.
+    ///
+    /// The vertical field of view is fixed; wider windows show more at the sides.
     pub fn camera(&self, name: &str, [width, height]: [u32; 2]) -> Camera {
         let [right, down, forward] = self.axes();
         let rotation = DMat3::from_cols(right, down, forward).transpose();
@@ -149,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_is_given_back_as_it_was() {
+    fn camera_round_trips_through_viewpoint() {
         for up in [DVec3::Y, -DVec3::Y, DVec3::Z, DVec3::new(0.6, 0.0, 0.8)] {
             let given = camera();
             let back = Eye::of(&given, up, 2.0).camera("a", [160, 120]);
@@ -159,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn turning_around_keeps_the_target_in_the_middle() {
+    fn orbit_and_zoom_preserve_the_target() {
         let mut eye = Eye::of(&camera(), -DVec3::Y, 3.0);
         let target = eye.target();
         for k in 0..40 {
@@ -175,13 +178,13 @@ mod tests {
     }
 
     #[test]
-    fn right_is_right_and_up_is_up() {
+    fn axes_are_right_handed_and_rotations_have_the_right_sign() {
         let mut eye = Eye::at(DVec3::new(1.0, 2.0, 3.0), DVec3::Z, 4.0);
         let [right, down, forward] = eye.axes();
         assert!(right.cross(down).abs_diff_eq(forward, 1e-12) && right.z.abs() < 1e-12 && down.z < 0.0);
         let seen = |eye: &Eye| eye.camera("c", [100, 100]).project(DVec3::new(1.0, 2.0, 3.0)).expect("in front");
         assert!((seen(&eye) - DVec2::splat(50.0)).length() < 1e-9);
-        // Whoever looks to the right and up sees it go to the left and down.
+        // A rotation to the right and up moves the target to the left and down in the image.
         eye.look(0.1, 0.1);
         assert!(seen(&eye).x < 45.0 && seen(&eye).y > 55.0, "{}", seen(&eye));
         eye.look(-0.1, -0.1);

@@ -1,4 +1,4 @@
-//! Letters as pixels, and lines of them as the cells of a display.
+//! Bitmap font, and text lines as cells of a display.
 
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 use sgs_engine::Device;
@@ -9,14 +9,14 @@ const HEIGHT: RasterHeight = RasterHeight::Size16;
 const FIRST: u8 = b' ';
 const LAST: u8 = b'~';
 
-/// What letters there are: all of ASCII that shows.
+/// Returns the available letters: printable ASCII.
 pub fn letters() -> Letters {
     let width = get_raster_width(FontWeight::Regular, HEIGHT);
     let cell = [width as u32, HEIGHT.val() as u32];
     Letters { cell, first: u32::from(FIRST), count: u32::from(LAST - FIRST + 1) }
 }
 
-/// Puts them on the device.
+/// Uploads the font to the device.
 pub fn font(device: &Device) -> sgs_engine::Result<Font> {
     let letters = letters();
     let mut pixels = Vec::with_capacity(letters.bytes() as usize);
@@ -29,7 +29,7 @@ pub fn font(device: &Device) -> sgs_engine::Result<Font> {
     Font::new(device, letters, &pixels)
 }
 
-/// Cells of a window, filled line by line without taking memory.
+/// Text cells of a window, filled line by line without allocation.
 pub struct Page {
     cells: Vec<u8>,
     columns: usize,
@@ -37,18 +37,20 @@ pub struct Page {
 }
 
 impl Page {
-    /// As many cells as there is room for.
+    /// Creates cells for the display's capacity.
     pub fn new(room: DisplayRoom) -> Page {
         Page { cells: vec![0; (room.columns * room.rows) as usize], columns: room.columns as usize, row: 0 }
     }
 
-    /// Begins at the top again.
+    /// Clears all cells and restarts at the top line.
     pub fn clear(&mut self) {
         self.cells.fill(0);
         self.row = 0;
     }
 
-    /// Writes a line, with a margin; what does not fit is cut off, letters that there are not become question marks.
+    /// Writes a line with a margin.
+    ///
+    /// Truncates overlong lines. Unknown characters become question marks.
     pub fn line(&mut self, text: std::fmt::Arguments<'_>) {
         let first = self.row * self.columns;
         let Some(row) = self.cells.get_mut(first..first + self.columns) else { return };
@@ -58,7 +60,7 @@ impl Page {
         self.row += 1;
     }
 
-    /// The cells.
+    /// Returns the cells.
     pub fn cells(&self) -> &[u8] {
         &self.cells
     }
@@ -86,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lines_are_cut_off_and_unknown_letters_marked() {
+    fn long_lines_are_truncated_and_unknown_letters_replaced() {
         let mut page = Page::new(DisplayRoom { columns: 6, rows: 2, marks: 0 });
         page.line(format_args!("a{}", "é~"));
         page.line(format_args!("abcdefgh"));
@@ -98,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn every_letter_has_ink() {
+    fn every_letter_has_pixels() {
         let letters = letters();
         assert_eq!((letters.count, letters.cell[1]), (95, 16));
         for letter in FIRST + 1..=LAST {

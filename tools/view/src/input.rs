@@ -1,10 +1,10 @@
-//! Keys and what they do.
+//! Keys and their actions.
 
 use crate::channel::Channel;
-use crate::lamps::LampAction;
+use crate::lights::LightAction;
 use winit::keyboard::{Key, NamedKey};
 
-/// What the keys and the mouse do, a line each.
+/// Help text: keys and mouse actions, one line each.
 pub const KEYS: &str = "\
 drag left             orbit; on a light: move it
 drag right            look around
@@ -26,49 +26,49 @@ P                     save the image and its camera
 E                     save the edit for sgs relight
 H  Esc                help, leave";
 
-/// Directions that one walks in while keys are held: the axis, and which way.
+/// Walking direction of a held key: the axis and the sign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Walk(pub usize, pub i8);
 
-/// What a key does.
+/// Action of a key.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Action {
-    /// Shows another channel.
+    /// Shows a channel.
     Show(Channel),
-    /// The next or previous one.
+    /// Shows the next or previous channel.
     Turn(i32),
-    /// Stops of exposure more; nothing sets it back.
+    /// Changes the exposure by stops; `None` resets it.
     Exposure(Option<f32>),
-    /// Cameras on; nothing is the first.
+    /// Advances by a number of cameras; `None` selects the first.
     Camera(Option<i32>),
-    /// Handles on and off.
+    /// Shows or hides the handles.
     Handles,
-    /// Of the chosen light.
-    Lamp(LampAction),
-    /// A new light.
+    /// Changes the selected light.
+    LightParameters(LightAction),
+    /// Adds a light.
     Add,
-    /// Without the chosen light.
+    /// Removes the selected light.
     Remove,
-    /// A factor of the surroundings.
+    /// Multiplies the environment map by a factor.
     Sky(f32),
-    /// All light as it was.
+    /// Resets all light.
     Reset,
-    /// Saves the picture.
-    Picture,
+    /// Saves the image.
+    SaveImage,
     /// Saves the edit.
     Edit,
-    /// Shows what keys do.
+    /// Shows or hides the help.
     Help,
     /// Closes the window.
     Leave,
 }
 
-/// What a key that was pressed does.
+/// Returns the action of a pressed key.
 pub fn action(key: &Key) -> Option<Action> {
     let named = match key {
         Key::Named(named) => match named {
             NamedKey::Home => Action::Camera(None),
-            NamedKey::Backspace => Action::Lamp(LampAction::Reset),
+            NamedKey::Backspace => Action::LightParameters(LightAction::Reset),
             NamedKey::Delete => Action::Remove,
             NamedKey::F1 => Action::Help,
             NamedKey::Escape => Action::Leave,
@@ -88,16 +88,16 @@ pub fn action(key: &Key) -> Option<Action> {
                 'n' => Action::Camera(Some(1)),
                 'b' => Action::Camera(Some(-1)),
                 'l' => Action::Handles,
-                '[' => Action::Lamp(LampAction::Hue(-1.0 / 24.0)),
-                ']' => Action::Lamp(LampAction::Hue(1.0 / 24.0)),
-                ';' => Action::Lamp(LampAction::Saturation(-0.1)),
-                '\'' => Action::Lamp(LampAction::Saturation(0.1)),
-                'o' => Action::Lamp(LampAction::Switch),
+                '[' => Action::LightParameters(LightAction::Hue(-1.0 / 24.0)),
+                ']' => Action::LightParameters(LightAction::Hue(1.0 / 24.0)),
+                ';' => Action::LightParameters(LightAction::Saturation(-0.1)),
+                '\'' => Action::LightParameters(LightAction::Saturation(0.1)),
+                'o' => Action::LightParameters(LightAction::Switch),
                 'i' => Action::Add,
                 'j' => Action::Sky(0.8),
                 'k' => Action::Sky(1.25),
                 'z' => Action::Reset,
-                'p' => Action::Picture,
+                'p' => Action::SaveImage,
                 'e' => Action::Edit,
                 'h' | '?' => Action::Help,
                 _ => return None,
@@ -108,7 +108,7 @@ pub fn action(key: &Key) -> Option<Action> {
     Some(named)
 }
 
-/// Where a key that is held takes one.
+/// Returns the walking direction of a held key.
 pub fn walk(key: &Key) -> Option<Walk> {
     let Key::Character(text) = key else { return None };
     Some(match text.chars().next()?.to_ascii_lowercase() {
@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_key_does_two_things_and_help_names_all() {
+    fn keys_are_unique_and_listed_in_the_help() {
         let key = |letter: char| Key::Character(letter.to_string().into());
         for letter in (' '..='~').filter(|l| !l.is_ascii_uppercase()) {
             let (acts, walks) = (action(&key(letter)), walk(&key(letter)));
@@ -136,7 +136,7 @@ mod tests {
             let known = KEYS.contains(shown) || "=_?".contains(letter) || letter.is_ascii_digit();
             assert!(acts.is_none() && walks.is_none() || known, "{letter} is not in the help");
         }
-        assert_eq!(action(&key('P')), Some(Action::Picture));
+        assert_eq!(action(&key('P')), Some(Action::SaveImage));
         assert!(KEYS.lines().all(|line| line.is_ascii() && line.len() < 72));
     }
 }

@@ -1,8 +1,8 @@
-//! A window that shows a run: from where one wants, channel by channel, its lights as handles.
+//! Viewer window for a run: free viewpoint, channels, lights as handles.
 //!
-//! Promises: what is seen is what `sgs render` and `sgs relight` write, drawn by the same plans; while nothing changes nothing
-//! is drawn, and from frame to frame nothing is made. Leaves opening files, shading and showing to the crates below; no file
-//! but pictures, their cameras and edits is written.
+//! Guarantees: the window shows the images that `sgs render` and `sgs relight` write, drawn by the same pipelines.
+//! Without a change it draws no frame, and repeated frames create no buffers or images. Crates below open files, shade
+//! and present. The viewer writes only images, their cameras and edits.
 
 mod app;
 mod canvas;
@@ -11,7 +11,7 @@ mod error;
 mod eye;
 mod font;
 mod input;
-mod lamps;
+mod lights;
 mod save;
 mod source;
 mod stage;

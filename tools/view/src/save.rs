@@ -1,11 +1,13 @@
-//! Files that are written from the window: pictures with their cameras, edits.
+//! Files saved from the window: images with their cameras, edits.
 
 use crate::error::Result;
 use sgs_relight::Edit;
 use sgs_scene::{Camera, Image, atomic_write, write_png};
 use std::path::{Path, PathBuf};
 
-/// `DIR/WORD-000.EXTENSION`, with the first number that neither this nor a JSON file has.
+/// Returns the first unused name and path `DIR/WORD-000.EXTENSION`.
+///
+/// Neither the file nor a JSON file of that name exists.
 fn free(dir: &Path, word: &str, extension: &str) -> (String, PathBuf) {
     let name = |k: u32| format!("{word}-{k:03}");
     let taken = |k: &u32| [extension, "json"].iter().any(|e| dir.join(format!("{}.{e}", name(*k))).exists());
@@ -13,22 +15,22 @@ fn free(dir: &Path, word: &str, extension: &str) -> (String, PathBuf) {
     (name(first), dir.join(format!("{}.{extension}", name(first))))
 }
 
-/// Writes texels of 8 bits a color as a picture.
-pub fn picture(path: &Path, [width, height]: [u32; 2], texels: &[u8], blue_first: bool) -> Result<()> {
+/// Writes texels with 8 bits per channel as a PNG image.
+pub fn image(path: &Path, [width, height]: [u32; 2], texels: &[u8], blue_first: bool) -> Result<()> {
     let order = if blue_first { [2, 1, 0] } else { [0, 1, 2] };
     let data = texels.chunks_exact(4).flat_map(|t| order.map(|c| f32::from(t[c]) / 255.0)).collect();
     Ok(write_png(path, &Image { width, height, channels: 3, data })?)
 }
 
-/// Writes a picture, and beside it the camera that it was seen with, for `sgs render`; gives the picture's path.
-pub fn picture_and_camera(dir: &Path, camera: &Camera, texels: &[u8], blue_first: bool) -> Result<PathBuf> {
+/// Writes an image and its camera for `sgs render`. Returns the path of the image.
+pub fn image_and_camera(dir: &Path, camera: &Camera, texels: &[u8], blue_first: bool) -> Result<PathBuf> {
     let (name, path) = free(dir, "view", "png");
-    picture(&path, [camera.width, camera.height], texels, blue_first)?;
+    image(&path, [camera.width, camera.height], texels, blue_first)?;
     Camera::write_transforms(&path.with_extension("json"), &[Camera { name, ..camera.clone() }])?;
     Ok(path)
 }
 
-/// Writes an edit as people would: without what it does not say.
+/// Writes an edit without its empty fields. Returns the path.
 pub fn edit(dir: &Path, edit: &Edit) -> Result<PathBuf> {
     let (_, path) = free(dir, "edit", "json");
     let value = serde_json::to_value(edit).map_or(serde_json::Value::Null, said);
@@ -37,7 +39,7 @@ pub fn edit(dir: &Path, edit: &Edit) -> Result<PathBuf> {
     Ok(path)
 }
 
-/// Without empty things.
+/// Removes empty fields.
 fn said(value: serde_json::Value) -> serde_json::Value {
     use serde_json::Value;
     let empty = |v: &Value| match v {
@@ -47,7 +49,7 @@ fn said(value: serde_json::Value) -> serde_json::Value {
         _ => false,
     };
     match value {
-        // What a change says of being on or off counts either way.
+        // The field `on` of a change is significant for both values.
         Value::Object(map) => map
             .into_iter()
             .map(|(k, v)| (k, said(v)))
@@ -64,7 +66,7 @@ mod tests {
     use sgs_relight::{LightChange, LightEdit};
 
     #[test]
-    fn an_edit_says_what_it_says_and_can_be_read() {
+    fn edit_json_omits_empty_fields_and_parses() {
         let change =
             LightChange { light: Some(0), on: Some(false), color: Some([1.0, 0.5, 0.25]), ..Default::default() };
         let lights = LightEdit { change: vec![change], ..Default::default() };

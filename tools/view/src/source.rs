@@ -1,4 +1,4 @@
-//! What is looked at: Gaussians, cameras to begin with, and how large all of it is.
+//! Source of the viewer: Gaussians, initial cameras, extent of the scene.
 
 use crate::error::{Result, ViewerError};
 use crate::eye::Eye;
@@ -8,27 +8,29 @@ use sgs_relight::source_of;
 use sgs_scene::{Camera, NEAR, Scene, Splats, Unit};
 use std::path::{Path, PathBuf};
 
-/// Gaussians that are looked at for how large a scene is.
+/// Number of Gaussians sampled for the extent of a scene.
 const SAMPLES: usize = 4096;
 
-/// A run, or a PLY or glTF file.
+/// Run, or PLY or glTF file.
 pub struct Source {
-    /// Where it is.
+    /// Path of the source.
     pub path: PathBuf,
-    /// The Gaussians.
+    /// Gaussians.
     pub splats: Splats,
-    /// Where one may look from at first; a file has none.
+    /// Initial cameras; empty for a file without a transforms file.
     pub cameras: Vec<Camera>,
-    /// Up, as most cameras have it.
+    /// Up direction of most cameras.
     up: DVec3,
-    /// The middle of the Gaussians.
+    /// Center of the Gaussians.
     center: DVec3,
-    /// From where on most of them are farther than that.
+    /// Distance from the center that four fifths of the Gaussians do not exceed.
     pub radius: f64,
 }
 
 impl Source {
-    /// Opens it. Cameras come from a transforms file, or else from the run's scene, if that is still there.
+    /// Opens a source.
+    ///
+    /// Cameras come from a transforms file, or else from the run's scene if it still exists.
     pub fn open(path: &Path, cameras: Option<&Path>) -> Result<Source> {
         let (splats, settings) = source_of(path)?;
         if splats.is_empty() {
@@ -51,12 +53,14 @@ impl Source {
         Ok(Source { path: path.to_owned(), splats, cameras, up, center, radius })
     }
 
-    /// Whether it can be lit.
+    /// Returns true if the source has materials for shading.
     pub fn has_materials(&self) -> bool {
         self.splats.albedo.is_some() && self.splats.roughness.is_some() && self.splats.normals.is_some()
     }
 
-    /// Where one of the cameras looks from; from outside, where there are none.
+    /// Returns the viewpoint of a camera.
+    ///
+    /// Without cameras it lies outside the scene.
     pub fn eye(&self, camera: usize) -> Eye {
         match self.cameras.get(camera) {
             Some(camera) => {
@@ -78,7 +82,9 @@ fn cameras_of(settings: &Settings) -> Vec<Camera> {
     }
 }
 
-/// Up as most cameras have it, an axis of the world if one is near. PLY files mostly have y down.
+/// Returns the up direction of most cameras, or a world axis close to it.
+///
+/// Without cameras it is −y, because PLY files mostly have y down.
 fn up_of(cameras: &[Camera]) -> DVec3 {
     let mean: DVec3 = cameras.iter().map(|c| -(c.rotation.transpose() * DVec3::Y)).sum();
     let mean = mean.try_normalize().unwrap_or(-DVec3::Y);
@@ -86,7 +92,7 @@ fn up_of(cameras: &[Camera]) -> DVec3 {
     axes.into_iter().find(|a| a.dot(mean) > 0.8).unwrap_or(mean)
 }
 
-/// The median of some of the places, and the distance from it that four fifths of them keep.
+/// Returns the median position of a sample and its 80th-percentile distance.
 fn spread(means: &[[f32; 3]]) -> (DVec3, f64) {
     let every = means.len().div_ceil(SAMPLES).max(1);
     let places: Vec<DVec3> = means.iter().step_by(every).map(|m| DVec3::from(m.map(f64::from))).collect();
@@ -107,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn far_and_broken_gaussians_do_not_make_a_scene_large() {
+    fn outliers_do_not_enlarge_the_scene_extent() {
         let mut means: Vec<[f32; 3]> =
             (0..1000).map(|i| [(i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32]).collect();
         means.extend([[1e9, 0.0, 0.0], [f32::NAN, 0.0, 0.0], [0.0, f32::INFINITY, 0.0]]);
@@ -117,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn up_is_an_axis_where_one_is_near() {
+    fn up_snaps_to_a_nearby_axis() {
         assert_eq!(up_of(&[]), -DVec3::Y);
         let eye = Eye::at(DVec3::ZERO, DVec3::Z, 2.0);
         assert_eq!(up_of(&[eye.camera("a", [4, 4])]), DVec3::Z);

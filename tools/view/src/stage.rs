@@ -1,14 +1,14 @@
-//! What is shown in the window, and what input does to it.
+//! State of the window and the effects of input.
 //!
-//! Promises: input changes numbers; drawing happens in one place, once for however much input came before. Leaves the
-//! window's events to [`crate::app`].
+//! Guarantees: input only changes the state. Drawing happens in one place, once for any amount of previous input.
+//! [`crate::app`] handles the window's events.
 
-use crate::canvas::{Canvas, Picture};
+use crate::canvas::{Canvas, CanvasImage};
 use crate::channel::{Channel, Drawn};
 use crate::error::{Result, ViewerError};
 use crate::eye::Eye;
 use crate::input::{Action, KEYS, Walk};
-use crate::lamps::{Handles, LampAction};
+use crate::lights::{Handles, LightAction};
 use crate::save;
 use crate::source::Source;
 use glam::{DVec2, DVec3};
@@ -19,16 +19,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How fast one walks: radii of the scene in a second.
-const PACE: f64 = 0.5;
-/// The camera rests once it has not moved for so long.
+/// Walking speed, in scene radii per second.
+const RATE: f64 = 0.5;
+/// Time without movement after which the camera rests.
 const REST: Duration = Duration::from_millis(200);
-/// Weight of the last frame in the mean time of a frame.
+/// Weight of the last frame in the mean frame time.
 const LATEST: f64 = 0.3;
-/// Radians that a drag by one pixel turns.
+/// Rotation of a drag by one pixel, in radians.
 const TURN: f64 = 0.005;
 
-/// What is being dragged with which button.
+/// Kind of drag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drag {
     Light,
@@ -37,7 +37,7 @@ pub enum Drag {
     Pan,
 }
 
-/// Everything but the window.
+/// State of the viewer, without the window.
 pub struct Stage {
     source: Source,
     relighter: Option<(Relighter, Handles)>,
@@ -53,17 +53,17 @@ pub struct Stage {
     pointer: DVec2,
     drag: Option<Drag>,
     walking: [[bool; 2]; 3],
-    /// When the camera or the window has changed last.
+    /// Time of the last change of the camera or the window.
     moved: Option<Instant>,
-    /// Mean seconds of a frame; 0 before the first.
+    /// Mean frame time in seconds; 0 before the first frame.
     seconds: f64,
     pub fast: bool,
-    /// Pixels along a pixel of a letter.
+    /// Screen pixels along a pixel of a letter.
     pub letter_size: u32,
     output: PathBuf,
-    picture_wanted: bool,
+    save_requested: bool,
     pub saved: Vec<PathBuf>,
-    /// Something has changed since the last frame.
+    /// True if the window changed since the last frame.
     pub stale: bool,
 }
 
@@ -117,13 +117,13 @@ impl Stage {
             fast: false,
             letter_size: 1,
             output: output.to_owned(),
-            picture_wanted: false,
+            save_requested: false,
             saved: Vec::new(),
             stale: true,
         })
     }
 
-    /// The window's title.
+    /// Returns the title of the window.
     pub fn title(&self) -> String {
         let name = self.source.path.file_name().unwrap_or(self.source.path.as_os_str());
         format!("{} - {} - sgs view", name.to_string_lossy(), self.channel.name())
@@ -137,26 +137,26 @@ impl Stage {
         if !self.channel.has_exposure() {
             return 1.0;
         }
-        // Depth is white at the far end of the scene.
+        // The depth channel is white at the far end of the scene.
         let full = if self.channel == Channel::Depth { (0.3 / self.source.radius) as f32 } else { 1.0 };
         full * self.stops.exp2()
     }
 
     fn handles_shown(&self) -> bool {
-        self.handles && self.channel.shows_lamps() && self.relighter.is_some()
+        self.handles && self.channel.shows_lights() && self.relighter.is_some()
     }
 
     fn handle_radius(&self) -> f32 {
         7.0 * self.letter_size as f32
     }
 
-    /// Draws a frame. False if there was nothing to draw on, or the window changes just now.
+    /// Draws a frame. Returns false if the window has no area or changed meanwhile.
     pub fn draw(&mut self) -> Result<bool> {
         if self.canvas.size().contains(&0) {
             return Ok(false);
         }
         let camera = self.seen_with();
-        let (moving, seconds) = (self.is_moving() && !self.picture_wanted, self.seconds);
+        let (moving, seconds) = (self.is_moving() && !self.save_requested, self.seconds);
         let (shown, radius, gain) = (self.handles_shown(), self.handle_radius(), self.gain());
         let Stage { source, relighter, canvas, channel, letter_size, stops, help, message, .. } = self;
         let (channel, help) = (*channel, *help);
@@ -173,10 +173,10 @@ impl Stage {
             (Some(handles), Some(relighter)) if shown => handles.marks(relighter, &camera, radius)?,
             _ => &[],
         };
-        let picture = Picture { channel, camera: &camera, moving, gain, letter_size: *letter_size, marks };
+        let image = CanvasImage { channel, camera: &camera, moving, gain, letter_size: *letter_size, marks };
         let count = source.splats.len();
         let rate = if seconds > 0.0 { 1.0 / seconds } else { 0.0 };
-        let done = canvas.draw(relighter, &picture, |page| {
+        let done = canvas.draw(relighter, &image, |page| {
             let stops = if channel.has_exposure() && *stops != 0.0 { Some(*stops) } else { None };
             let name = channel.name();
             match stops {
@@ -185,12 +185,12 @@ impl Stage {
                 }
                 None => page.line(format_args!("{name}  {count} Gaussians  {rate:.1} frames/s")),
             }
-            if let Some((light, lamp)) = chosen {
-                let ([r, g, b], [x, y, z]) = (lamp.color, lamp.position);
-                let on = if lamp.on { "" } else { " off" };
+            if let Some((light, light_parameters)) = chosen {
+                let ([r, g, b], [x, y, z]) = (light_parameters.color, light_parameters.position);
+                let on = if light_parameters.on { "" } else { " off" };
                 page.line(format_args!(
                     "light {light}{on}  gain {:.3}  color {r:.2} {g:.2} {b:.2}  at {x:.2} {y:.2} {z:.2}",
-                    lamp.gain
+                    light_parameters.gain
                 ));
             }
             if !message.is_empty() {
@@ -203,10 +203,10 @@ impl Stage {
         self.stale = !done;
         let took = self.canvas.took().as_secs_f64();
         self.seconds = if self.seconds > 0.0 { self.seconds + LATEST * (took - self.seconds) } else { took };
-        if done && self.picture_wanted {
-            self.picture_wanted = false;
+        if done && self.save_requested {
+            self.save_requested = false;
             if let Some((camera, texels, blue_first)) = self.grab()? {
-                match save::picture_and_camera(&self.output, &camera, &texels, blue_first) {
+                match save::image_and_camera(&self.output, &camera, &texels, blue_first) {
                     Ok(path) => self.wrote(path),
                     // A full disk is no reason to close the window.
                     Err(error) => self.say(error.to_string()),
@@ -216,16 +216,16 @@ impl Stage {
         Ok(done)
     }
 
-    /// Writes what is shown, without marks and letters.
+    /// Writes the shown image, without marks and letters.
     pub fn save_to(&mut self, path: &Path) -> Result<()> {
         if let Some((camera, texels, blue_first)) = self.grab()? {
-            save::picture(path, [camera.width, camera.height], &texels, blue_first)?;
+            save::image(path, [camera.width, camera.height], &texels, blue_first)?;
             self.saved.push(path.to_owned());
         }
         Ok(())
     }
 
-    /// The texels of what is shown, with its camera; and whether blue comes first in them.
+    /// Reads the shown image and its camera. The flag is true if blue is the first channel.
     fn grab(&mut self) -> Result<Option<(Camera, Vec<u8>, bool)>> {
         if self.canvas.is_coarse() {
             self.moved = None;
@@ -233,9 +233,9 @@ impl Stage {
         }
         let camera = self.seen_with();
         let (channel, gain) = (self.channel, self.gain());
-        let picture = Picture { channel, camera: &camera, moving: false, gain, letter_size: 1, marks: &[] };
+        let image = CanvasImage { channel, camera: &camera, moving: false, gain, letter_size: 1, marks: &[] };
         self.stale = true;
-        let read = self.canvas.read(&picture)?;
+        let read = self.canvas.read(&image)?;
         Ok(read.map(|(texels, blue_first)| (camera, texels, blue_first)))
     }
 
@@ -250,7 +250,7 @@ impl Stage {
         self.stale = true;
     }
 
-    /// Does what a key says. True if the window is to be closed.
+    /// Executes an action. Returns true if it closes the window.
     pub fn act(&mut self, action: Action) -> Result<bool> {
         self.stale = true;
         self.message.clear();
@@ -271,10 +271,15 @@ impl Stage {
             }
             Action::Handles => self.handles = !self.handles,
             Action::Help => self.help = !self.help,
-            Action::Picture => self.picture_wanted = true,
-            Action::Lamp(_) | Action::Add | Action::Remove | Action::Sky(_) | Action::Reset | Action::Edit => {
+            Action::SaveImage => self.save_requested = true,
+            Action::LightParameters(_)
+            | Action::Add
+            | Action::Remove
+            | Action::Sky(_)
+            | Action::Reset
+            | Action::Edit => {
                 if let Err(error) = self.relight(action) {
-                    // What a light cannot be changes nothing.
+                    // A refused change of a light leaves the lights unchanged.
                     self.say(error.to_string());
                 }
             }
@@ -298,7 +303,7 @@ impl Stage {
         };
         let mut chosen = true;
         match action {
-            Action::Lamp(lamp) => chosen = handles.act(relighter, lamp)?,
+            Action::LightParameters(light_parameters) => chosen = handles.act(relighter, light_parameters)?,
             Action::Remove => chosen = handles.remove(relighter)?,
             Action::Add => handles.add(relighter, target, reach)?,
             Action::Sky(factor) => {
@@ -315,60 +320,60 @@ impl Stage {
         if !chosen {
             self.message = "choose a light first: click on it".into();
         }
-        // Where light does not show, nothing would seem to happen.
-        if !self.channel.shows_lamps() && self.channel != Channel::Env {
+        // In a channel without lighting the change would be invisible.
+        if !self.channel.shows_lights() && self.channel != Channel::Env {
             self.show(Channel::Pbr);
         }
         Ok(())
     }
 
-    /// A key that walks goes down or up.
+    /// Handles the press or release of a walking key.
     pub fn walk(&mut self, Walk(axis, way): Walk, pressed: bool) {
         self.walking[axis][usize::from(way > 0)] = pressed;
     }
 
-    /// All keys are up: the window is not listened to any more.
+    /// Releases all keys, because the window lost the focus.
     pub fn stand(&mut self) {
         self.walking = [[false; 2]; 3];
         self.fast = false;
     }
 
-    /// The camera or the window has just changed.
+    /// Records a change of the camera or the window.
     pub fn moves(&mut self) {
         self.moved = Some(Instant::now());
         self.stale = true;
     }
 
-    /// Whether the camera moves, or has until just now.
+    /// Returns true if the camera moves or moved less than [`REST`] ago.
     fn is_moving(&self) -> bool {
         self.walks() || self.moved.is_some_and(|at| at.elapsed() < REST)
     }
 
-    /// Whether a coarse frame still has to be replaced by a fine one; asks for that frame once the camera rests.
+    /// Returns true if the last frame was coarse. Marks it stale once the camera rests.
     pub fn settles(&mut self) -> bool {
         let coarse = self.canvas.is_coarse();
         self.stale |= coarse && !self.is_moving();
         coarse
     }
 
-    /// Whether one is walking.
+    /// Returns true if a walking key is held.
     pub fn walks(&self) -> bool {
         self.walking.as_flattened().contains(&true)
     }
 
-    /// Walks for a while.
+    /// Walks for the given time.
     pub fn step(&mut self, time: Duration) {
         if !self.walks() {
             return;
         }
         let way = self.walking.map(|[back, forth]| f64::from(i8::from(forth) - i8::from(back)));
-        let pace = PACE * self.source.radius * if self.fast { 4.0 } else { 1.0 };
-        // Whoever could not draw for a while does not jump.
-        self.eye.walk(DVec3::from(way) * pace * time.as_secs_f64().min(0.2));
+        let turn_rate = RATE * self.source.radius * if self.fast { 4.0 } else { 1.0 };
+        // The time step is limited, so that a slow frame causes no jump.
+        self.eye.walk(DVec3::from(way) * turn_rate * time.as_secs_f64().min(0.2));
         self.stale = true;
     }
 
-    /// A button goes down.
+    /// Handles the press of a button.
     pub fn press(&mut self, drag: Drag) -> Result<()> {
         self.drag = Some(drag);
         let (camera, radius, shown) = (self.seen_with(), f64::from(self.handle_radius()), self.handles_shown());
@@ -386,7 +391,7 @@ impl Stage {
         Ok(())
     }
 
-    /// Buttons are up.
+    /// Handles the release of the buttons.
     pub fn release(&mut self) {
         self.drag = None;
         if let Some((_, handles)) = &mut self.relighter {
@@ -394,7 +399,7 @@ impl Stage {
         }
     }
 
-    /// The pointer is elsewhere.
+    /// Handles a movement of the pointer.
     pub fn point(&mut self, to: DVec2) -> Result<()> {
         let by = to - self.pointer;
         self.pointer = to;
@@ -417,7 +422,7 @@ impl Stage {
         Ok(())
     }
 
-    /// The wheel turns: over a light it dims that, else one comes nearer.
+    /// Handles the wheel: dims the light under the pointer, otherwise zooms.
     pub fn wheel(&mut self, notches: f64) -> Result<()> {
         self.stale = true;
         let (camera, radius, shown) = (self.seen_with(), f64::from(self.handle_radius()), self.handles_shown());
@@ -425,7 +430,7 @@ impl Stage {
             && let Some(light) = handles.pick(relighter, &camera, self.pointer, radius)?
         {
             handles.chosen = Some(light);
-            handles.act(relighter, LampAction::Gain(1.1f32.powf(notches as f32)))?;
+            handles.act(relighter, LightAction::Gain(1.1f32.powf(notches as f32)))?;
             return Ok(());
         }
         self.moves();

@@ -1,6 +1,7 @@
-//! `engine-bench front`: table and drawing of an existing report, as a run would write them.
+//! Table and plot of an existing report: `engine-bench front`.
 //!
-//! Figures come from the report; settings, bounds and standing of the choices come from this program.
+//! The output is the same as that of the original run. Figures come from the report; settings, bounds and standings
+//! come from this program.
 
 use super::choices::{Choice, of_geometry, of_intrinsic};
 use super::front::Ratio;
@@ -18,18 +19,18 @@ use std::path::{Path, PathBuf};
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// A report of `tradeoff`, or all of a device.
+    /// Report of `tradeoff`, or file with all reports of a device.
     file: PathBuf,
-    /// Which of them, by settings of the report, such as scene=fox or stage=geometry.
+    /// Settings that select the report, such as scene=fox or stage=geometry.
     #[arg(value_name = "NAME=VALUE", value_parser = setting)]
     which: Vec<(String, String)>,
-    /// Settings of the intrinsic stage, for a report from before they were recorded.
+    /// Settings of the intrinsic stage, for an older report that does not record them.
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
-    /// Draw time against error.
+    /// Write a plot of time against error.
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
-    /// Write the table in Markdown; it is printed if nothing is written.
+    /// Write the table as Markdown. It is printed if neither --table nor --svg is present.
     #[arg(long, value_name = "FILE.md")]
     table: Option<PathBuf>,
 }
@@ -42,7 +43,8 @@ fn setting(text: &str) -> Result<(String, String), String> {
 /// Runs the command.
 ///
 /// # Errors
-/// If the file cannot be read, not one report of it is meant, a figure is missing, or a file cannot be written.
+/// If the file cannot be read, the selection does not match one report, a figure is missing, or a file cannot be
+/// written.
 pub fn run(a: &Args) -> anyhow::Result<()> {
     let set = ReportSet::read(&a.file)?;
     let (presentation, unknown) = presentation(set.only("tradeoff", &a.which)?, a.config.as_deref())?;
@@ -56,9 +58,11 @@ pub fn run(a: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Builds the presentation of a report. Also returns the names of its choices that no longer exist.
+/// Builds the presentation of a report.
+///
+/// Also returns the names of its choices that no longer exist.
 pub fn presentation(report: &Report, config: Option<&Path>) -> anyhow::Result<(Presentation, Vec<String>)> {
-    // Whatever the device had.
+    // Includes the choices of all devices, whatever this device supports.
     let shape = MatrixShape { rows: 8, columns: 8, depth: 8 };
     let matrices = Some(Matrices { shape, units: false });
     let own = Tuning { matrices, ..Tuning::for_subgroups(report.device.subgroup_size) };
@@ -67,11 +71,11 @@ pub fn presentation(report: &Report, config: Option<&Path>) -> anyhow::Result<(P
         return Ok((intrinsic::presentation(report, &intrinsic::again(report, choices)?), unknown));
     }
     ensure!(config.is_none(), "--config is for reports of the intrinsic stage.");
-    let (choices, unknown) = chosen(report, of_geometry(&own, true)?)?;
+    let (choices, unknown) = chosen(report, of_geometry(&own)?)?;
     Ok((geometry::presentation(report, &geometry::again(report, choices)?), unknown))
 }
 
-/// Returns the settings that its choices differ from.
+/// Returns the settings that the choices of a report differ from.
 fn base(report: &Report, config: Option<&Path>) -> anyhow::Result<Settings> {
     let settings = match (recorded(report)?, config) {
         (Some(settings), None) => return Ok(settings),
@@ -87,7 +91,7 @@ fn base(report: &Report, config: Option<&Path>) -> anyhow::Result<Settings> {
     Ok(settings)
 }
 
-/// The choices of a report in its order, and names of those that are not known.
+/// Returns the choices of a report in its order, and the names of unknown ones.
 fn chosen(report: &Report, known: Vec<Choice>) -> anyhow::Result<(Vec<Choice>, Vec<String>)> {
     let times = report.values.iter().filter(|v| v.unit == "ms");
     let (mut choices, mut unknown) = (Vec::new(), Vec::new());
@@ -103,9 +107,9 @@ fn chosen(report: &Report, known: Vec<Choice>) -> anyhow::Result<(Vec<Choice>, V
 
 /// Figures of one choice in a report.
 pub struct Figures<'r> {
-    /// The report.
+    /// Report that contains the figures.
     pub report: &'r Report,
-    /// Its name.
+    /// Name of the choice.
     pub choice: &'r str,
 }
 
@@ -116,17 +120,17 @@ impl Figures<'_> {
         self.report.values.iter().find(|v| v.name == name).map(|v| v.value)
     }
 
-    /// A measurement.
+    /// Returns a measurement, or an error if it is missing.
     pub fn summary(&self, what: &str) -> anyhow::Result<Summary> {
         self.any(what).with_context(|| format!("The report has no {what} of \"{}\".", self.choice))
     }
 
-    /// One that is a single number.
+    /// Returns the median of a measurement.
     pub fn number(&self, what: &str) -> anyhow::Result<f64> {
         Ok(self.summary(what)?.median)
     }
 
-    /// A time by that of `exact`.
+    /// Returns the ratio of a time to that of `exact`.
     pub fn ratio(&self, what: &str) -> anyhow::Result<Ratio> {
         if self.choice == "exact" {
             return Ok(Ratio::EXACT);
@@ -135,25 +139,25 @@ impl Figures<'_> {
         Ok(of_exact.summary(what)?.into())
     }
 
-    /// Device memory.
+    /// Returns device memory in bytes.
     pub fn bytes(&self) -> anyhow::Result<u64> {
         Ok((self.number("device memory of training")? * 1e6).round() as u64)
     }
 
-    /// A fact that is a number, in its unit.
+    /// Returns a numeric fact with this unit.
     pub fn fact(&self, what: &str, unit: &str) -> Option<f64> {
         let name = format!("{what}, {}, {unit}", self.choice);
         self.report.facts.iter().find(|f| f.name == name)?.value.as_f64()
     }
 
-    /// A fact in words.
+    /// Returns a textual fact.
     pub fn text(&self, what: &str) -> Option<&str> {
         let name = format!("{what}, {}", self.choice);
         self.report.facts.iter().find(|f| f.name == name)?.value.as_str()
     }
 }
 
-/// An empty report with some settings.
+/// Returns an empty report with some settings.
 #[cfg(test)]
 pub fn report(settings: &[(&str, serde_json::Value)]) -> Report {
     let device = crate::report::DeviceLine {
@@ -168,11 +172,11 @@ pub fn report(settings: &[(&str, serde_json::Value)]) -> Report {
     report
 }
 
-/// Asserts that a report read back has the same presentation.
+/// Asserts that a report that is read back has the same presentation.
 #[cfg(test)]
 pub fn assert_round_trip(report: &Report, first: &Presentation) {
     let mut report: Report = serde_json::from_str(&serde_json::to_string(report).unwrap()).unwrap();
-    // How choices stood is not taken from it.
+    // Standings are recomputed, not read.
     report.facts.retain(|f| !f.name.starts_with(crate::report::standing::PREFIX));
     let (again, unknown) = presentation(&report, None).unwrap();
     assert!(unknown.is_empty(), "{unknown:?}");
@@ -208,7 +212,7 @@ mod tests {
         newer.setting("settings", "intrinsic.lights.grid=2");
         assert_eq!(base(&newer, None).unwrap().intrinsic.lights.grid, 2);
         assert!(message(&newer, Some(&small)).contains("settings of its own"));
-        // Those of geometry have none that matter.
+        // Reports of the geometry stage do not use `--config`.
         let message = presentation(&report(&[]), Some(&small)).err().unwrap().to_string();
         assert_eq!(message, "--config is for reports of the intrinsic stage.");
         assert_eq!(setting("size=3x2"), Ok(("size".into(), "3x2".into())));

@@ -11,7 +11,7 @@ fn here(path: &str) -> PathBuf {
 }
 
 #[test]
-fn levels_of_accuracy_are_beaten_by_nothing_that_was_measured() {
+fn no_measured_choice_beats_an_accuracy_level() {
     let reports = ReportSet::read(&here("results/tradeoff/llvmpipe.json")).unwrap().reports;
     assert!(reports.iter().filter(|r| r.settings.contains_key("stage")).count() >= 1 && reports.len() >= 4);
     let small = here("small.toml");
@@ -31,9 +31,9 @@ fn levels_of_accuracy_are_beaten_by_nothing_that_was_measured() {
     assert!(wrong.is_empty(), "beaten: {}", wrong.join(", "));
 }
 
-/// What is recorded since they were made, and which choices a run is of, keeps no run from them.
+/// Entries that were recorded later and filters do not prevent comparison.
 #[test]
-fn reports_from_before_are_found_and_compared() {
+fn older_reports_are_found_and_compared() {
     let set = ReportSet::read(&here("results/tradeoff/llvmpipe.json")).unwrap();
     for old in &set.reports {
         let mut now = old.clone();
@@ -48,7 +48,7 @@ fn reports_from_before_are_found_and_compared() {
     }
 }
 
-/// Tables and drawings of the document match the recorded reports.
+/// Tables and plots of the document match the recorded reports.
 #[test]
 fn document_tables_match_recorded_reports() {
     let reports = ReportSet::read(&here("results/tradeoff/llvmpipe.json")).unwrap().reports;

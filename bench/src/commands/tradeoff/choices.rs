@@ -1,41 +1,44 @@
-//! Choices of both stages as command-line settings, and the settings that they resolve to.
+//! Choices of both stages as command-line settings and as resolved settings.
 
 use anyhow::{Context, ensure};
 use sgs_config::{Settings, accuracy_named, overlay};
 use sgs_passes::Tuning;
 
-/// Largest relative difference of gradients that sum the same terms in another order. Tests use the same bound for finite
-/// differences.
+/// Maximum relative difference of gradients due to the order of sums.
+///
+/// Tests use the same bound for finite differences.
 const ROUNDING: f64 = 1e-3;
 
 /// Effect of a choice, which determines its checks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Implementation: a step matches that of `exact` up to rounding, so that nothing is traded.
+    /// Equivalent implementation: a step matches that of `exact` up to rounding.
     Same,
     /// Accuracy of a step.
     Accuracy,
-    /// Later steps alone: its cost shows in a training, not in a single step.
+    /// Later steps only: the cost appears in a training, not in a single step.
     Later,
-    /// The model: gradients are not comparable.
+    /// Model: gradients are not comparable.
     Model,
 }
 
-/// One way to do it.
+/// Choice of settings that is measured.
 #[derive(Clone, Debug)]
 pub struct Choice {
-    /// Short.
+    /// Short name.
     pub name: String,
-    /// Settings as a user types them.
+    /// Settings as typed on the command line.
     pub setting: String,
-    /// What it changes.
+    /// Effect of the choice.
     pub kind: Kind,
-    /// What differs from the settings that all have.
+    /// Differences from the common settings.
     over: toml::Table,
 }
 
 impl Choice {
-    /// Creates a choice from `asks`: an optional `--accuracy NAME` first, then `KEY=VALUE` as for `--set`.
+    /// Creates a choice from `asks`.
+    ///
+    /// An optional `--accuracy NAME` comes first, then `KEY=VALUE` as for `--set`.
     pub fn new(name: &str, asks: &[&str], kind: Kind) -> anyhow::Result<Choice> {
         let mut over = toml::Table::new();
         for ask in asks {
@@ -49,12 +52,12 @@ impl Choice {
         Ok(Choice { name: name.to_owned(), setting: setting.join(", "), kind, over })
     }
 
-    /// A level of accuracy.
+    /// Creates the choice of an accuracy level.
     pub fn level(name: &str) -> anyhow::Result<Choice> {
         Choice::new(name, &[&format!("--accuracy {name}")], Kind::Accuracy)
     }
 
-    /// The settings that it is.
+    /// Returns the full settings of the choice.
     pub fn settings(&self, base: &Settings) -> anyhow::Result<Settings> {
         let mut table = base.to_table()?;
         overlay(&mut table, self.over.clone());
@@ -73,13 +76,13 @@ impl Choice {
         Ok(gradient)
     }
 
-    /// Returns whether its error shows in one step.
+    /// Returns whether the error of the choice appears in one step.
     pub fn shows(&self) -> bool {
         matches!(self.kind, Kind::Same | Kind::Accuracy)
     }
 }
 
-/// A setting as a table; a word need not be quoted.
+/// Parses a setting to a table. Words need no quotes.
 pub fn set(pair: &str) -> anyhow::Result<toml::Table> {
     let (key, value) = pair.split_once('=').with_context(|| format!("\"{pair}\" sets nothing."))?;
     let quoted = || format!("{key} = \"{value}\"").parse();
@@ -87,9 +90,9 @@ pub fn set(pair: &str) -> anyhow::Result<toml::Table> {
 }
 
 /// Returns the choices of the geometry stage.
-/// Order: `exact`, every single choice, levels of accuracy, equivalent implementations. Includes choices of features with
-/// `semantics`.
-pub fn of_geometry(own: &Tuning, semantics: bool) -> anyhow::Result<Vec<Choice>> {
+///
+/// Order: `exact`, every single choice, levels of accuracy, equivalent implementations.
+pub fn of_geometry(own: &Tuning) -> anyhow::Result<Vec<Choice>> {
     let mut all = vec![Choice::level("exact")?];
     let mut add = |name: &str, asks: &[&str], kind: Kind| -> anyhow::Result<()> {
         all.push(Choice::new(name, asks, kind)?);
@@ -107,16 +110,9 @@ pub fn of_geometry(own: &Tuning, semantics: bool) -> anyhow::Result<Vec<Choice>>
         let asks = [&format!("accuracy.transmittance_min={least}"), "accuracy.keep_last=true"];
         add(&format!("transmittance to {least}, last splat kept"), &asks, Kind::Accuracy)?;
     }
-    add("cubic for exp", &["accuracy.fast_exp=true"], Kind::Accuracy)?;
     add("colors in 16 bits", &["accuracy.color_bits=16"], Kind::Accuracy)?;
-    if semantics {
-        add("features in 16 bits", &["accuracy.feature_bits=16"], Kind::Accuracy)?;
-    }
     for level in ["balanced", "fast"] {
         add(level, &[&format!("--accuracy {level}")], Kind::Accuracy)?;
-    }
-    if semantics {
-        add("fast, features in 16 bits", &["--accuracy fast", "accuracy.feature_bits=16"], Kind::Accuracy)?;
     }
     let [width, height] = own.tile;
     for rows in [height / 2, height * 2] {
@@ -124,13 +120,14 @@ pub fn of_geometry(own: &Tuning, semantics: bool) -> anyhow::Result<Vec<Choice>>
     }
     add("backward by splats", &["geometry.backward=splat"], Kind::Same)?;
     add("backward by atomics", &["geometry.backward=atomic"], Kind::Same)?;
-    // Of one step; its trajectory is another.
+    // Equivalent within one step; trajectories over several steps differ.
     add("Adam of all", &["geometry.dense_adam=true"], Kind::Same)?;
     Ok(all)
 }
 
-/// Returns the choices of the intrinsic stage with these settings.
-/// Order: `exact`, every single choice, levels of accuracy, all together, other models.
+/// Returns the choices of the intrinsic stage for these settings.
+///
+/// Order: `exact`, every single choice, levels of accuracy, combinations, other models.
 pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>> {
     let mut all = vec![Choice::level("exact")?];
     let mut add = |name: &str, asks: &[&str], kind: Kind| -> anyhow::Result<()> {
@@ -192,32 +189,31 @@ mod tests {
     use sgs_engine::MatrixShape;
     use sgs_passes::{Accuracy, Matrices};
 
-    /// All choices of a stage, on a device that has all there is.
+    /// Returns all choices of both stages on a device with every capability.
     fn all() -> [Vec<Choice>; 2] {
         let shape = MatrixShape { rows: 8, columns: 8, depth: 8 };
         let matrices = Some(Matrices { shape, units: false });
         let own = Tuning { matrices, ..Tuning::for_subgroups(8) };
-        [of_geometry(&own, true).unwrap(), of_intrinsic(&Settings::default(), &own).unwrap()]
+        [of_geometry(&own).unwrap(), of_intrinsic(&Settings::default(), &own).unwrap()]
     }
 
     fn settings(choice: &Choice) -> Settings {
         choice.settings(&Settings::default()).unwrap()
     }
 
-    /// Names of the accuracy settings in which a choice differs from `exact`. A new setting does not compile until it has a
-    /// choice.
+    /// Returns the accuracy settings in which a choice differs from `exact`.
+    ///
+    /// A new setting fails to compile here until it is listed.
     fn traded(a: &Accuracy) -> Vec<&'static str> {
         let Accuracy {
             depth_bits,
             alpha_min,
             transmittance_min,
             keep_last,
-            fast_exp,
             visibility_operands,
             color_bits,
             table_bits,
             weight_bits,
-            feature_bits,
         } = *a;
         let exact = Accuracy::EXACT;
         let all = [
@@ -225,18 +221,16 @@ mod tests {
             ("alpha_min", alpha_min != exact.alpha_min),
             ("transmittance_min", transmittance_min != exact.transmittance_min),
             ("keep_last", keep_last != exact.keep_last),
-            ("fast_exp", fast_exp != exact.fast_exp),
             ("visibility_operands", visibility_operands != exact.visibility_operands),
             ("color_bits", color_bits != exact.color_bits),
             ("table_bits", table_bits != exact.table_bits),
             ("weight_bits", weight_bits != exact.weight_bits),
-            ("feature_bits", feature_bits != exact.feature_bits),
         ];
         all.into_iter().filter(|(_, differs)| *differs).map(|(name, _)| name).collect()
     }
 
     #[test]
-    fn everything_that_is_traded_is_a_choice() {
+    fn every_accuracy_setting_has_a_choice() {
         let of = |choices: &[Choice]| choices.iter().flat_map(|c| traded(&settings(c).accuracy)).collect::<Vec<_>>();
         let found = all().map(|choices| of(&choices)).concat();
         let every = toml::Table::try_from(Accuracy::EXACT).unwrap();
@@ -244,12 +238,12 @@ mod tests {
             assert!(found.contains(&name.as_str()), "no choice has another {name}");
         }
         assert!(traded(&Accuracy::EXACT).is_empty());
-        // Alone, too, but where one means nothing without another.
+        // Every setting also has a choice of its own, except where it depends on another setting.
         let alone = |name: &str| all().concat().iter().any(|c| traded(&settings(c).accuracy) == [name]);
         assert!(every.keys().all(|name| alone(name) || name == "transmittance_min"));
         let with_last = |c: &Choice| traded(&settings(c).accuracy) == ["transmittance_min", "keep_last"];
         assert!(all()[0].iter().any(with_last));
-        // And what else costs accuracy for speed in training.
+        // Training settings that trade accuracy for speed have choices, too.
         let [_, lit] = all();
         let intrinsic: Vec<_> = lit.iter().map(|c| settings(c).intrinsic).collect();
         assert!(intrinsic.iter().any(|s| s.environment.every > 1) && intrinsic.iter().any(|s| s.visibility.sample > 1));
@@ -257,7 +251,7 @@ mod tests {
         assert!(intrinsic.iter().any(|s| s.lights.prune > 0.0) && intrinsic.iter().any(|s| s.lights.lobes < 12));
     }
 
-    /// What `sgs train --accuracy ... --set ...` makes of what the table shows.
+    /// Parses the settings of the table as `sgs train --accuracy ... --set ...` does.
     fn parsed_settings(text: &str) -> Settings {
         let mut table = toml::Table::new();
         for ask in text.split(", ") {
@@ -295,7 +289,6 @@ mod tests {
             ("transmittance to 0.05, last splat kept", Accuracy { transmittance_min: 0.05, keep_last: true, ..exact }),
             ("balanced", Accuracy::BALANCED),
             ("fast", Accuracy::FAST),
-            ("fast, features in 16 bits", Accuracy { feature_bits: 16, ..Accuracy::FAST }),
             ("tiles of 8x32", exact),
         ] {
             assert_eq!(of(name).accuracy, accuracy, "{name}");
@@ -307,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn no_two_are_the_same_and_the_first_is_exact() {
+    fn choices_are_distinct_and_exact_is_first() {
         for choices in all() {
             assert!(choices[0].name == "exact" && settings(&choices[0]) == Settings::default());
             for (i, a) in choices.iter().enumerate() {
@@ -325,7 +318,7 @@ mod tests {
         let geometry = ["tiles of 8x8", "tiles of 8x32", "backward by splats", "backward by atomics", "Adam of all"];
         assert_eq!(names, [&geometry[..], &["weights recomputed"], &tiles].concat());
         assert!(same.iter().all(|c| c.shows() && settings(c).accuracy == Accuracy::EXACT));
-        // It is held to that, and nothing else is.
+        // Only equivalent choices have a bound on their gradient error.
         assert_eq!(same[0].checked_gradient(1e-4).unwrap(), 1e-4);
         let message = same[0].checked_gradient(0.01).unwrap_err().to_string();
         assert_eq!(message, "\"tiles of 8x8\" should come to the same as exact, but its gradient is 1.0e-2 off.");

@@ -1,25 +1,25 @@
 //! Errors of images and gradients.
 //!
-//! Non-finite values have infinite error, and different lengths are refused. Otherwise a maximum would ignore NaN, and a
-//! pairing would ignore surplus elements, so that the worst results would count as equal.
+//! Non-finite values have infinite error, and different lengths are refused. Otherwise a maximum would ignore NaN,
+//! and pairing would ignore surplus elements. The worst results would then count as equal.
 
 use anyhow::ensure;
 
 /// Error of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImageError {
-    /// The largest difference.
+    /// Largest absolute difference.
     pub largest: f64,
-    /// The mean of the absolute differences.
+    /// Mean absolute difference.
     pub mean: f64,
-    /// Decibels.
+    /// PSNR, dB.
     pub psnr: f64,
 }
 
-/// Compares an image with the truth, number by number.
+/// Compares an image with the reference, element by element.
 ///
 /// # Errors
-/// If they are of different sizes, or empty.
+/// If the sizes differ or are zero.
 pub fn image_error(image: &[f32], truth: &[f64]) -> anyhow::Result<ImageError> {
     let (own, expected) = (image.len(), truth.len());
     ensure!(own == expected && own > 0, "An image of {own} numbers cannot be compared with one of {expected}.");
@@ -37,10 +37,12 @@ pub fn image_error(image: &[f32], truth: &[f64]) -> anyhow::Result<ImageError> {
     Ok(ImageError { largest, mean: sum / n, psnr: -10.0 * (square / n).max(1e-30).log10() })
 }
 
-/// Length of the difference of a gradient over that of the exact one; infinite if there is one where there should be none.
+/// Returns the relative error of a gradient: length of the difference over that of `exact`.
+///
+/// Infinite if the gradient differs from an exact gradient of zero.
 ///
 /// # Errors
-/// If they are of different sizes.
+/// If the sizes differ.
 pub fn of_gradient(exact: &[f32], other: &[f32]) -> anyhow::Result<f64> {
     let (own, expected) = (other.len(), exact.len());
     ensure!(own == expected, "A gradient of {own} numbers cannot be compared with one of {expected}.");
@@ -58,10 +60,10 @@ pub fn of_gradient(exact: &[f32], other: &[f32]) -> anyhow::Result<f64> {
     })
 }
 
-/// What was measured of a choice: reports hold nothing but numbers.
+/// Returns a measurement of a choice if it is finite. Reports contain finite numbers only.
 ///
 /// # Errors
-/// If it is none, with a sentence that names the choice.
+/// If the value is not finite, with a sentence that names the choice.
 pub fn finite(choice: &str, what: &str, value: f64) -> anyhow::Result<f64> {
     ensure!(value.is_finite(), "The {what} of \"{choice}\" is not a finite number.");
     Ok(value)
@@ -95,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn gradients_differ_relatively() {
+    fn gradient_error_is_relative() {
         assert!((of_gradient(&[3.0, 4.0], &[3.0, 4.5]).unwrap() - 0.1).abs() < 1e-12);
         // Two zero gradients agree exactly; a nonzero gradient differs infinitely from a zero one.
         assert_eq!((of_gradient(&[0.0], &[0.0]).unwrap(), of_gradient(&[], &[]).unwrap()), (0.0, 0.0));

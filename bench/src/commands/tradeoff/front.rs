@@ -1,7 +1,6 @@
-//! The Pareto front: choices that no other beats, within the resolution of times.
+//! Pareto front: choices that no other choice beats, within the resolution of times.
 //!
-//! Choices that compute the same as `exact` in another way are not ranked: their time depends on the device and trades no
-//! accuracy.
+//! Equivalent choices are not ranked: their time depends on the device, and they trade no accuracy.
 
 use super::choices::Kind;
 use crate::report::standing;
@@ -9,48 +8,51 @@ use crate::stats::Summary;
 use std::f64::consts::FRAC_PI_2;
 use std::fmt;
 
-/// No ratio is surer than this.
+/// Minimum standard error of a ratio.
 const LEAST: f64 = 0.005;
 
 /// Ratio of a choice's time to that of `exact` right before and after it.
-/// Slow phases of the machine affect both and cancel.
+///
+/// Slow phases of the machine affect both times and cancel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ratio {
-    /// The median of all rounds.
+    /// Median over all rounds.
     pub value: f64,
-    /// Its standard error.
+    /// Standard error.
     pub off: f64,
-    /// How many there were.
+    /// Number of rounds.
     pub rounds: usize,
 }
 
 impl Ratio {
-    /// Of `exact` itself.
+    /// Ratio of `exact` to itself.
     pub const EXACT: Ratio = Ratio { value: 1.0, off: 0.0, rounds: 1 };
 
-    /// Of one ratio a round.
+    /// Computes the ratio from one ratio per round.
     pub fn of(rounds: &[f64]) -> Ratio {
         Ratio::from(Summary::of(rounds))
     }
 
-    /// Whether both are numbers.
+    /// Returns whether value and error are finite.
     fn is_finite(&self) -> bool {
         self.value.is_finite() && self.off.is_finite()
     }
 
-    /// Returns whether it is significantly less.
+    /// Returns whether this ratio is significantly less.
     fn surely_below(&self, other: &Ratio) -> bool {
         other.value - self.value > 2.0 * self.off.hypot(other.off).max(LEAST)
     }
 }
 
-/// The standard error of a median of so many normal samples, over their standard deviation.
+/// Returns the standard error of a median, relative to the standard deviation.
+///
+/// Applies to normally distributed samples.
 fn median_error(samples: usize) -> f64 {
     (FRAC_PI_2 / samples as f64).sqrt()
 }
 
 impl From<Summary> for Ratio {
-    /// Of single rounds.
+    /// Converts the statistics of single rounds.
     fn from(s: Summary) -> Ratio {
         let rounds = s.samples.max(1);
         let off = median_error(rounds) * s.sigma();
@@ -61,8 +63,9 @@ impl From<Summary> for Ratio {
 }
 
 impl From<Ratio> for Summary {
-    /// Returns the ratio with the spread of single rounds, which comparisons of reports use.
-    /// Runs at different times differ by more than rounds of one run.
+    /// Returns the ratio with the spread of single rounds.
+    ///
+    /// Comparisons of reports use this spread: runs at different times differ by more than rounds of one run.
     fn from(r: Ratio) -> Summary {
         Summary::known(r.value, r.off / median_error(r.rounds), r.rounds)
     }
@@ -74,14 +77,14 @@ impl fmt::Display for Ratio {
     }
 }
 
-/// How a choice compares with all others.
+/// Standing of a choice among all others.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Standing {
-    /// No other is as close and not slower.
+    /// No other choice dominates it in error and time.
     Front,
-    /// Another is as close and, by less than what times vary, not slower.
+    /// Another choice is more accurate and not slower, but within timing noise.
     Tie,
-    /// Another is as close and surely faster.
+    /// Another choice has no larger error and is significantly faster.
     #[default]
     Beaten,
     /// Matches `exact` up to rounding; not ranked.
@@ -89,7 +92,7 @@ pub enum Standing {
 }
 
 impl Standing {
-    /// For reports, which may be compared.
+    /// Returns the value of the fact in reports.
     pub fn label(self) -> &'static str {
         match self {
             Standing::Front => standing::FRONT,
@@ -114,11 +117,11 @@ impl fmt::Display for Standing {
 /// Figures that a choice is ranked by.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
-    /// What it changes.
+    /// Effect of the choice.
     pub kind: Kind,
-    /// Its time.
+    /// Time relative to `exact`.
     pub time: Ratio,
-    /// How far off it is; within one percent of each other errors are the same.
+    /// Error. Errors within one percent of each other count as equal.
     pub error: f64,
 }
 
@@ -127,7 +130,9 @@ impl Place {
         self.time.is_finite() && self.error.is_finite()
     }
 
-    /// Returns whether it can beat others. Non-finite figures beat nothing; unranked choices do not compete.
+    /// Returns whether the choice can beat others.
+    ///
+    /// Non-finite figures beat nothing. Equivalent choices do not compete.
     fn ranked(&self) -> bool {
         self.kind != Kind::Same && self.is_finite()
     }
@@ -171,7 +176,7 @@ mod tests {
         let ranked = [(1.0, 1e-7), (0.97, 1e-3), (0.9, 1e-2)].map(|(t, e)| place(Kind::Accuracy, t, 0.005, e));
         let alone = standings(&ranked);
         assert_eq!(alone, [Front, Front, Front]);
-        // However fast it is it pushes nothing off the front, and however slow it stands for itself.
+        // A fast equivalent choice removes nothing from the front, and a slow one is not beaten.
         for time in [0.5, 0.95, 1.0, 1.5] {
             for error in [0.0, 1e-7, 2e-7] {
                 let mut all = ranked.to_vec();
@@ -189,7 +194,8 @@ mod tests {
     fn front_holds_undominated_choices() {
         let all = [(1.0, 1e-7), (1.2, 1e-3), (0.5, 1e-2), (0.55, 2e-2)];
         assert_eq!(standings_of(&all, 0.01), [Front, Beaten, Front, Beaten]);
-        // Where the same is measured twice, both stand; what is no faster for its error does not, if that is sure.
+        // Repeated measurements of the same choice are both on the front. A slower choice of equal error leaves the
+        // front if the difference is significant.
         let all = [(1.0, 1e-7), (0.99, 1e-7), (1.02, 1e-3), (0.98, 1e-3), (1.03, 1e-7)];
         assert_eq!(standings_of(&all, 0.03), [Front, Front, Tie, Front, Front]);
         assert_eq!(standings_of(&all, 0.005), [Front, Front, Beaten, Front, Beaten]);
@@ -199,7 +205,8 @@ mod tests {
     #[test]
     fn non_finite_choices_are_never_on_the_front() {
         for wrong in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-            // Neither by its error nor by its time, though it be the fastest or the only one.
+            // Neither a non-finite error nor a non-finite time reaches the front, even if it is the smallest or the
+            // only one.
             assert_eq!(standings_of(&[(1.0, 1e-7), (0.5, wrong)], 0.01), [Front, Beaten], "{wrong}");
             assert_eq!(standings_of(&[(1.0, 1e-7), (wrong, 1e-9)], 0.01), [Front, Beaten], "{wrong}");
             assert_eq!(standings_of(&[(wrong, wrong)], 0.01), [Beaten], "{wrong}");
@@ -210,16 +217,16 @@ mod tests {
     }
 
     #[test]
-    fn a_ratio_is_as_sure_as_its_rounds_agree() {
+    fn standard_error_follows_the_spread_of_rounds() {
         let r = Ratio::of(&[0.8, 0.82, 0.78, 5.0, 0.8]);
         assert!((r.value - 0.8).abs() < 1e-12 && (0.01..0.03).contains(&r.off), "{r:?}");
         assert_eq!(r.to_string(), format!("0.80 ± {:.2}", r.off));
-        // More rounds are surer; nothing is surer than clocks are.
+        // More rounds reduce the standard error, down to its minimum.
         let often: Vec<f64> = (0..100).map(|i| if i % 2 == 0 { 0.78 } else { 0.82 }).collect();
         assert!(Ratio::of(&often).off < 0.5 * Ratio::of(&often[..4]).off);
         assert_eq!(Ratio::of(&[0.8]), Ratio { value: 0.8, off: LEAST, rounds: 1 });
         assert_eq!(Ratio::EXACT.to_string(), "1.00");
-        // What is reported is the spread of rounds.
+        // Reports contain the spread of single rounds.
         let (all, stored) = (Summary::of(&often[..4]), Summary::from(Ratio::of(&often[..4])));
         assert!((stored.median, stored.samples) == (all.median, 4) && (stored.sigma() - all.sigma()).abs() < 1e-12);
     }

@@ -1,9 +1,10 @@
-//! The choices of the geometry stage, on Gaussians that stay fixed during the measurement.
+//! Choices of the geometry stage.
 //!
-//! For each choice: device time of a training step and of a frame, device memory of a step, image error, and gradient error.
-//! The image (with features as further channels, if any) is compared with the double-precision reference, which follows the
-//! definition of 3D Gaussian splatting. The gradient of one step is compared with that of `exact`, which tests bound by
-//! finite differences of the reference.
+//! The Gaussians stay fixed during the measurement. Measured for each choice: device time of a training step and of a
+//! frame, device memory of a step, image error, and gradient error. The image (with features as further channels, if
+//! any) is compared with the double-precision reference, which follows the definition of 3D Gaussian splatting. The
+//! gradient of one step is compared with that of `exact`, which tests check against finite differences of the
+//! reference.
 
 use super::again::Figures;
 use super::choices::{Choice, of_geometry};
@@ -23,7 +24,7 @@ use anyhow::Context;
 use sgs_config::{Backward, Settings};
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::pipeline::{RenderedImage, Renderer};
 use sgs_passes::reference::blend::render;
 use sgs_passes::scene::{GaussianData, Gaussians, Group};
 use sgs_passes::splat::{BackwardKernel, Channels};
@@ -35,27 +36,27 @@ use std::sync::Arc;
 /// Measurements of one choice.
 #[derive(Clone, Debug)]
 pub struct Point {
-    /// Which.
+    /// Choice that was measured.
     pub choice: Choice,
     /// Milliseconds of a step on the device.
     pub step: Summary,
     /// Milliseconds of a frame on the device.
     pub frame: Summary,
-    /// Both by those of `exact`.
+    /// Ratios of step and frame to those of `exact`.
     pub of_exact: [Ratio; 2],
-    /// Device memory of a trainer, bytes.
+    /// Device memory of a trainer in bytes.
     pub bytes: u64,
-    /// Image error, largest and mean.
+    /// Largest absolute image error.
     pub largest: f64,
-    /// Mean of the absolute differences.
+    /// Mean absolute image error.
     pub mean: f64,
     /// PSNR of the image, dB.
     pub psnr: f64,
-    /// Length of the difference of gradients over that of the exact one, the worst of all groups.
+    /// Largest relative gradient error over all parameter groups.
     pub gradient: f64,
-    /// How it compares with all others.
+    /// Standing among all choices.
     pub standing: Standing,
-    /// Quality after training with it.
+    /// Quality after training with the choice.
     pub quality: Option<Quality>,
 }
 
@@ -65,7 +66,7 @@ impl From<&Point> for Mark {
     }
 }
 
-/// Runs it.
+/// Runs the command for the geometry stage.
 ///
 /// # Errors
 /// As for all stages.
@@ -120,10 +121,10 @@ fn put(report: &mut Report, points: &[Point]) {
     report.fact("on the front", front.join(", "));
 }
 
-/// The same choices of what a report has, as they are ranked now.
+/// Restores measurements from a report and ranks them by the current rules.
 ///
 /// # Errors
-/// If it lacks a figure.
+/// If the report lacks a figure.
 pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Point>> {
     let point = |choice: Choice| -> anyhow::Result<Point> {
         let of = Figures { report, choice: &choice.name };
@@ -178,8 +179,9 @@ fn workload(device: &Device, a: &Args) -> anyhow::Result<Workload> {
     Ok(workload)
 }
 
-/// Returns the settings that choices of geometry differ from. The backward kernel is fixed instead of measured as in
-/// training, since otherwise each choice might get another kernel.
+/// Returns the settings that choices of the geometry stage differ from.
+///
+/// The backward kernel is fixed. Automatic selection could give each choice another kernel.
 fn base_settings() -> Settings {
     let mut base = Settings::default();
     base.geometry.backward = Backward::Pixel;
@@ -194,19 +196,19 @@ fn kernel(backward: Backward) -> BackwardKernel {
     }
 }
 
-/// One choice, ready to be timed.
+/// Choice that is ready to be timed.
 struct Subject<'w> {
-    /// Its measurements.
+    /// Measurements of the choice.
     point: Point,
     trainer: Trainer<'w>,
     renderer: Renderer,
-    /// Of steps and of frames: times, and of each round the ratio to `exact`.
+    /// Times of steps and of frames. `ratios`: ratio to `exact` in each round.
     times: [Vec<f64>; 2],
     ratios: [Vec<f64>; 2],
 }
 
 impl Subject<'_> {
-    /// Takes the time of some steps and of as many frames; the sum of each.
+    /// Times some steps and as many frames; returns the sum of each.
     fn take(
         &mut self,
         device: &Device,
@@ -243,14 +245,14 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         false,
         background.map(f64::from),
     );
-    // All share one decoder, which moves with every step; gradients are to be those of the same one.
+    // All choices share one decoder, which every step updates. Gradients must be those of the initial decoder.
     let decoder = match workload.semantics.as_deref() {
         Some((_, decoder)) => Some((decoder, decoder.download(device)?)),
         None => None,
     };
     let mut subjects = Vec::new();
     let mut exact: Option<GaussianData> = None;
-    for choice in of_geometry(&Tuning::for_device(device.info()), workload.model.semantics)? {
+    for choice in of_geometry(&Tuning::for_device(device.info()))? {
         let settings = choice.settings(&base)?;
         let (tuning, backward) = (settings.tuning(device.info()), kernel(settings.geometry.backward));
         if !a.wants(&choice.name) || !backward.runs_on(device.info()) {
@@ -265,7 +267,7 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         }
         let gradient = trainer.gradients(&workload.start)?;
         trainer.gaussians.upload(device, &workload.start)?;
-        // Every view once, so that none finds too little room later.
+        // Every view once, so that no later step grows the entry capacity.
         trainer.run(common.warmup.max(workload.views.len() as u32))?;
         trainer.set_timestamps(true)?;
         let bytes = device.memory_use().0 - before;
@@ -301,8 +303,8 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
         };
         subjects.push(Subject { point, trainer, renderer, times: Default::default(), ratios: Default::default() });
     }
-    // Every round starts at another choice, every other one runs backwards; `exact` is measured between all others. The
-    // number of steps is a multiple of the number of views, so that all choices see the same views.
+    // Each round starts at another choice, and every other round runs backwards. `exact` is measured between all
+    // others. The number of steps is a multiple of the number of views, so that all choices see the same views.
     let steps = common.repeats.next_multiple_of(workload.views.len().max(1) as u32);
     let (exact, others) = subjects.split_at_mut(1);
     let count = others.len();
@@ -341,8 +343,8 @@ fn measure(common: &Common, a: &Args, device: &Device, workload: &Workload) -> a
     Ok(points)
 }
 
-/// Colors, and behind those of each pixel its features, if there are any: the channels of the reference.
-fn with_features(device: &Device, renderer: &Renderer, rendered: Picture) -> anyhow::Result<Vec<f32>> {
+/// Returns the channels of the reference: colors, then features if any.
+fn with_features(device: &Device, renderer: &Renderer, rendered: RenderedImage) -> anyhow::Result<Vec<f32>> {
     let Some(buffer) = renderer.features() else { return Ok(rendered.image) };
     let wide = Group::Semantics.width() as usize;
     let pixels = rendered.image.chunks_exact(rendered.channels as usize);
@@ -350,7 +352,7 @@ fn with_features(device: &Device, renderer: &Renderer, rendered: Picture) -> any
     Ok(pixels.zip(features.chunks_exact(wide)).flat_map(|(color, own)| color.iter().chain(own)).copied().collect())
 }
 
-/// Relative difference of gradients, the worst of all groups.
+/// Returns the largest relative gradient error over all groups.
 fn difference(exact: &GaussianData, other: &GaussianData) -> anyhow::Result<f64> {
     let mut worst = 0.0_f64;
     for g in Group::ALL {
@@ -431,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn gradients_differ_by_their_worst_group() {
+    fn gradient_error_is_the_largest_over_groups() {
         let mut a = GaussianData::default();
         a.groups[Group::Means as usize] = vec![3.0, 4.0];
         a.groups[Group::Sh0 as usize] = vec![1.0];
@@ -439,7 +441,7 @@ mod tests {
         assert_eq!(difference(&a, &b).unwrap(), 0.0);
         b.groups[Group::Means as usize] = vec![3.0, 4.5];
         assert!((difference(&a, &b).unwrap() - 0.1).abs() < 1e-12);
-        // One that is lost in a group that is looked at before others is not made good by these.
+        // A later group with a smaller error does not hide a non-finite one.
         b.groups[Group::Means as usize] = vec![3.0, f32::NAN];
         assert_eq!(difference(&a, &b).unwrap(), f64::INFINITY);
         b.groups[Group::Means as usize] = vec![3.0];
@@ -463,7 +465,7 @@ mod tests {
             (nodes.count(), filled, text.matches("#808080").count())
         };
         assert_eq!(of(&text), (2, 2, 0));
-        // Another way to the same is a gray cross with a gray name, and takes nothing off the front.
+        // An equivalent choice is a gray cross with a gray name, and removes nothing from the front.
         points.push(point("another way", 4.0, 0.0));
         points[2].choice.kind = Kind::Same;
         assert_eq!(of(&drawn(&mut points)), (2, 2, 3));
@@ -474,7 +476,7 @@ mod tests {
 
     #[test]
     fn report_round_trips_to_the_same_presentation() {
-        let choices = of_geometry(&Tuning::for_subgroups(8), true).unwrap();
+        let choices = of_geometry(&Tuning::for_subgroups(8)).unwrap();
         for trained in [false, true] {
             let some = |(i, choice): (usize, Choice)| {
                 let (x, exact) = (i as f64, i == 0);
@@ -509,9 +511,9 @@ mod tests {
         }
     }
 
-    /// Two points side by side keep the order of their names.
+    /// Names of adjacent points are in the vertical order of the points.
     #[test]
-    fn names_stand_as_points_do() {
+    fn names_have_the_order_of_their_points() {
         let mark =
             |name: &str, error: f64| Mark { name: name.to_owned(), time: 1.0, error, standing: Standing::Beaten };
         let text = plot::svg(&[mark("exact", 1e-4), mark("lower", 1e-2), mark("upper", 1.2e-2)], "", "").unwrap();
@@ -521,7 +523,7 @@ mod tests {
             node.unwrap().attribute("y").unwrap().parse::<f64>().unwrap()
         };
         assert!(at("upper") + 11.0 < at("lower"), "{} and {}", at("upper"), at("lower"));
-        // A name that would lie on the next mark stands below it.
+        // A name that would overlap the next mark moves below it.
         let marks = [mark("exact", 1e-4), Mark { time: 1.005, ..mark("beside", 1e-4) }];
         let text = plot::svg(&marks, "", "").unwrap();
         let document = roxmltree::Document::parse(&text).unwrap();

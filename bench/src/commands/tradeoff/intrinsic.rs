@@ -1,10 +1,10 @@
-//! The choices of the intrinsic stage: time saved in a step, errors of image and gradients, and measures at test views after
-//! a fixed training.
+//! Choices of the intrinsic stage.
 //!
-//! Materials and lights are first trained with `exact`. Choices with the same model start there: the image of the next step
-//! is compared with double precision, its gradients with those of `exact`. Choices with another model train separately; only
-//! their time, memory and measures are compared. Times are host times of several steps together, since the work of some
-//! choices varies from step to step.
+//! Measured for each choice: step time, image and gradient errors, and quality at test views after a fixed training.
+//! Materials and lights are first trained with `exact`. Choices with the same model start there. The image of their
+//! next step is compared with double precision, its gradients with those of `exact`. Choices with another model train
+//! separately; only time, memory and quality are compared. Times are host times of several steps together, since the
+//! work of some choices varies from step to step.
 
 use super::again::Figures;
 use super::choices::{Choice, Kind, of_intrinsic};
@@ -31,10 +31,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Steps that are timed at once: as many as the slowest rhythm of a choice has, or a multiple of it.
+/// Steps timed together: a multiple of every update interval of the choices.
 const RHYTHM: u32 = 8;
 
-/// Steps after which a training that was put somewhere runs as ever.
+/// Warm-up steps after a training is restored.
 const WARM: u32 = 2;
 
 /// Measurements of one choice.
@@ -47,15 +47,15 @@ pub struct Row {
     image: Option<ImageError>,
     /// Error of gradients against those of `exact`.
     gradients: Option<GradientError>,
-    /// Quality after training with it.
+    /// Quality after training with the choice.
     quality: Option<Quality>,
     standing: Standing,
 }
 
-/// Runs the command.
+/// Runs the command for the intrinsic stage.
 ///
 /// # Errors
-/// If the device fails, a file cannot be read or written, or `exact` is not.
+/// If the device fails, a file cannot be read or written, or `exact` disagrees with double precision.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let mut report = common.report("tradeoff", &device);
@@ -121,10 +121,10 @@ fn put(report: &mut Report, rows: &[Row]) {
     report.fact("on the front", best.join(", "));
 }
 
-/// The same choices of what a report has, as they are ranked now.
+/// Restores measurements from a report and ranks them by the current rules.
 ///
 /// # Errors
-/// If it lacks a figure.
+/// If the report lacks a figure.
 pub fn again(report: &Report, choices: Vec<Choice>) -> anyhow::Result<Vec<Row>> {
     let row = |choice: Choice| -> anyhow::Result<Row> {
         let of = Figures { report, choice: &choice.name };
@@ -176,7 +176,7 @@ pub fn presentation(report: &Report, rows: &[Row]) -> Presentation {
     }
 }
 
-/// Settings of a training of its own: with every loss that `base` has.
+/// Returns the settings of a separate training, with every loss of `base`.
 fn of_training(base: &Settings, choice: &Choice, steps: u32) -> anyhow::Result<Settings> {
     let mut settings = choice.settings(base)?;
     settings.intrinsic.steps = steps;
@@ -193,7 +193,7 @@ fn measure(
 ) -> anyhow::Result<Vec<Row>> {
     let selected = |c: &Choice| a.wants(&c.name);
     let folder = tempfile::tempdir()?;
-    // One training at a time is in memory; what each begins with is in a file.
+    // Only one training is in memory at a time; the initial states are in files.
     let mut subjects: Vec<(Row, PathBuf, Vec<f64>)> = Vec::new();
     let start = folder.path().join("start");
     let mut exact: Option<(Probe, Vec<f64>)> = None;
@@ -220,8 +220,7 @@ fn measure(
         if let (Some((of_exact, truth)), true) = (&exact, same) {
             // Images of another size have other pixels.
             if settings.intrinsic.scale == base.intrinsic.scale {
-                let e =
-                    error::image_error(&probe.picture, truth).with_context(|| format!("The image of \"{name}\""))?;
+                let e = error::image_error(&probe.image, truth).with_context(|| format!("The image of \"{name}\""))?;
                 finite(name, "mean error", e.mean)?;
                 image = Some(e);
             }
@@ -252,7 +251,8 @@ fn measure(
         };
         subjects.push((row, own, Vec::new()));
     }
-    // Every round begins elsewhere, every other one runs backwards; `exact` is measured between all others.
+    // Each round starts at another choice, and every other round runs backwards. `exact` is measured between all
+    // others.
     let made = |row: &Row| -> anyhow::Result<Intrinsic> {
         Ok(Intrinsic::new(device, scene, &row.choice.settings(base)?, splats)?)
     };
@@ -260,7 +260,7 @@ fn measure(
     let (row, own, times) = &mut first[0];
     let mut exact = made(row)?;
     restore(&mut exact, own, &row.choice)?;
-    // The same steps as of the others, and so the same views.
+    // Trains the same steps as the other choices, so that all see the same views.
     let warm = exact.step() + RHYTHM;
     exact.train(warm - WARM, |_| {}, || true)?;
     let nearer = folder.path().join("warm");
@@ -315,38 +315,39 @@ fn mark(rows: &mut [Row]) {
     rows.iter_mut().filter(|r| r.choice.shows()).zip(standings).for_each(|(r, standing)| r.standing = standing);
 }
 
-/// Milliseconds of a step, of so many.
+/// Returns the mean milliseconds per step over `steps` steps.
 fn timed(training: &mut Intrinsic, steps: u32) -> anyhow::Result<f64> {
     let begin = Instant::now();
     training.train(training.step() + steps, |_| {}, || true)?;
     Ok(begin.elapsed().as_secs_f64() * 1e3 / f64::from(steps))
 }
 
-/// Restores a training to the state of `exact`.
+/// Restores a training to the state saved in `start`.
 fn restore(training: &mut Intrinsic, start: &Path, choice: &Choice) -> anyhow::Result<()> {
     training.restore(start).with_context(|| format!("\"{}\" cannot begin where \"exact\" came to", choice.name))
 }
 
-/// Error that a choice is ranked by: the larger of its gradient and image errors. Gradients of the field are left out: where
-/// few pairs supervise it, they are noisy in one step but unbiased.
+/// Returns the error that a choice is ranked by: the larger of gradient and image errors.
+///
+/// Gradients of the field are excluded. If few pairs supervise the field, they are noisy in one step but unbiased.
 fn error(row: &Row) -> f64 {
     let gradients = row.gradients.as_ref().map_or(0.0, |g| g.all);
     gradients.max(row.image.map_or(0.0, |p| p.mean))
 }
 
-/// Relative differences of gradients.
+/// Relative gradient errors.
 #[derive(Clone, Debug, Default, PartialEq)]
 struct GradientError {
-    /// The worst of all but the visibility field's.
+    /// Largest over all groups except the visibility field.
     all: f64,
-    /// The field's.
+    /// Largest over the groups of the visibility field.
     field: f64,
     /// Groups without a gradient in this step, since they are not updated every step.
     left_out: Vec<Cow<'static, str>>,
 }
 
 impl GradientError {
-    /// For the table.
+    /// Returns the table cell.
     fn cell(&self) -> String {
         match self.left_out.is_empty() {
             true => format!("{:.1e}", self.all),
@@ -368,12 +369,12 @@ fn difference(exact: &Probe, other: &Probe) -> anyhow::Result<GradientError> {
     Ok(found)
 }
 
-/// Decibels at the test views, of the training views where there are none.
+/// PSNR at the test views, or at the training views if there are no test views.
 #[derive(Clone, Copy, Debug)]
 struct Quality {
     /// PSNR of shaded images, dB.
     image_psnr: f64,
-    /// Of albedo, where the truth of all these views is known.
+    /// PSNR of albedo in dB, if all these views have ground truth.
     albedo: Option<f64>,
 }
 
@@ -458,7 +459,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn gradients_that_a_step_does_not_have_are_named() {
+    fn missing_gradients_are_named() {
         let probe = |gradients: &[(&'static str, &[f32])]| Probe {
             gradients: gradients.iter().map(|(name, values)| (*name, values.to_vec())).collect(),
             ..Probe::default()
@@ -469,7 +470,7 @@ mod tests {
         let found = difference(&exact, &not_updated).unwrap();
         assert!((found.all - 0.1).abs() < 1e-12 && found.field == 0.5 && found.left_out == ["environment"]);
         assert_eq!(found.cell(), "1.0e-1, without environment");
-        // What is no number stays so beside others, and what is missing in part is refused.
+        // NaN is not hidden by other values, and shorter gradients are refused.
         let wrong = probe(&[("albedo", &[f32::NAN, 4.0]), ("environment", &[1.0]), ("visibility_mlp", &[1.0])]);
         assert_eq!(difference(&exact, &wrong).unwrap().all, f64::INFINITY);
         assert!(difference(&exact, &probe(&[("albedo", &[3.0])])).is_err());
@@ -520,7 +521,7 @@ mod tests {
     }
 
     #[test]
-    fn steps_are_plain_and_trainings_have_their_losses() {
+    fn steps_omit_losses_and_trainings_include_them() {
         let folder = tempfile::tempdir().unwrap();
         let config = folder.path().join("config.toml");
         std::fs::write(&config, "[intrinsic]\nrelight_from = 50\n[intrinsic.losses]\ncross_view = 0.3\n").unwrap();
@@ -530,7 +531,7 @@ mod tests {
         assert_eq!((i.losses.cross_view, i.losses.relight, i.relight_from, i.steps), (0.3, 0.4, 50, 300));
         let measured = Choice::level("fast").unwrap().settings(&plain(&base)).unwrap();
         assert_eq!((measured.intrinsic.losses.cross_view, measured.intrinsic.losses.relight), (0.0, 0.0));
-        // And nothing else.
+        // All other settings are equal.
         let mut again = measured.clone();
         (again.intrinsic.losses, again.intrinsic.steps) = (i.losses, 300);
         assert_eq!(again, own);

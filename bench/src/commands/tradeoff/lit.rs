@@ -1,4 +1,6 @@
-//! A shaded image in double precision, from splats to display: the references of all passes of a step in sequence.
+//! Double-precision reference of a shaded image, from splats to display values.
+//!
+//! Runs the references of all passes of a step in sequence.
 
 use crate::workload::{reference_camera, reference_gaussians};
 use anyhow::{Context, bail};
@@ -18,7 +20,7 @@ use sgs_scene::Splats;
 
 type V3 = [f64; 3];
 
-/// Display-referred, three numbers a pixel.
+/// Returns display values, three per pixel.
 pub fn shaded_reference(
     splats: &Splats,
     light: &RunLight,

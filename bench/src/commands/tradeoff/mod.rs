@@ -1,8 +1,8 @@
-//! `engine-bench tradeoff`: cost and benefit of each choice that trades accuracy for speed.
+//! Cost and benefit of each choice that trades accuracy for speed: `engine-bench tradeoff`.
 //!
-//! Choices are measured in rounds, in another order each round, with `exact` before and after each. Times are ratios to
-//! these, so that slow phases of the machine cancel, and carry their standard error. A choice is on the front if no other
-//! ranked choice is both faster and closer ([`front`]). Choices that compute the same as `exact`
+//! Choices are measured in rounds of varying order, with `exact` before and after each. Times are ratios to these, so
+//! that slow phases of the machine cancel. They carry their standard error. A choice is on the front if no other
+//! ranked choice is both faster and more accurate ([`front`]). Choices that compute the same as `exact`
 //! ([`choices::Kind::Same`]) are not ranked.
 
 pub mod again;
@@ -26,49 +26,50 @@ use std::path::{Path, PathBuf};
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// A scene directory in place of the synthetic room.
+    /// Scene directory, in place of the synthetic room.
     #[arg(long, value_name = "DIR", conflicts_with_all = ["gaussians", "size"])]
     pub scene: Option<PathBuf>,
-    /// With the semantic loss, and the choices of its features; the scene must have the priors.
+    /// Include the semantic loss and the choices of its features. The scene must have the priors.
     #[arg(long, requires = "scene")]
     pub semantics: bool,
-    /// Whose choices.
+    /// Stage whose choices are measured.
     #[arg(long, value_enum, default_value = "geometry")]
     pub stage: Stage,
-    /// Settings of the intrinsic stage that choices differ from, a TOML file as config.toml of a run.
+    /// TOML file with settings of the intrinsic stage, as config.toml of a run. Choices differ from these settings.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
-    /// Steps of a training of its own after which each choice is measured at the test views; not measured without.
+    /// Training steps before each choice is measured at the test views. Each choice has a training of its own. Without
+    /// this option, quality is not measured.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub quality: Option<u32>,
-    /// Trained Gaussians of the scene; without them its points, or those of the room, are trained first.
+    /// Trained Gaussians of the scene. Without them, the points of the scene or of the room are trained first.
     #[arg(long, value_name = "FILE.ply", requires = "scene")]
     pub geometry: Option<PathBuf>,
-    /// Steps of training before anything is measured, if --geometry is absent.
+    /// Training steps before the first measurement, if --geometry is absent.
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub train: u32,
-    /// Gaussians of the synthetic room; 20000 on a processor, 1000000 elsewhere.
+    /// Number of Gaussians of the synthetic room; 20000 on a CPU, 1000000 elsewhere.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(100..=50_000_000))]
     pub gaussians: Option<u32>,
-    /// Size of its views; 320x240 on a processor, 1920x1080 elsewhere.
+    /// View size of the synthetic room; 320x240 on a CPU, 1920x1080 elsewhere.
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     pub size: Option<[u32; 2]>,
-    /// Only choices with this in their name, and `exact`.
+    /// Measure only `exact` and choices whose names contain S.
     #[arg(long, value_name = "S")]
     pub filter: Option<String>,
-    /// Rounds through all choices, with --repeats steps and frames of each.
+    /// Number of rounds through all choices, with --repeats steps and frames of each.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     pub rounds: u32,
-    /// Draw time against error.
+    /// Write a plot of time against error.
     #[arg(long, value_name = "FILE.svg")]
     pub svg: Option<PathBuf>,
-    /// Write the table in Markdown.
+    /// Write the table as Markdown.
     #[arg(long, value_name = "FILE.md")]
     pub table: Option<PathBuf>,
 }
 
 impl Args {
-    /// Whether a choice is measured; `exact` always is.
+    /// Returns whether a choice is measured; `exact` always is.
     fn wants(&self, choice: &str) -> bool {
         choice == "exact" || self.filter.as_ref().is_none_or(|f| choice.contains(f.as_str()))
     }
@@ -77,7 +78,7 @@ impl Args {
 /// Runs the command.
 ///
 /// # Errors
-/// If the device fails, a file cannot be read or written, or `exact` is not.
+/// If the device fails, a file cannot be read or written, or `exact` disagrees with double precision.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.stage == Stage::Intrinsic {
         anyhow::ensure!(!a.semantics, "--semantics is for --stage geometry.");
@@ -93,9 +94,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
 
 /// Table and plot of the choices of a stage.
 pub struct Presentation {
-    /// In Markdown.
+    /// Table in Markdown.
     table: String,
-    /// Marks of the plot, its title, and the label of its errors.
+    /// Marks of the plot, its title, and the label of its error axis.
     marks: Vec<Mark>,
     title: String,
     errors: &'static str,
@@ -106,7 +107,7 @@ impl Presentation {
         plot::svg(&self.marks, &self.title, self.errors)
     }
 
-    /// Writes table and drawing to the requested files.
+    /// Writes table and plot to the requested files.
     fn write(&self, table: Option<&Path>, svg: Option<&Path>) -> anyhow::Result<()> {
         let write =
             |path: &Path, text: &str| sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()));
@@ -119,7 +120,9 @@ impl Presentation {
         Ok(())
     }
 
-    /// The same after a run, which prints the table unless its report goes there.
+    /// Writes the requested files after a run.
+    ///
+    /// Prints the table unless standard output receives the report as JSON.
     fn leave(&self, common: &Common, a: &Args) -> anyhow::Result<()> {
         self.write(a.table.as_deref(), a.svg.as_deref())?;
         if common.json.as_deref().is_none_or(|p| p.as_os_str() != "-") {

@@ -1,31 +1,32 @@
-//! Plot of time against error as SVG.
+//! Plot of error over step time as SVG.
 
 use super::front::Standing;
 use anyhow::anyhow;
 use plotters::prelude::*;
 
-/// Errors below this are drawn here: exact ones would be at minus infinity.
+/// Smallest error that is drawn. Smaller errors, such as zero, are drawn here on the logarithmic axis.
 const LEAST: f64 = 1e-8;
 
 /// Color of choices that are not ranked.
 const GRAY: RGBColor = RGBColor(128, 128, 128);
 
-/// Where a choice is drawn.
+/// Position and style of a choice in the plot.
 #[derive(Clone, Debug)]
 pub struct Mark {
-    /// Its name.
+    /// Name of the choice.
     pub name: String,
-    /// Of a step.
+    /// Step time.
     pub time: f64,
-    /// Its error.
+    /// Error of the choice.
     pub error: f64,
-    /// How it compares with all others.
+    /// Standing among all choices.
     pub standing: Standing,
 }
 
 /// Draws error over step time as SVG; `what` labels the errors.
-/// The x axis is step time relative to the first choice, the y axis error in powers of ten. Choices on the front are filled
-/// and joined by a line; those that match `exact` are gray crosses beside it.
+///
+/// The x axis is step time relative to the first choice, the y axis error in powers of ten. Choices on the front are
+/// filled and joined by a line. Equivalent choices are gray crosses.
 pub fn svg(points: &[Mark], title: &str, what: &str) -> anyhow::Result<String> {
     let mut out = String::new();
     draw(points, title, what, &mut out).map_err(|e| anyhow!("The drawing failed: {e}"))?;
@@ -57,7 +58,7 @@ fn draw(points: &[Mark], title: &str, what: &str, out: &mut String) -> Result<()
     front.sort_by(|a, b| a.0.total_cmp(&b.0));
     chart.draw_series(LineSeries::new(front, BLUE.mix(0.5).stroke_width(2)))?;
     let mut names: Vec<(i32, i32, i32)> = Vec::new();
-    // So that of two names the upper one is that of the upper point.
+    // The upper of two adjacent points gets the upper name.
     let mut from_above: Vec<&Mark> = points.iter().collect();
     from_above.sort_by_key(|p| chart.backend_coord(&at(p)).1);
     let marks: Vec<(i32, i32)> = from_above.iter().map(|p| chart.backend_coord(&at(p))).collect();
@@ -67,7 +68,8 @@ fn draw(points: &[Mark], title: &str, what: &str, out: &mut String) -> Result<()
             Standing::Front => chart.draw_series([Circle::new(at(p), 5, BLUE.filled())])?,
             _ => chart.draw_series([Circle::new(at(p), 5, BLACK.mix(0.5).stroke_width(1))])?,
         };
-        // Names move down until they lie on no other's, and on no mark beside their own: 6 pixels a letter, 12 a line.
+        // Names move down until they overlap neither another name nor a mark to their right. A letter is 6 pixels
+        // wide, a line 12 high.
         let (x, y) = chart.backend_coord(&at(p));
         let width = 6 * p.name.len() as i32;
         let mut down = -6;

@@ -1,4 +1,6 @@
-//! Quality of a scene's geometry at its test views after training with a choice. Measures are always exact.
+//! Quality of a scene's geometry at its test views after training with a choice.
+//!
+//! Metrics are always computed with exact settings.
 
 use anyhow::Context;
 use sgs_config::Settings;
@@ -10,14 +12,18 @@ use sgs_scene::Scene;
 use sgs_train::{Trainer, TrainerOptions};
 use std::sync::Arc;
 
-/// PSNR of images in dB, and degrees of normals if the truth is known; of the training views where there are no others.
+/// PSNR of images in dB, and error of normals in degrees if ground truth exists.
+///
+/// Measured at the training views if there are no test views.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Quality {
     pub psnr: f64,
     pub normals: Option<f64>,
 }
 
-/// Trains from the scene's points by the settings of a choice, with classes or without.
+/// Trains from the scene's points with a choice and measures the quality.
+///
+/// `semantics`: trains semantic features, too.
 pub fn trained(
     device: &Device,
     scene: &Arc<Scene>,

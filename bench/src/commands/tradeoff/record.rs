@@ -1,14 +1,16 @@
-//! Settings recorded in a report, so that only choices of the same settings are compared.
+//! Settings recorded in a report.
+//!
+//! Only reports of equal settings are compared.
 
 use super::Args;
 use super::choices::set;
 use crate::report::{FILTER, Report};
 use sgs_config::{Settings, overlay};
 
-/// Records it.
+/// Records settings, filter, number of rounds and origin of the geometry.
 ///
 /// # Errors
-/// If settings cannot be written.
+/// If the settings cannot be serialized.
 pub fn record(report: &mut Report, a: &Args, base: &Settings) -> anyhow::Result<()> {
     report.setting("settings", differing(base)?);
     report.setting(FILTER, a.filter.clone().unwrap_or_default());
@@ -17,17 +19,17 @@ pub fn record(report: &mut Report, a: &Args, base: &Settings) -> anyhow::Result<
     Ok(())
 }
 
-/// The settings that were recorded; none in reports from before they were.
+/// Returns the recorded settings; `None` for reports that predate the record.
 ///
 /// # Errors
-/// If they are no settings.
+/// If the recorded text is not valid settings.
 pub fn recorded(report: &Report) -> anyhow::Result<Option<Settings>> {
     let Some(text) = report.setting_text("settings") else { return Ok(None) };
     let mut table = Settings::default().to_table()?;
     if text == DEFAULTS {
         return Ok(Some(Settings::default()));
     }
-    // Lists have commas of their own.
+    // Lists contain commas, too.
     let mut all: Vec<String> = Vec::new();
     for part in text.split(", ") {
         match all.last_mut() {
@@ -41,10 +43,12 @@ pub fn recorded(report: &Report) -> anyhow::Result<Option<Settings>> {
     Ok(Some(Settings::from_table(table)?))
 }
 
-/// Of settings that are.
+/// Recorded text if all settings have their defaults.
 const DEFAULTS: &str = "the defaults";
 
-/// Settings that are not the defaults, as `--set` would take them. The scene has its own setting, and its folder is private.
+/// Returns the settings that differ from the defaults, in the syntax of `--set`.
+///
+/// The scene is excluded: it has its own entry, and its path is private.
 pub fn differing(settings: &Settings) -> anyhow::Result<String> {
     let (mut own, defaults) = (settings.to_table()?, Settings::default().to_table()?);
     own.remove("scene");
@@ -61,7 +65,7 @@ fn collect(prefix: &str, own: &toml::Table, defaults: &toml::Table, all: &mut Ve
                 collect(&format!("{name}."), own, defaults, all);
             }
             (toml::Value::Float(v), d) if d != Some(value) => {
-                // Most are of single precision, and have more digits than were meant.
+                // Most values are single precision; as double precision they print more digits than were set.
                 let short = *v as f32;
                 let text = if f64::from(short) == *v { short.to_string() } else { v.to_string() };
                 all.push(format!("{name}={text}"));
@@ -76,7 +80,7 @@ fn collect(prefix: &str, own: &toml::Table, defaults: &toml::Table, all: &mut Ve
 mod tests {
     use super::*;
 
-    /// The small setting of docs/project/ablation.md, without the settings of accuracy levels.
+    /// Compares with the small setting of docs/project/ablation.md. Excludes the settings of accuracy levels.
     #[test]
     fn small_preset_matches_its_description() {
         let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("small.toml");
@@ -84,9 +88,8 @@ mod tests {
         small.check().unwrap();
         assert_eq!(
             differing(&small).unwrap(),
-            "intrinsic.environment.resolution=32, intrinsic.lights.grid=3, intrinsic.rates.albedo=0.03, \
-             intrinsic.rates.metallic=0.03, intrinsic.rates.roughness=0.03, intrinsic.relight_from=50, \
-             intrinsic.visibility.finest=256, intrinsic.visibility.levels=8, intrinsic.visibility.log2_table=14"
+            "intrinsic.environment.resolution=32, intrinsic.lights.grid=3, intrinsic.rates.materials=0.03, \
+             intrinsic.relight_from=50, intrinsic.visibility.finest=256, intrinsic.visibility.levels=8, intrinsic.visibility.log2_table=14"
         );
     }
 
@@ -96,15 +99,15 @@ mod tests {
         let mut s = Settings { scene: "somewhere".into(), ..Settings::default() };
         assert_eq!(differing(&s).unwrap(), "the defaults");
         s.intrinsic.visibility.levels = 8;
-        s.intrinsic.rates.albedo = 0.03;
+        s.intrinsic.rates.materials = 0.03;
         s.geometry.densify.enabled = false;
         s.scale = 0.3;
         let differences = differing(&s).unwrap();
         assert_eq!(
             differences,
-            "geometry.densify.enabled=false, intrinsic.rates.albedo=0.03, intrinsic.visibility.levels=8, scale=0.3"
+            "geometry.densify.enabled=false, intrinsic.rates.materials=0.03, intrinsic.visibility.levels=8, scale=0.3"
         );
-        // And is found again in a report.
+        // The record parses back to the same settings.
         let mut report = super::super::again::report(&[]);
         assert_eq!(recorded(&report).unwrap(), None);
         for settings in [Settings { scene: "".into(), ..s.clone() }, Settings::default()] {
@@ -114,10 +117,10 @@ mod tests {
         report.setting("settings", "geometry.background=[0.5, 0.25, 1], train.tile_rows=8");
         let found = recorded(&report).unwrap().unwrap();
         assert_eq!((found.geometry.background, found.train.tile_rows), ([0.5, 0.25, 1.0], 8));
-        // Every other size, rate and level is another report.
+        // Any other size, rate or level gives another record.
         let others: [fn(&mut Settings); 6] = [
             |s| s.intrinsic.visibility.finest = 256,
-            |s| s.intrinsic.rates.metallic = 0.03,
+            |s| s.intrinsic.rates.lights = 0.1,
             |s| s.intrinsic.environment.resolution = 32,
             |s| s.intrinsic.lights.lobes = 6,
             |s| s.intrinsic.scale = 0.5,

@@ -1,6 +1,6 @@
 //! Reasons of a plan's barriers: the conflicting accesses that each one separates.
 //!
-//! For explanation, not verification. Tracks accesses per byte over several replays, and assigns each conflict to the
+//! For explanation, not verification. Tracks accesses per byte over two replays, and assigns each conflict to the
 //! first barrier that covers it alone. Layout transitions and external users are not included. The verifier
 //! ([`crate::graph::verify`]) checks that all conflicts are covered.
 
@@ -35,7 +35,7 @@ struct Event {
     buffer: usize,
     access: Access,
     accesses: Accesses,
-    /// Position in the sequence of groups over all replays, including each replay's readers of outputs.
+    /// Position in the sequence of groups over all replays. Each replay's readers of outputs count as a group.
     at: usize,
 }
 
@@ -43,9 +43,7 @@ struct Event {
 pub(super) fn causes(plan: &Plan) -> Vec<Vec<Cause>> {
     let mut walk = Walk::new(plan);
     let groups = plan.groups.len();
-    // The halves of a history return to their places after two replays.
-    let histories = plan.buffers.iter().any(|info| info.kind == BufferKind::History);
-    for replay in 0..if histories { 4 } else { 2 } {
+    for replay in 0..2 {
         for (at, group) in plan.groups.iter().enumerate() {
             for &pass in &group.passes {
                 for (slice, access, used) in &plan.passes[pass].accesses {
@@ -96,10 +94,6 @@ impl<'p> Walk<'p> {
             }
             (BufferKind::Transient, Some(offset)) => (self.plan.buffers.len(), offset),
             (BufferKind::Transient, None) => return,
-            (BufferKind::History, _) => match info.pair {
-                Some(pair) if event.at / (self.plan.groups.len() + 1) % 2 == 1 => (pair.partner.index(), 0),
-                _ => (event.buffer, 0),
-            },
             _ => (event.buffer, 0),
         };
         let range = slice.range();
@@ -151,7 +145,7 @@ impl<'p> Walk<'p> {
         self.plan.groups.get(at).map_or(self.plan.final_barrier, |group| group.barrier)
     }
 
-    /// Assigns each chain to the barriers at its ends, and to barriers that have no other reason.
+    /// Assigns each chain to the barriers at its ends. Also assigns it to barriers that have no other reason.
     fn finish(mut self) -> Vec<Vec<Cause>> {
         let length = self.plan.groups.len() + 1;
         for (cause, first, second) in std::mem::take(&mut self.chained) {

@@ -4,7 +4,7 @@ use std::fmt::{self, Write};
 
 use super::{describe, transition};
 use crate::graph::pass::writes;
-use crate::graph::plan::{Lane, Plan};
+use crate::graph::plan::Plan;
 
 /// Returns the plan in the DOT language of Graphviz.
 pub fn dot(plan: &Plan) -> String {
@@ -22,11 +22,7 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         for change in plan.entry.iter().filter(|_| at == 0) {
             barrier += &format!("\n{}", transition(plan, change));
         }
-        writeln!(
-            out,
-            "  subgraph cluster_{at} {{ label={};",
-            quote(&format!("{}group {at}{barrier}", lane(plan, at)))
-        )?;
+        writeln!(out, "  subgraph cluster_{at} {{ label={};", quote(&format!("group {at}{barrier}")))?;
         for &pass in &group.passes {
             let label = format!("{}\n{}", plan.passes[pass].name, describe(&plan.passes[pass]));
             writeln!(out, "    p{pass} [label={}];", quote(&label))?;
@@ -43,12 +39,6 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         writeln!(out, "  p{pass} [label={}, style=dashed];", quote(&plan.passes[pass].name))?;
     }
     writeln!(out, "}}")
-}
-
-/// Returns the label prefix of a group of the second lane.
-fn lane(plan: &Plan, group: usize) -> &'static str {
-    let side = plan.segments.iter().any(|segment| segment.lane == Lane::Side && segment.groups.contains(&group));
-    if side { "side: " } else { "" }
 }
 
 /// Returns the buffers through which two passes depend on each other.

@@ -1,11 +1,11 @@
-//! JSON output of a plan, for tools. Fields may be added; existing fields keep their meaning.
+//! JSON output of a plan, for tools.
 
 use serde::Serialize;
 
 use super::{describe, labels};
 use crate::format::ImageFormat;
 use crate::graph::pass::{Pass, Use};
-use crate::graph::plan::{Barrier, ImageSlot, Lane, Plan, Transition};
+use crate::graph::plan::{Barrier, ImageSlot, Plan, Transition};
 use crate::graph::resource::{Buffer, BufferKind, BufferState, ImageState};
 use crate::shader::Access;
 
@@ -24,7 +24,6 @@ struct PlanView<'p> {
     buffers: Vec<BufferView<'p>>,
     passes: Vec<PassView<'p>>,
     groups: Vec<GroupView<'p>>,
-    segments: Vec<SegmentView<'p>>,
     final_barrier: Option<Barrier>,
     image_slots: &'p [ImageSlot],
     entry: &'p [Transition],
@@ -44,8 +43,6 @@ struct BufferView<'p> {
     entry: BufferState,
     exit: BufferState,
     image: Option<ImageView>,
-    /// Other half of a history.
-    partner: Option<Buffer>,
 }
 
 #[derive(Serialize)]
@@ -61,8 +58,6 @@ struct ImageView {
 struct PassView<'p> {
     name: &'p str,
     does: String,
-    /// Buffer and byte offset of the condition word.
-    condition: Option<(Buffer, u64)>,
     accesses: Vec<AccessView<'p>>,
     follows: Vec<u32>,
 }
@@ -77,16 +72,6 @@ struct AccessView<'p> {
     #[serde(rename = "use")]
     used: Use,
     discards: bool,
-}
-
-/// Groups `first..end` of one lane, started after the segments in `waits`.
-#[derive(Serialize)]
-struct SegmentView<'p> {
-    lane: Lane,
-    first: usize,
-    end: usize,
-    waits: &'p [usize],
-    last: Option<Barrier>,
 }
 
 #[derive(Serialize)]
@@ -113,7 +98,6 @@ fn plan_view(plan: &Plan) -> PlanView<'_> {
                 lifetime: lifetimes[buffer.index()],
                 entry: info.entry,
                 exit: info.exit,
-                partner: info.pair.map(|pair| pair.partner),
                 image: info.image.map(|image| ImageView {
                     size: image.size,
                     format: image.format,
@@ -125,17 +109,6 @@ fn plan_view(plan: &Plan) -> PlanView<'_> {
             .collect(),
         passes: plan.passes.iter().zip(plan.dependencies()).map(|(pass, follows)| pass_view(pass, follows)).collect(),
         groups: plan.groups.iter().map(|g| GroupView { barrier: g.barrier, passes: &g.passes }).collect(),
-        segments: plan
-            .segments
-            .iter()
-            .map(|segment| SegmentView {
-                lane: segment.lane,
-                first: segment.groups.start,
-                end: segment.groups.end,
-                waits: &segment.waits,
-                last: segment.last,
-            })
-            .collect(),
         final_barrier: plan.final_barrier,
         image_slots: &plan.image_slots,
         entry: &plan.entry,
@@ -154,6 +127,5 @@ fn pass_view(pass: &Pass, follows: Vec<u32>) -> PassView<'_> {
         used: *used,
         discards: pass.discards(slice),
     });
-    let condition = pass.condition.map(|word| (word.buffer, word.offset));
-    PassView { name: &pass.name, does: describe(pass), condition, accesses: accesses.collect(), follows }
+    PassView { name: &pass.name, does: describe(pass), accesses: accesses.collect(), follows }
 }

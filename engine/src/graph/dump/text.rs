@@ -3,7 +3,7 @@
 use std::fmt::{self, Write};
 
 use super::{describe, labels, state, transition, verb};
-use crate::graph::plan::{Lane, Plan};
+use crate::graph::plan::Plan;
 use crate::graph::resource::{BufferKind, BufferState};
 
 /// Returns the plan as text.
@@ -35,7 +35,6 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
             BufferKind::External => "external",
             BufferKind::Transient => "transient",
             BufferKind::Uniform => "uniform",
-            BufferKind::History => "history",
         };
         write!(out, "  {} {kind} ", info.name)?;
         match &info.image {
@@ -57,19 +56,12 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
                 }
                 None => {}
             },
-            (BufferKind::History, ..) => {
-                if let Some(pair) = &info.pair {
-                    let partner = &plan.buffers[pair.partner.index()].name;
-                    write!(out, ", initially {:#x}, swaps with {partner}", pair.value)?;
-                }
-            }
             (BufferKind::Uniform, ..) => {}
         }
         writeln!(out, "{}", if info.kind == BufferKind::Transient && info.keep { ", kept" } else { "" })?;
     }
 
     for (at, group) in plan.groups.iter().enumerate() {
-        segments_at(plan, at, out)?;
         writeln!(out, "\ngroup {at}")?;
         if let Some(barrier) = group.barrier {
             writeln!(out, "  barrier {barrier}")?;
@@ -79,11 +71,7 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         }
         for &pass in &group.passes {
             let pass = &plan.passes[pass];
-            write!(out, "  {}: {}", pass.name, describe(pass))?;
-            if let Some(word) = &pass.condition {
-                write!(out, " if {} [{}]", plan.buffers[word.buffer.index()].name, word.offset)?;
-            }
-            writeln!(out)?;
+            writeln!(out, "  {}: {}", pass.name, describe(pass))?;
             for ((slice, access, used), label) in pass.accesses.iter().zip(labels(pass)) {
                 let info = &plan.buffers[slice.buffer.index()];
                 write!(out, "    {label} {} {}", verb(*access, *used), info.name)?;
@@ -94,7 +82,6 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
             }
         }
     }
-    segments_at(plan, plan.groups.len(), out)?;
     if let Some(barrier) = plan.final_barrier {
         writeln!(out, "\nend\n  barrier {barrier}")?;
     }
@@ -105,19 +92,6 @@ fn write(plan: &Plan, out: &mut String) -> fmt::Result {
         writeln!(out, "\ndropped")?;
         for &pass in &plan.culled {
             writeln!(out, "  {}: {}", plan.passes[pass].name, describe(&plan.passes[pass]))?;
-        }
-    }
-    Ok(())
-}
-
-/// Writes the segments that begin at a group, if the plan has more than one.
-fn segments_at(plan: &Plan, group: usize, out: &mut String) -> fmt::Result {
-    for (number, segment) in plan.segments.iter().enumerate().filter(|(_, segment)| segment.groups.start == group) {
-        if plan.segments.len() > 1 {
-            let lane = if segment.lane == Lane::Main { "main" } else { "side" };
-            write!(out, "\nsegment {number}, {lane}")?;
-            let waits: Vec<_> = segment.waits.iter().map(usize::to_string).collect();
-            writeln!(out, "{}{}", if waits.is_empty() { "" } else { ", waits for " }, waits.join(", "))?;
         }
     }
     Ok(())

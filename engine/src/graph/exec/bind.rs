@@ -43,21 +43,12 @@ impl Executor {
         let unbound = || Error::Unbound { buffer: info.name.clone(), plan: self.plan.name.clone() };
         let (memory, base) = match info.kind {
             BufferKind::External => (self.externals[index].as_ref().ok_or_else(unbound)?, 0),
-            BufferKind::History => {
-                (self.externals[self.history_half(index, slot.swapped)].as_ref().ok_or_else(unbound)?, 0)
-            }
             BufferKind::Uniform => (slot.uniforms.as_ref().ok_or_else(unbound)?, self.uniform_offsets[index]),
             BufferKind::Transient => {
                 (self.arena.as_ref().ok_or_else(unbound)?, self.plan.placements[index].ok_or_else(unbound)?)
             }
         };
         Ok((memory.0.raw, base + slice.offset))
-    }
-
-    /// Returns the buffer whose memory backs a half of a history; `swapped` selects the other half.
-    pub(super) fn history_half(&self, index: usize, swapped: bool) -> usize {
-        let partner = self.plan.buffers[index].pair.filter(|_| swapped).map(|pair| pair.partner.index());
-        partner.unwrap_or(index)
     }
 
     /// Returns the image of a handle.

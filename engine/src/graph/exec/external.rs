@@ -137,15 +137,14 @@ impl HostSlot {
 impl Executor {
     /// Records one replay of the plan with these uniforms into a host's command buffer.
     ///
-    /// All earlier commands are ordered before it and all later commands after it. A two-queue plan uses full
-    /// barriers in place of waits between queues.
+    /// All earlier commands are ordered before it and all later commands after it.
     ///
     /// Overwrites the bound compute pipeline, descriptor set 0 and push constants. After an error the command buffer
     /// may hold part of the plan; record it again.
     ///
     /// # Errors
     /// [`Error::SlotsInUse`] if as many recordings as frames in flight are not done; if an external buffer is unbound,
-    /// memory runs out or the device fails; [`Error::Host`] for a plan with histories.
+    /// memory runs out or the device fails.
     ///
     /// # Safety
     /// The host promises:
@@ -161,11 +160,6 @@ impl Executor {
     ) -> Result<Recording> {
         if commands == vk::CommandBuffer::null() {
             return Err(Error::Host("the command buffer is null".into()));
-        }
-        if self.has_histories() {
-            let plan = &self.plan.name;
-            let text = format!("\"{plan}\" has histories, which change places by the order of submission; submit it");
-            return Err(Error::Host(text));
         }
         let index = self.free_host_slot()?;
         let shared = &self.device.0;
@@ -236,8 +230,6 @@ impl Executor {
             queries: vk::QueryPool::null(),
             uniforms,
             recorded: false,
-            swapped: false,
-            segments: None,
             ticket: None,
         };
         self.host_slots.push(HostSlot {
@@ -248,7 +240,7 @@ impl Executor {
         Ok(self.host_slots.len() - 1)
     }
 
-    /// Waits for recordings with a known completion condition, and releases their resources.
+    /// Waits for recordings with a known completion condition. Releases their resources.
     pub(super) fn drop_host_slots(&mut self) {
         let limit = u64::try_from(self.device.timeout().as_nanos()).unwrap_or(u64::MAX);
         let host_slots = std::mem::take(&mut self.host_slots);

@@ -6,15 +6,13 @@
 
 mod bind;
 mod external;
-mod history;
-mod lanes;
 mod record;
 mod time;
 
 pub use external::{Completion, Recording, SemaphorePoint};
 pub use time::PassTime;
 
-use super::{Buffer, BufferKind, Image, Plan, Switch, Use};
+use super::{Buffer, BufferKind, Image, Plan, Use};
 use crate::device::{DeferredObject, Device, ObjectKind, Ticket};
 use crate::error::{Error, Result};
 use crate::memory::{DeviceBuffer, DeviceImage, Location};
@@ -29,7 +27,7 @@ pub struct ExecOptions {
     pub frames_in_flight: usize,
     /// Writes two timestamps around every pass.
     pub timestamps: bool,
-    /// Fills the arena with one bits before each replay, to expose reads of unwritten memory.
+    /// Fills the arena with one bits before each replay. Exposes reads of unwritten memory.
     pub poison: bool,
     /// Arena shared with other executors of the device; own memory if absent or too small.
     pub arena: Option<DeviceBuffer>,
@@ -55,10 +53,7 @@ pub struct Executor {
     arena: Option<DeviceBuffer>,
     /// By buffer: byte offset in a slot's uniform memory.
     uniform_offsets: Vec<u64>,
-    /// Switches with their current values.
-    switches: Vec<(Buffer, u32)>,
     slots: Vec<Slot>,
-    side: Option<lanes::SideLane>,
     next: usize,
     uniform_bytes: u64,
     /// Slots recorded into command buffers of a host.
@@ -103,11 +98,6 @@ struct Slot {
     queries: vk::QueryPool,
     uniforms: Option<DeviceBuffer>,
     recorded: bool,
-    /// Whether the halves of histories are swapped in this slot. True for every other slot; the number of slots is
-    /// then even, so that nothing is recorded again.
-    swapped: bool,
-    /// Command buffers of plans with several segments.
-    segments: Option<lanes::Segments>,
     ticket: Option<Ticket>,
 }
 
@@ -147,9 +137,7 @@ impl Executor {
             slot_images: Vec::new(),
             arena,
             uniform_offsets,
-            switches: plan.buffers().filter(|(_, info)| info.switch).map(|(buffer, _)| (buffer, 1)).collect(),
             slots: Vec::new(),
-            side: None,
             next: 0,
             uniform_bytes,
             host_slots: Vec::new(),
@@ -163,11 +151,7 @@ impl Executor {
             let name = format!("image {number} of {}", executor.plan.name);
             executor.slot_images.push(device.image(&name, slot.size, slot.format)?);
         }
-        executor.make_histories()?;
-        executor.make_side()?;
-        let frames = executor.frames();
-        let slots = if executor.has_histories() { frames.next_multiple_of(2) } else { frames };
-        for _ in 0..slots {
+        for _ in 0..executor.frames() {
             let slot = executor.slot()?;
             executor.slots.push(slot);
         }
@@ -246,13 +230,6 @@ impl Executor {
         Ok(())
     }
 
-    /// Sets a switch for all later submissions.
-    pub fn set_switch(&mut self, switch: Switch, on: bool) {
-        if let Some((_, word)) = self.switches.iter_mut().find(|(buffer, _)| *buffer == switch.0) {
-            *word = u32::from(on);
-        }
-    }
-
     /// Replays the plan with these uniforms; returns the ticket of its end.
     ///
     /// # Errors
@@ -269,20 +246,14 @@ impl Executor {
     ) -> Result<Ticket> {
         let begin = Instant::now();
         let index = self.next;
-        let mut waited = self.retire(index, self.device.timeout())?;
-        // With histories, one slot more than replays in flight may exist.
-        let frames = self.frames();
-        if frames < self.slots.len() {
-            let oldest = (index + self.slots.len() - frames) % self.slots.len();
-            waited += self.retire(oldest, self.device.timeout())?;
-        }
+        let waited = self.retire(index, self.device.timeout())?;
         self.write_uniforms(&self.slots[index], uniforms)?;
         if !self.slots[index].recorded {
             self.record(index)?;
             self.host.recordings += 1;
         }
         let submit_start = Instant::now();
-        let ticket = self.submit_segments(index, waits, signals)?;
+        let ticket = self.device.0.submit_between(self.slots[index].commands, waits, signals, &self.plan.name)?;
         self.host.submit_time += submit_start.elapsed();
         self.slots[index].ticket = Some(ticket);
         self.next = (index + 1) % self.slots.len();
@@ -293,9 +264,6 @@ impl Executor {
 
     fn write_uniforms(&self, slot: &Slot, uniforms: &[(Buffer, &[u8])]) -> Result<()> {
         let Some(memory) = &slot.uniforms else { return Ok(()) };
-        for (buffer, word) in &self.switches {
-            memory.write(self.uniform_offsets[buffer.index()], &word.to_ne_bytes())?;
-        }
         for (buffer, data) in uniforms {
             memory.write(self.uniform_offsets[buffer.index()], data)?;
         }
@@ -344,7 +312,7 @@ impl Executor {
         self.host
     }
 
-    /// Returns and clears the nanoseconds of each pass in the finished replays (empty without timestamps).
+    /// Returns and clears the nanoseconds of each pass in the finished replays. Empty without timestamps.
     pub fn take_times(&mut self) -> Vec<PassTime> {
         self.times.take()
     }
@@ -373,8 +341,6 @@ impl Executor {
             queries: vk::QueryPool::null(),
             uniforms,
             recorded: false,
-            swapped: !self.slots.len().is_multiple_of(2),
-            segments: None,
             ticket: None,
         };
         if let Err(error) = self.fill_slot(&mut slot) {
@@ -396,7 +362,6 @@ impl Executor {
             .gate
             .call("vkAllocateCommandBuffers", name, || unsafe { shared.raw.allocate_command_buffers(&commands) })?[0];
         shared.name(slot.commands, name);
-        self.make_segments(slot)?;
         slot.descriptors = self.descriptor_pool()?;
         if self.times.enabled() {
             let info = vk::QueryPoolCreateInfo::default()
@@ -422,7 +387,6 @@ impl Executor {
         if slot.descriptors != vk::DescriptorPool::null() {
             shared.dispose(until, DeferredObject::DescriptorPool(slot.descriptors));
         }
-        self.destroy_segments(slot, until);
         if slot.pool != vk::CommandPool::null() {
             shared.dispose(until, DeferredObject::CommandPool(slot.pool));
         }

@@ -25,11 +25,6 @@ impl Executor {
                 raw.reset_descriptor_pool(slot.descriptors, vk::DescriptorPoolResetFlags::empty())
             })?;
         }
-        if let Some(segments) = &slot.segments {
-            self.record_segments(slot, segments)?;
-            self.slots[index].recorded = true;
-            return Ok(());
-        }
         // SAFETY: the command buffer was reset with its pool.
         unsafe {
             shared.gate.call("vkBeginCommandBuffer", &plan.name, || raw.begin_command_buffer(commands, &begin))?;
@@ -66,14 +61,7 @@ impl Executor {
     /// Records the passes between entry and exit barrier.
     pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot) -> Result<()> {
         self.prelude(commands);
-        for segment in &self.plan.segments {
-            // In one command buffer, a full barrier replaces the wait.
-            if !segment.waits.is_empty() {
-                self.barrier(commands, &everything());
-            }
-            self.groups(commands, slot, segment.groups.clone())?;
-        }
-        Ok(())
+        self.groups(commands, slot)
     }
 
     /// Resets the timestamp queries of a slot.
@@ -111,17 +99,11 @@ impl Executor {
         }
     }
 
-    /// Records a range of groups.
-    pub(super) fn groups(
-        &self,
-        commands: vk::CommandBuffer,
-        slot: &Slot,
-        groups: std::ops::Range<usize>,
-    ) -> Result<()> {
+    /// Records all groups.
+    fn groups(&self, commands: vk::CommandBuffer, slot: &Slot) -> Result<()> {
         let plan = &self.plan;
         self.open_label(commands, &plan.name);
-        for g in groups {
-            let group = &plan.groups[g];
+        for (g, group) in plan.groups.iter().enumerate() {
             if let (Some(barrier), true) = (&group.barrier, g > 0) {
                 self.barrier(commands, &translate(barrier));
             }
@@ -239,7 +221,7 @@ impl Executor {
         layout(self.plan.homes[image.index()].unwrap_or(ImageState::General))
     }
 
-    /// Opens a label for capture tools and messages, until the matching [`Executor::close_label`].
+    /// Opens a label for capture tools and messages. [`Executor::close_label`] closes it.
     fn open_label(&self, commands: vk::CommandBuffer, name: &str) {
         let shared = &self.device.0;
         if shared.instance.validation {

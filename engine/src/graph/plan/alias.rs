@@ -13,22 +13,17 @@ use crate::graph::pass::Pass;
 use crate::graph::resource::{BufferInfo, BufferKind, ImageState};
 
 /// Returns first and last group of each used transient; a kept one lives past the last group.
-pub(super) fn lifetimes(
-    buffers: &[BufferInfo],
-    passes: &[Pass],
-    groups: &[Group],
-    spans: &[(usize, usize)],
-) -> Vec<Option<(usize, usize)>> {
+pub(super) fn lifetimes(buffers: &[BufferInfo], passes: &[Pass], groups: &[Group]) -> Vec<Option<(usize, usize)>> {
     let mut lifetimes = vec![None; buffers.len()];
-    for (group, &(begin, end)) in groups.iter().zip(spans) {
+    for (at, group) in groups.iter().enumerate() {
         for &pass in &group.passes {
             for (slice, ..) in &passes[pass].accesses {
                 let buffer = slice.buffer.index();
                 let info = &buffers[buffer];
                 if info.kind == BufferKind::Transient {
-                    let end = if info.keep { groups.len() } else { end };
-                    let (first, last) = lifetimes[buffer].unwrap_or((begin, end));
-                    lifetimes[buffer] = Some((first.min(begin), last.max(end)));
+                    let end = if info.keep { groups.len() } else { at };
+                    let (first, last) = lifetimes[buffer].unwrap_or((at, end));
+                    lifetimes[buffer] = Some((first.min(at), last.max(end)));
                 }
             }
         }
@@ -96,7 +91,7 @@ pub(super) fn alias(
     Layout { placements, slots, bytes: placed.iter().map(|p| p.end).max().unwrap_or(0), unaliased_bytes }
 }
 
-/// Assigns each transient image the first equal slot that is free from its first group on.
+/// Assigns each transient image to a slot. Takes the first equal slot that is free from the image's first group on.
 fn place_images(
     buffers: &[BufferInfo],
     lifetimes: &[Option<(usize, usize)>],

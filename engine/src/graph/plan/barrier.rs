@@ -4,12 +4,12 @@
 //! hazards stay covered. Barriers between groups cover only hazards within a replay. The first barrier covers the
 //! hazards with the previous replay and with external commands, as far as later barriers do not cover them in time.
 
+use super::Group;
 use super::alias::Layout;
 use super::clock::{Clock, Transitions};
 use super::hazard::{Memory, Need, Time};
 use super::image::{Transition, enters, leaves};
 use super::scope::{Accesses, Barrier, Stages};
-use super::{Group, Lane, Segment};
 use crate::graph::pass::Pass;
 use crate::graph::resource::{Buffer, BufferInfo, Slice};
 
@@ -22,37 +22,12 @@ pub(super) struct BarrierInputs<'p> {
     pub(super) exit: &'p [Transition],
 }
 
-/// Places barriers in the groups of both lanes, each for its own lane; returns the barrier after the last group of
-/// the main lane.
-///
-/// Waits order hazards between lanes, including everything that the second lane did in the previous replay. The
-/// second lane therefore needs no first barrier.
-pub(super) fn place_lanes(inputs: &BarrierInputs<'_>, groups: &mut [Group], segments: &[Segment]) -> Option<Barrier> {
-    let mut last = None;
-    // Readers of the second lane's outputs also count for the first barrier of the next replay.
-    let outputs = inputs.outputs(groups);
-    for lane in [Lane::Main, Lane::Side] {
-        let own = segments.iter().filter(|segment| segment.lane == lane);
-        let places: Vec<usize> = own.flat_map(|segment| segment.groups.clone()).collect();
-        let mut lane_groups: Vec<Group> = places.iter().map(|&at| std::mem::take(&mut groups[at])).collect();
-        if lane == Lane::Main {
-            last = place(inputs, &mut lane_groups, &outputs);
-        } else {
-            place(&BarrierInputs { entry: &[], exit: &[], ..*inputs }, &mut lane_groups, &outputs);
-            if let Some(first) = lane_groups.first_mut() {
-                first.barrier = None;
-            }
-        }
-        places.iter().zip(lane_groups).for_each(|(&at, group)| groups[at] = group);
-    }
-    last
-}
-
-/// Places barriers in the groups of one lane; returns the barrier after the last group.
-fn place(inputs: &BarrierInputs<'_>, groups: &mut [Group], outputs: &[Slice]) -> Option<Barrier> {
+/// Places barriers before the groups; returns the barrier after the last group.
+pub(super) fn place(inputs: &BarrierInputs<'_>, groups: &mut [Group]) -> Option<Barrier> {
     if groups.is_empty() {
         return None;
     }
+    let outputs = &inputs.outputs(groups);
     let mut memory = Memory::new(inputs.buffers, inputs.layout);
     let last = groups.len();
     let mut clock = Clock::default();
@@ -72,39 +47,29 @@ fn place(inputs: &BarrierInputs<'_>, groups: &mut [Group], outputs: &[Slice]) ->
         barriers.push(barrier);
     }
 
-    // More replays with the same barriers: one, or as many as a history needs to return to its first arrangement.
-    let histories = inputs.buffers.iter().any(|info| info.pair.is_some());
+    // The next replay, with the same barriers.
     let transitions = |at: usize| match at {
         0 => Transitions::Entry,
         at if at == last => Transitions::Exit,
         _ => Transitions::None,
     };
-    let replays: Vec<(Time, Vec<Need>)> = (1..=if histories { 3 } else { 1 })
-        .map(|number| {
-            let start = number * length(groups);
-            memory.swapped = histories && number % 2 == 1;
-            (start, inputs.replay(&mut memory, groups, outputs, start, true))
-        })
-        .collect();
+    let start = length(groups);
+    let needs = inputs.replay(&mut memory, groups, outputs, start, true);
     let mut first = Barrier::default();
     let mut later = clock;
-    for (start, needs) in &replays {
-        for (at, (need, barrier)) in needs.iter().zip(&barriers).enumerate() {
-            // Only the first barrier handles the needs of its own transitions here.
-            if at > 0 {
-                later.pass(barrier, start + at as Time + 1, transitions(at));
-            }
-            first = first.merge(&later.missing_barrier(need));
+    for (at, (need, barrier)) in needs.iter().zip(&barriers).enumerate() {
+        // Only the first barrier handles the needs of its own transitions here.
+        if at > 0 {
+            later.pass(barrier, start + at as Time + 1, transitions(at));
         }
+        first = first.merge(&later.missing_barrier(need));
     }
     barriers[0] = minimal(first, |barrier| {
         let mut clock = clock;
-        replays.iter().all(|(start, needs)| {
-            needs.iter().enumerate().all(|(at, need)| {
-                let barrier = if at == 0 { barrier } else { &barriers[at] };
-                clock.pass(barrier, start + at as Time + 1, transitions(at));
-                clock.covers(need)
-            })
+        needs.iter().enumerate().all(|(at, need)| {
+            let barrier = if at == 0 { barrier } else { &barriers[at] };
+            clock.pass(barrier, start + at as Time + 1, transitions(at));
+            clock.covers(need)
         })
     });
 
@@ -137,8 +102,8 @@ impl BarrierInputs<'_> {
             .collect()
     }
 
-    /// Returns the need of each group of a replay that begins after time `start`, and last that of later users. The
-    /// beginning of the replay counts only if `entered`.
+    /// Returns the need of each group of a replay, and last that of later users. The replay begins after time `start`.
+    /// The beginning of the replay counts only if `entered`.
     fn replay(
         &self,
         memory: &mut Memory<'_>,
@@ -180,7 +145,7 @@ impl BarrierInputs<'_> {
     }
 }
 
-/// Removes barrier bits one at a time, in a fixed order, while the barrier stays sufficient.
+/// Removes barrier bits while the barrier stays sufficient. Tries them one at a time in a fixed order.
 fn minimal(mut barrier: Barrier, mut enough: impl FnMut(&Barrier) -> bool) -> Barrier {
     let mut attempt = |barrier: &mut Barrier, less: Barrier| {
         if less != *barrier && enough(&less) {

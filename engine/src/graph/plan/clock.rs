@@ -36,7 +36,8 @@ impl Transitions {
 /// State after some barriers.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Clock {
-    /// By stage of an operation (or kind of transition) and stage that has waited for it; last, the latest barrier.
+    /// By stage of an operation and stage that has waited for it; last, the latest barrier. The last rows are kinds of
+    /// transitions.
     ordered: [[Time; INSIDE + 1]; ROWS],
     /// By kind of write and stage that has waited until it was available.
     available: [[Time; Stages::ALL.len()]; WRITES.len()],

@@ -31,7 +31,7 @@ pub(super) const ROWS: usize = Stages::ALL.len() + 2;
 pub(super) const MEMORY_ROWS: usize = WRITES.len() + 2;
 /// Column of executions for a transition inside the barrier itself.
 pub(super) const INSIDE: usize = Stages::ALL.len();
-/// Column of writes that must be available to a transition inside the barrier itself.
+/// Column of writes that must be available to a transition. The transition is inside the barrier itself.
 pub(super) const TRANSITION_ACCESS: usize = Accesses::ALL.len();
 
 /// Position of the host in [`Stages::ALL`]. Host reads are not tracked: no barrier can wait for them.
@@ -40,9 +40,9 @@ const HOST: usize = 3;
 /// Requirements on earlier operations: the latest time of each relevant kind.
 #[derive(Clone, Copy, Default, Debug)]
 pub(super) struct Need {
-    /// By stage of an earlier operation and stage that must wait for it (positions in [`Stages::ALL`]).
+    /// By stage of an earlier operation and stage that must wait for it. Indices are positions in [`Stages::ALL`].
     pub(super) execution: [[Time; INSIDE + 1]; ROWS],
-    /// By kind of earlier write (position in [`WRITES`]) and access that must see it (in [`Accesses::ALL`]).
+    /// By kind of earlier write and access that must see it. Indices are positions in [`WRITES`] and [`Accesses::ALL`].
     pub(super) memory: [[Time; TRANSITION_ACCESS + 1]; MEMORY_ROWS],
 }
 
@@ -85,8 +85,6 @@ pub(super) struct Memory<'p> {
     arena: RangeMap<AccessTimes>,
     /// By image slot.
     slots: Vec<RangeMap<AccessTimes>>,
-    /// Whether the buffers of each history are swapped.
-    pub(super) swapped: bool,
     external: Vec<Option<RangeMap<AccessTimes>>>,
 }
 
@@ -101,7 +99,6 @@ impl<'p> Memory<'p> {
                 let changes = info.writable() || shared;
                 let tracked = match info.kind {
                     BufferKind::External => changes,
-                    BufferKind::History => true,
                     BufferKind::Transient | BufferKind::Uniform => false,
                 };
                 tracked.then(|| RangeMap::new(info.bytes, AccessTimes::default()))
@@ -109,7 +106,7 @@ impl<'p> Memory<'p> {
             .collect();
         let arena = RangeMap::new(layout.bytes.max(1), AccessTimes::default());
         let slots = layout.slots.iter().map(|slot| RangeMap::new(slot.bytes(), AccessTimes::default())).collect();
-        Memory { buffers, placements: &layout.placements, arena, slots, swapped: false, external }
+        Memory { buffers, placements: &layout.placements, arena, slots, external }
     }
 
     /// Adds the needs of one access to `need` and records the access.
@@ -124,7 +121,7 @@ impl<'p> Memory<'p> {
         self.touch_scope(now, slice, Stages::OUTSIDE, accesses, Access::ReadWrite, &mut Need::default());
     }
 
-    /// Adds the needs of external commands that may read and write a buffer after the replay.
+    /// Adds the needs of external commands after the replay. They may read and write the buffer.
     pub(super) fn external_after(&mut self, slice: &Slice, need: &mut Need) {
         let accesses = Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE;
         let Some((map, range)) = self.find(slice) else { return };
@@ -198,8 +195,7 @@ impl<'p> Memory<'p> {
         let buffer = slice.buffer.index();
         let info = &self.buffers[buffer];
         if info.kind != BufferKind::Transient {
-            let partner = info.pair.filter(|_| self.swapped).map(|pair| pair.partner.index());
-            return self.external[partner.unwrap_or(buffer)].as_mut().map(|map| (map, slice.range()));
+            return self.external[buffer].as_mut().map(|map| (map, slice.range()));
         }
         let place = self.placements[buffer].expect("invariant: a touched transient is placed");
         match info.image {

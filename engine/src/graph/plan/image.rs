@@ -4,15 +4,15 @@
 //! only copies in one direction use it. Layouts change only in the barrier before the first group and in the one
 //! after the last. No other barrier waits for a transition (docs/adr/0010).
 
+use super::Group;
 use super::alias::Layout;
-use super::{Group, Segment};
 use crate::format::ImageFormat;
 use crate::graph::pass::{Pass, Use};
 use crate::graph::resource::Buffer;
 use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Image, ImageInfo, ImageState};
 use crate::shader::Access;
 
-/// Image shared by transient images of equal size, format and layout, one after the other.
+/// Image shared by transient images, one after the other. They have equal size, format and layout.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, serde::Serialize)]
 pub struct ImageSlot {
     /// Width and height.
@@ -99,10 +99,9 @@ pub(super) fn transitions(
 }
 
 /// Adds an empty group to an empty plan that needs entry transitions.
-pub(super) fn at_least_one_group(entry: &[Transition], groups: &mut Vec<Group>, segments: &mut [Segment]) {
+pub(super) fn at_least_one_group(entry: &[Transition], groups: &mut Vec<Group>) {
     if groups.is_empty() && !entry.is_empty() {
         groups.push(Group::default());
-        segments.iter_mut().for_each(|segment| segment.groups = 0..1);
     }
 }
 

@@ -5,50 +5,29 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use super::{CompileOptions, Queues};
+use super::CompileOptions;
 use crate::graph::pass::{Dispatch, Pass, PassKind, Use};
-use crate::graph::resource::{BufferInfo, BufferKind, ImageInfo, Pair, Slice};
+use crate::graph::resource::{BufferInfo, BufferKind, ImageInfo, Slice};
 use crate::shader::{Access, Binding, BindingKind, Shader, SpecConstant};
 
 /// Returns the key of a graph with its compile options.
-pub(in crate::graph) fn key(
-    name: &str,
-    buffers: &[BufferInfo],
-    passes: &[Pass],
-    costs: &[(String, u64)],
-    options: &CompileOptions,
-) -> u64 {
+pub(in crate::graph) fn key(name: &str, buffers: &[BufferInfo], passes: &[Pass], options: &CompileOptions) -> u64 {
     // Verification does not change the plan.
-    let CompileOptions { alignment, alias, reorder, verify: _, queues } = *options;
+    let CompileOptions { alignment, alias, reorder, verify: _ } = *options;
     let mut hash = Hash::default();
     hash.text(name);
     hash.word(alignment);
     hash.word(u64::from(alias) | u64::from(reorder) << 1);
-    match queues {
-        Queues::One => {}
-        Queues::Two { gain_percent, wait_nanoseconds } => {
-            hash.word(u64::from(gain_percent) << 32 | u64::from(wait_nanoseconds));
-        }
-        Queues::Forced => hash.word(u64::MAX),
-    }
-    for (pass, cost) in costs.iter().filter(|_| queues != Queues::One) {
-        hash.text(pass);
-        hash.word(*cost);
-    }
     hash.word(buffers.len() as u64);
-    for BufferInfo { name, bytes, kind, keep, entry, exit, image, pair, switch } in buffers {
+    for BufferInfo { name, bytes, kind, keep, entry, exit, image } in buffers {
         hash.text(name);
         hash.word(*bytes);
         hash.word(match kind {
             BufferKind::External => 0,
             BufferKind::Transient => 1,
             BufferKind::Uniform => 2,
-            BufferKind::History => 3,
         });
-        hash.word(u64::from(*keep) | u64::from(*switch) << 1);
-        if let Some(Pair { partner, value }) = pair {
-            hash.word((partner.index() as u64) << 32 | u64::from(*value));
-        }
+        hash.word(u64::from(*keep));
         hash.word(*entry as u64 | (*exit as u64) << 8);
         match image {
             None => hash.word(0),
@@ -114,10 +93,8 @@ impl Hash {
 
     /// Hashes a pass. `shaders` caches the hash of each kernel by address, because many passes share one.
     fn pass(&mut self, pass: &Pass, shaders: &mut HashMap<*const Shader, u64>) {
-        let Pass { name, kind, accesses, condition, discards } = pass;
+        let Pass { name, kind, accesses, discards } = pass;
         self.text(name);
-        self.word(u64::from(condition.is_some()));
-        condition.iter().for_each(|word| self.slice(word));
         match kind {
             PassKind::Compute { shader, specs, push, bindings, subgroup_size, dispatch } => {
                 self.word(0);

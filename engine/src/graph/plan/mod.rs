@@ -18,7 +18,6 @@ mod hazard;
 mod image;
 mod key;
 mod order;
-mod queue;
 pub mod scope;
 pub mod verify;
 
@@ -41,68 +40,14 @@ pub struct CompileOptions {
     pub reorder: bool,
     /// Whether the plan is verified before it is returned.
     pub verify: bool,
-    /// Whether passes may go to a second queue.
-    pub queues: Queues,
 }
 
 impl Default for CompileOptions {
-    /// Returns options with an alignment that suits every device, all steps enabled, one queue.
+    /// Returns options with all steps enabled. The alignment suits every device.
     fn default() -> Self {
-        CompileOptions { alignment: 256, alias: true, reorder: true, verify: true, queues: Queues::One }
+        CompileOptions { alignment: 256, alias: true, reorder: true, verify: true }
     }
 }
-
-/// Number of queues of a plan.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
-pub enum Queues {
-    /// One queue.
-    #[default]
-    One,
-    /// A second queue where that shortens a replay, by the costs of [`Graph::set_costs`] or an estimate from bytes.
-    Two {
-        /// Minimum gain in percent of a replay's time.
-        gain_percent: u32,
-        /// Cost of a wait between queues in nanoseconds.
-        wait_nanoseconds: u32,
-    },
-    /// A second queue wherever possible, for tests.
-    Forced,
-}
-
-/// Command sequence of a plan.
-#[derive(Clone, Copy, PartialEq, Eq, Debug, Hash, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Lane {
-    /// Device's main queue; runs the beginning and end of every replay.
-    Main,
-    /// Second queue.
-    Side,
-}
-
-/// Groups that one lane runs without waiting in between.
-///
-/// A segment begins after the segments in `waits` have ended and earlier segments of its lane have begun: on its own
-/// lane, only barriers order memory. A wait for a segment covers all work of its lane up to its end and makes it
-/// visible.
-#[derive(Clone, PartialEq, Eq, Debug)]
-pub struct Segment {
-    /// Lane of the segment.
-    pub lane: Lane,
-    /// Range of [`Plan::groups`].
-    pub groups: std::ops::Range<usize>,
-    /// Indices of earlier segments in [`Plan::segments`].
-    pub waits: Vec<usize>,
-    /// Barrier after its last group; on the second lane, makes results visible to the host.
-    pub last: Option<Barrier>,
-}
-
-/// Final barrier of a segment of the second lane.
-const RESULTS: Barrier = Barrier {
-    src_stage: Stages::COMPUTE.and(Stages::TRANSFER),
-    src_access: Accesses::STORAGE_WRITE.and(Accesses::TRANSFER_WRITE),
-    dst_stage: Stages::HOST,
-    dst_access: Accesses::HOST_READ,
-};
 
 /// Compiled graph.
 #[derive(Clone, Debug)]
@@ -115,9 +60,6 @@ pub struct Plan {
     pub passes: Vec<Pass>,
     /// Groups in submission order.
     pub groups: Vec<Group>,
-    /// Segments of both lanes in submission order. The first and last belong to the main lane; the last one ends
-    /// after all others.
-    pub segments: Vec<Segment>,
     /// Size of the arena in bytes.
     pub arena_bytes: u64,
     /// Size of the arena without aliasing in bytes.
@@ -141,7 +83,7 @@ pub struct Plan {
     pub key: u64,
 }
 
-/// Passes without hazards between them, which may run concurrently and in any order.
+/// Passes without hazards between them. They may run concurrently and in any order.
 #[derive(Clone, PartialEq, Eq, Debug, Default)]
 pub struct Group {
     /// Barrier before the group, if any.
@@ -158,8 +100,7 @@ impl Plan {
 
     /// Returns, by buffer, first and last group of a used transient; a kept one lives past the last group.
     pub fn lifetimes(&self) -> Vec<Option<(usize, usize)>> {
-        let spans = queue::spans(self.groups.len(), &self.segments);
-        alias::lifetimes(&self.buffers, &self.passes, &self.groups, &spans)
+        alias::lifetimes(&self.buffers, &self.passes, &self.groups)
     }
 
     /// Returns, by pass, the passes that it depends on, ascending. Redundant edges are omitted where that is free;
@@ -178,25 +119,24 @@ impl Plan {
 
 /// Compiles a valid declaration.
 pub(super) fn compile(graph: Graph, options: &CompileOptions) -> Plan {
-    let Graph { name, buffers, passes, costs, .. } = graph;
-    let key = key(&name, &buffers, &passes, &costs, options);
+    let Graph { name, buffers, passes, .. } = graph;
+    let key = key(&name, &buffers, &passes, options);
     let live = cull::cull(&buffers, &passes);
     let dependencies = depend::depend(&buffers, &passes, &live);
     let order = order::order(&buffers, &passes, &live, &dependencies, options.reorder);
-    let (mut groups, mut segments) = queue::lanes(&buffers, &passes, &dependencies, order, &costs, options);
-    let spans = queue::spans(groups.len(), &segments);
-    let lifetimes = alias::lifetimes(&buffers, &passes, &groups, &spans);
+    let filled = order.into_iter().filter(|passes| !passes.is_empty());
+    let mut groups: Vec<Group> = filled.map(|passes| Group { barrier: None, passes }).collect();
+    let lifetimes = alias::lifetimes(&buffers, &passes, &groups);
     let homes = image::homes(&buffers, &passes, &live);
     let layout = alias::alias(&buffers, &lifetimes, &homes, options.alignment.max(16), options.alias);
     let (entry, exit) = image::transitions(&buffers, &homes, &layout);
-    image::at_least_one_group(&entry, &mut groups, &mut segments);
+    image::at_least_one_group(&entry, &mut groups);
     let inputs =
         barrier::BarrierInputs { buffers: &buffers, passes: &passes, layout: &layout, entry: &entry, exit: &exit };
-    let final_barrier = barrier::place_lanes(&inputs, &mut groups, &segments);
+    let final_barrier = barrier::place(&inputs, &mut groups);
     Plan {
         name,
         groups,
-        segments,
         arena_bytes: layout.bytes,
         arena_unaliased_bytes: layout.unaliased_bytes,
         placements: layout.placements,

@@ -37,7 +37,7 @@ pub(super) fn order(
     groups
 }
 
-/// Splits the declared order before each pass that depends on one since the last split.
+/// Splits the declared order into groups. A split precedes each pass that depends on a pass since the last split.
 fn declared(live_passes: &[usize], dependencies: &[Vec<u32>]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for &index in live_passes {
@@ -49,7 +49,7 @@ fn declared(live_passes: &[usize], dependencies: &[Vec<u32>]) -> Vec<Vec<usize>>
     groups
 }
 
-/// Moves passes to later groups, within the limits of their dependents, where that shortens transient lifetimes.
+/// Moves passes to later groups where that shortens transient lifetimes. Their dependents limit the move.
 fn sink(
     buffers: &[BufferInfo],
     passes: &[Pass],
@@ -121,7 +121,7 @@ struct TransientUse {
 }
 
 impl TransientUse {
-    /// Returns the number of levels it lives through, minus one, with the pass at level `at`.
+    /// Returns the number of levels that the transient spans, minus one. The pass is at level `at`.
     fn length(&self, at: usize) -> usize {
         let (mut first, last) = self.others.map_or((at, at), |(first, last)| (first.min(at), last.max(at)));
         if let Some(producers) = self.producers {

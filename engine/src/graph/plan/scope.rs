@@ -116,11 +116,6 @@ macro_rules! set {
                 self.0
             }
 
-            /// Returns the union of both sets, in constants.
-            pub(super) const fn and(self, other: Self) -> Self {
-                $set(self.0 | other.0)
-            }
-
             /// Returns whether the set is empty.
             pub fn is_empty(self) -> bool {
                 self.0 == 0

@@ -36,17 +36,6 @@ pub(super) fn pass(graph: &mut Graph, name: &str, touched: &[(Slice, Access)]) {
     pass.dispatch([1, 1, 1]).unwrap();
 }
 
-/// Returns a gate for conditional passes.
-pub(super) fn gate() -> Arc<Shader> {
-    let mut gate = kernel("gate", &[Access::Read, Access::Read, Access::Write]);
-    let shader = Arc::make_mut(&mut gate);
-    for (binding, name) in shader.bindings.iter_mut().zip(["word", "counts", "arguments"]) {
-        binding.name = name.into();
-    }
-    shader.push_bytes = 24;
-    gate
-}
-
 /// Returns the binding kind of a slice's resource.
 pub(super) fn kind_of(graph: &Graph, slice: &Slice) -> BindingKind {
     let image = graph.buffers[slice.buffer.index()].image;

@@ -2,14 +2,11 @@
 //! plans that the verifier must reject.
 
 mod builder_errors;
-mod condition;
-mod history;
 mod images;
 mod kernels;
 mod mutate;
 mod page;
 mod phases;
-mod queue;
 mod random;
 mod scale;
 mod snapshot;

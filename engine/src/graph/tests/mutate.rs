@@ -7,7 +7,8 @@ use proptest::prelude::*;
 use super::random::recipes;
 use super::*;
 
-/// Returns every plan that lacks a barrier, one of its bits, or a stage with its accesses, with the missing part.
+/// Returns every weakened plan with a description of what is missing. A weakened plan lacks a barrier, one of its
+/// bits, or a stage with its accesses.
 fn weakened_plans(plan: &Plan) -> Vec<(String, Plan)> {
     let mut found = Vec::new();
     for at in 0..=plan.groups.len() {

@@ -23,7 +23,7 @@ fn barrier(src_stage: Stages, src_access: Accesses, dst_stage: Stages, dst_acces
     Some(Barrier { src_stage, src_access, dst_stage, dst_access })
 }
 
-/// Builds a plan that writes `middle` in one way, and reads it in another into `out`.
+/// Builds a plan that writes `middle` by `write` and reads it into `out` by `read`.
 fn pair(write: impl FnOnce(&mut Graph, Buffer), read: impl FnOnce(&mut Graph, Buffer, Buffer)) -> Plan {
     let mut graph = Graph::new("pair");
     let middle = graph.transient("middle", 256);

@@ -3,7 +3,7 @@
 
 use proptest::prelude::*;
 
-use super::kernels::{bind, gate, kind_of, pass, with_kinds};
+use super::kernels::{bind, kind_of, pass, with_kinds};
 use super::*;
 use crate::format::ImageFormat;
 use crate::shader::Access;
@@ -31,12 +31,12 @@ struct Touch {
 pub(super) fn recipes(passes: usize) -> impl Strategy<Value = Recipe> {
     let touch = (0usize..64, 0u8..8, 0u64..6, 1u64..7, proptest::bool::weighted(0.2))
         .prop_map(|(buffer, access, start, length, discard)| Touch { buffer, access, start, length, discard });
-    let buffers = proptest::collection::vec((0u8..20, 1u64..7, proptest::bool::weighted(0.1)), 4..16);
+    let buffers = proptest::collection::vec((0u8..18, 1u64..7, proptest::bool::weighted(0.1)), 4..16);
     let passes = proptest::collection::vec((0u8..8, proptest::collection::vec(touch, 1..5)), passes / 4..passes);
     (buffers, passes, any::<(bool, bool)>()).prop_map(|(buffers, passes, (alias, reorder))| Recipe {
         buffers,
         passes,
-        options: CompileOptions { alignment: CELL, alias, reorder, verify: false, queues: Queues::One },
+        options: CompileOptions { alignment: CELL, alias, reorder, verify: false },
     })
 }
 
@@ -44,13 +44,11 @@ impl Recipe {
     /// Builds the graph. Omits passes that would be errors.
     pub(super) fn build(&self) -> Graph {
         let mut graph = Graph::new("random");
-        graph.set_gate(&gate());
         // At least one output, so that some passes are live.
         graph.external("e", 8 * CELL);
         for (index, &(kind, cells, keep)) in self.buffers.iter().enumerate() {
             let (name, bytes) = (format!("b{index}"), cells * CELL);
             match kind {
-                18 | 19 => graph.history(name, bytes, 0).current,
                 0 => graph.input(name, bytes),
                 1 => graph.uniform(name, bytes),
                 2 | 3 => graph.external(name, bytes),
@@ -82,7 +80,7 @@ impl Recipe {
             .map(|index| Slice { bytes: graph.buffers[index].bytes, ..Slice::from(Buffer(index as u32)) });
         let mut touched: Vec<_> = made
             .filter(|slice| graph.buffers[slice.buffer.index()].kind == BufferKind::Transient)
-            .filter(|slice| graph.check_written("", slice, None).is_ok())
+            .filter(|slice| graph.check_written("", slice).is_ok())
             .map(|slice| (slice, Access::Read))
             .collect();
         touched.push((Buffer(0).slice(0, 8 * CELL), Access::ReadWrite));
@@ -154,7 +152,7 @@ impl Recipe {
                 let (touches, slices): (Vec<_>, Vec<_>) =
                     (0..slices.len()).filter(keep).map(|at| (&touches[at], slices[at])).unzip();
                 let access = |(touch, slice): (&&Touch, &Slice)| {
-                    let written = graph.check_written("", slice, None).is_ok();
+                    let written = graph.check_written("", slice).is_ok();
                     match touch.access {
                         _ if !graph.buffers[slice.buffer.index()].writable() => Access::Read,
                         0..=3 if written && !touch.discard => Access::Read,
@@ -168,13 +166,7 @@ impl Recipe {
                     slices.iter().zip(&accesses).map(|(s, access)| (kind_of(graph, s), *access)).collect();
                 let indirect = slices.first().copied().filter(|first| kind == 2 && !is_image(graph, first));
                 let kernel = with_kinds("k", &kinds);
-                // Condition word in some buffer, sometimes in one that the pass accesses.
-                let word = touches.last().map(|touch| slice(touch)).filter(|_| matches!(kind, 3 | 4));
-                let word = word.filter(|word| !is_image(graph, word)).map(|word| word.buffer.slice(word.offset, 4));
                 let mut pass = graph.pass(name, &kernel);
-                if let Some(word) = word {
-                    pass = pass.when(word);
-                }
                 for (index, (touch, slice)) in touches.iter().zip(&slices).enumerate() {
                     let discards = touch.discard && matches!(accesses[index], Access::Write | Access::ReadWrite);
                     pass = bind(pass, index, *slice, discards);
@@ -200,25 +192,6 @@ struct Machine<'p> {
 /// Returns whether a slice belongs to an image.
 fn is_image(graph: &Graph, slice: &Slice) -> bool {
     graph.buffers[slice.buffer.index()].image.is_some()
-}
-
-/// Returns the latest group order that two queues may execute: the side lane runs as late as the waits allow.
-fn late(plan: &Plan) -> Vec<usize> {
-    let (mut order, mut pending) = (Vec::new(), std::collections::VecDeque::new());
-    for (at, segment) in plan.segments.iter().enumerate() {
-        if segment.lane == Lane::Side {
-            pending.push_back(at);
-            continue;
-        }
-        for &wait in &segment.waits {
-            while let Some(side) = pending.pop_front_if(|side| *side <= wait) {
-                order.extend(plan.segments[side].groups.clone());
-            }
-        }
-        order.extend(segment.groups.clone());
-    }
-    assert!(pending.is_empty(), "no segment waits for the last of {plan}");
-    order
 }
 
 /// Owner of an unwritten cell.
@@ -251,18 +224,12 @@ impl<'p> Machine<'p> {
     /// Returns the value of a cell; a fixed value if another buffer owns it.
     fn load(&mut self, buffer: usize, cell: u64) -> u64 {
         let (owner, value) = *self.cell(buffer, cell);
-        let history = self.plan.buffers[buffer].kind == BufferKind::History;
-        if owner == buffer || history { value } else { 0xdead }
+        if owner == buffer { value } else { 0xdead }
     }
 
-    /// Simulates the beginning of a replay: swaps histories, and invalidates transients and images with undefined
+    /// Simulates the beginning of a replay: invalidates transients and images with undefined
     /// contents.
     fn begin(&mut self) {
-        for (buffer, info) in self.plan.buffers() {
-            if let Some(pair) = info.pair.filter(|_| info.keep) {
-                self.cells.swap(buffer.index(), pair.partner.index());
-            }
-        }
         for (index, info) in self.plan.buffers.iter().enumerate() {
             let undefined = info.image.is_some_and(|image| image.entry == ImageState::Undefined);
             if undefined || info.kind == BufferKind::Transient {
@@ -275,13 +242,6 @@ impl<'p> Machine<'p> {
     fn run(&mut self, index: usize) {
         let pass = &self.plan.passes[index];
         let cells = |slice: &Slice| slice.offset / CELL..(slice.offset + slice.bytes).div_ceil(CELL);
-        if pass.condition.is_some() {
-            // The gate's output decides whether the pass runs.
-            let counts = pass.accesses.iter().find(|(_, _, used)| *used == Use::Indirect).unwrap().0;
-            if self.load(counts.buffer.index(), 0).is_multiple_of(3) {
-                return;
-            }
-        }
         let mut read = index as u64;
         for (slice, access, _) in &pass.accesses {
             if *access == Access::Read || (*access == Access::ReadWrite && !pass.discards(slice)) {
@@ -357,29 +317,6 @@ proptest! {
         }
     }
 }
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 700, failure_persistence: None, ..ProptestConfig::default() })]
-
-    #[test]
-    fn two_queues_match_declared_order(mut recipe in recipes(40)) {
-        recipe.options.queues = Queues::Forced;
-        let plan = recipe.build().compile(&recipe.options).unwrap();
-        if let Err(error) = verify(&plan) {
-            return Err(TestCaseError::fail(format!("{error}\n{plan}")));
-        }
-        let mut declared = Machine::new(&plan, false);
-        let mut early = Machine::new(&plan, true);
-        let mut delayed = Machine::new(&plan, true);
-        for _ in 0..3 {
-            [&mut declared, &mut early, &mut delayed].into_iter().for_each(Machine::begin);
-            (0..plan.passes.len()).for_each(|pass| declared.run(pass));
-            plan.groups.iter().for_each(|group| group.passes.iter().for_each(|&pass| early.run(pass)));
-            late(&plan).into_iter().for_each(|at| plan.groups[at].passes.iter().for_each(|&pass| delayed.run(pass)));
-            prop_assert_eq!(declared.outputs(), early.outputs(), "{}", plan);
-            prop_assert_eq!(declared.outputs(), delayed.outputs(), "{}", plan);
-        }
-    }
-}
 
 /// Guards the comparison above: an order that violates the data flow changes the outputs.
 #[test]
@@ -403,7 +340,7 @@ fn random_graphs_are_not_trivial() {
     use proptest::strategy::{Strategy, ValueTree};
     let mut runner = proptest::test_runner::TestRunner::deterministic();
     let count = 300;
-    let [mut running, mut dropped, mut groups, mut shared, mut wide, mut layouts, mut slots, mut conditions] = [0; 8];
+    let [mut running, mut dropped, mut groups, mut shared, mut wide, mut layouts, mut slots] = [0; 7];
     for _ in 0..count {
         let recipe = recipes(40).new_tree(&mut runner).unwrap().current();
         let plan = recipe.build().compile(&recipe.options).unwrap();
@@ -414,12 +351,10 @@ fn random_graphs_are_not_trivial() {
         shared += usize::from(plan.arena_bytes < plan.arena_unaliased_bytes);
         layouts += plan.entry.len() + plan.exit.len();
         let images = plan.buffers().filter(|(b, i)| i.image.is_some() && plan.placements[b.index()].is_some());
-        conditions +=
-            plan.groups.iter().flat_map(|g| &g.passes).filter(|&&p| plan.passes[p].condition.is_some()).count();
         slots += images.count() - plan.image_slots.len();
     }
     println!("{running} running, {dropped} dropped, {groups} groups, {wide} wide, {shared} with shared memory");
-    println!("{layouts} changes of layout, {slots} slots shared, {conditions} conditions");
-    assert!(conditions > count && layouts > count && slots > 3);
+    println!("{layouts} changes of layout, {slots} slots shared");
+    assert!(layouts > count && slots > 3);
     assert!(running > 8 * count && dropped > count && groups > 4 * count && wide > count && shared > count / 20);
 }

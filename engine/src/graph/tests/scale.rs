@@ -6,8 +6,8 @@ use super::kernels::kernel;
 use super::*;
 use crate::shader::Access;
 
-/// Builds a step of `passes` kernels, each over a few of several hundred buffers, with chains, sums and side
-/// branches.
+/// Builds a step of `passes` kernels with chains, sums and side branches. Each kernel accesses a few of several
+/// hundred buffers.
 pub(super) fn large(passes: usize) -> Graph {
     let mut graph = Graph::new("large");
     let bytes = |index: u64| 4096 * (1 + index * 7 % 31);

@@ -1,5 +1,6 @@
-//! The graph of a step. The order of declarations is the order of what depends on what: everything reads parameters
-//! before anything moves them.
+//! Graph of a geometry step.
+//!
+//! The order of declarations is the order of dependencies: all reads of parameters precede their updates.
 
 use super::inputs::{InputHandles, SemanticHandles};
 use super::pseudo::{self, Pseudo};
@@ -17,17 +18,17 @@ use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles, decoder_step}
 use crate::splat::{
     Blended, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam, PixelGradients, Screen,
     Statistic, Visible, Wanted, blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd,
-    features_bwd_adam, features_pack, intersect, project, project_bwd_adam, statistic_debt, wanted_words,
+    features_bwd_adam, intersect, project, project_bwd_adam, statistic_debt, wanted_words,
 };
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::report;
 
 pub(super) type Built<T> = std::result::Result<T, GraphError>;
 
-/// Bytes of a pixel of a picture of features.
+/// Bytes per pixel of a feature image.
 pub(super) const FEATURE_BYTES: u64 = 4 * FEATURES as u64;
 
-/// A view on its way through a step.
+/// Rendered view within a step.
 pub(super) struct Rendering {
     pub screen: Screen,
     pub visible: Visible,
@@ -57,12 +58,12 @@ pub(super) fn render(
     Ok(Rendering { screen, visible, entries, blended, channels })
 }
 
-/// The uniforms of a step.
+/// Uniforms of a step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Steps {
-    /// The training view's.
+    /// Uniform of the training view.
     pub step: Buffer,
-    /// The pseudo-views', if there are any.
+    /// Uniforms of the pseudo-views, if present.
     pub pseudo: Option<[Buffer; PSEUDO_VIEWS]>,
 }
 
@@ -76,20 +77,17 @@ pub(super) fn build(
     o: &GeometryOptions,
 ) -> Built<()> {
     let step = steps.step;
-    let packed;
-    let gaussians = match inputs.semantics {
-        Some(_) => {
-            packed = features_pack(g, t, gaussians)?;
-            &packed
-        }
-        None => gaussians,
-    };
     let view = render(g, t, step, gaussians, status, o.channels, o)?;
     let screen = view.screen;
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
     let gradient = appearance(g, t, &view, inputs, o, stats)?;
     let meaning = match &inputs.semantics {
-        Some(s) => Some(meaning(g, t, steps, &view, gaussians, status, inputs, s, stats, o)?),
+        Some(s) => Some(meaning(
+            g,
+            t,
+            &MeaningInputs { steps, view: &view, gaussians, status, inputs, semantics: s, o },
+            stats,
+        )?),
         None => None,
     };
     let mut entry_gradients =
@@ -134,7 +132,8 @@ pub(super) fn build(
     }
     if let Some(seen) = seen {
         let features_done = meaning.as_ref().is_some_and(|m| m.pseudo.is_some());
-        unseen(g, t, step, gaussians, status, seen, extra, o.dense_adam, features_done)?;
+        let unseen_step = UnseenStep { step, seen, extra, dense: o.dense_adam, features_done };
+        unseen(g, t, gaussians, status, &unseen_step)?;
     }
     let wanted = meaning.and_then(|m| m.pseudo).map(|p| p.wanted);
     let bindings = report::Bindings {
@@ -153,7 +152,7 @@ pub(super) fn build(
     stage(g, "report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])
 }
 
-/// The losses of what is seen: colors, normals, depth.
+/// Adds the losses of appearance: colors, normals, depth.
 fn appearance(
     g: &mut Graph,
     t: &Tuning,
@@ -167,7 +166,7 @@ fn appearance(
     let partials = photometric(g, *t, &loss)?;
     if !o.channels.normals && !o.channels.depth {
         let mut gradient = photometric_bwd_in_place(g, *t, &loss, &partials)?;
-        // Of what a step compares, features alone are no color.
+        // Among the losses of a step, only that of features is not a color loss.
         let apart = inputs.semantics.is_some() && o.semantic_geometry;
         gradient.statistic = own_statistic(o).filter(|_| apart).map(|which| (which, gradient.debt));
         loss_sum(g, *t, step, (partials.sums, partials.count), None, stats)?;
@@ -199,32 +198,33 @@ fn appearance(
     Ok(owed)
 }
 
-/// The statistic of densification, unless it is that of all gradients.
+/// Returns the densification statistic, unless it covers all gradients.
 fn own_statistic(o: &GeometryOptions) -> Option<Statistic> {
     o.statistics.filter(|which| *which != Statistic::Total)
 }
 
-/// What the losses of features leave.
+/// Output of the feature losses.
 struct Meaning {
-    /// At the training view's entries.
+    /// Feature gradients at the entries of the training view.
     entries: EntryFeatures,
-    /// From the pseudo-views.
+    /// Gradients from the pseudo-views.
     pseudo: Option<Pseudo>,
 }
 
-/// The losses of what features mean, and the decoder's step.
-fn meaning(
-    g: &mut Graph,
-    t: &Tuning,
-    steps: &Steps,
-    view: &Rendering,
-    gaussians: &Handles,
-    status: &StatusHandles,
-    inputs: &InputHandles,
-    s: &SemanticHandles,
-    stats: Buffer,
-    o: &GeometryOptions,
-) -> Built<Meaning> {
+/// Inputs of [`meaning`].
+struct MeaningInputs<'a> {
+    steps: &'a Steps,
+    view: &'a Rendering,
+    gaussians: &'a Handles,
+    status: &'a StatusHandles,
+    inputs: &'a InputHandles,
+    semantics: &'a SemanticHandles,
+    o: &'a GeometryOptions,
+}
+
+/// Adds the semantic losses and the update of the decoder.
+fn meaning(g: &mut Graph, t: &Tuning, all: &MeaningInputs<'_>, stats: Buffer) -> Built<Meaning> {
+    let &MeaningInputs { steps, view, gaussians, status, inputs, semantics: s, o } = all;
     let (screen, step) = (&view.screen, view.screen.step);
     let region = match steps.pseudo {
         Some(pseudo) => pseudo::Region::of(g, t, view, inputs, o, pseudo)?,
@@ -245,7 +245,8 @@ fn meaning(
     let mut left = None;
     if let Some(region) = region {
         let head = (&s.head, &prepared);
-        let (views, losses) = region.compare(g, t, view, gaussians, status, head, (image, gradient), o)?;
+        let training = pseudo::Training { view, head, image, gradient };
+        let (views, losses) = region.compare(g, t, gaussians, status, &training, o)?;
         semantic_sum(g, *t, step, Some(&sums), Some((&losses.0, &losses.1)), stats)?;
         left = Some(views);
     } else {
@@ -263,7 +264,7 @@ fn meaning(
     Ok(Meaning { entries, pseudo })
 }
 
-/// The learning rate that a group follows.
+/// Returns the learning rate of a group.
 fn rate(group: Group) -> Rate {
     match group {
         Group::Means => Rate::Means,
@@ -277,18 +278,24 @@ fn rate(group: Group) -> Rate {
     }
 }
 
-/// Adam for what the view did not see: where pseudo-views left something, and everywhere if it is dense.
-fn unseen(
-    g: &mut Graph,
-    t: &Tuning,
+/// Step of Gaussians that the view does not see.
+struct UnseenStep {
     step: Buffer,
-    gaussians: &Handles,
-    status: &StatusHandles,
+    /// Words of the Gaussians that the view has updated.
     seen: Buffer,
+    /// Gradients from pseudo-views.
     extra: Option<ExtraGradients>,
+    /// Whether all groups are updated, also without gradients.
     dense: bool,
+    /// Whether semantic features are updated elsewhere.
     features_done: bool,
-) -> Built<()> {
+}
+
+/// Adds Adam for Gaussians that the view does not see.
+///
+/// Updates groups with gradients from pseudo-views; with `dense`, all groups.
+fn unseen(g: &mut Graph, t: &Tuning, gaussians: &Handles, status: &StatusHandles, all: &UnseenStep) -> Built<()> {
+    let &UnseenStep { step, seen, extra, dense, features_done } = all;
     let Some(moments) = gaussians.moments else { return Ok(()) };
     for group in gaussians.model.groups() {
         let gradients = extra.and_then(|e| e.of(group));

@@ -1,4 +1,4 @@
-//! What a geometry step reads beside the Gaussians, and what that takes.
+//! Inputs of a geometry step besides the Gaussians, and their sizes.
 
 use crate::loss::{Head, SemanticTargets};
 use crate::scene::{Decoder, DecoderHandles, EMBEDDING};
@@ -7,73 +7,75 @@ use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{DeviceBuffer, Result};
 use sgs_shaders::structs::SemanticTarget;
 
-/// Device memory that a step is bound to.
+/// Device memory that a geometry step reads.
 #[derive(Clone, Copy, Debug)]
 pub struct Inputs<'a> {
-    /// The photographs, packed.
+    /// Photographs, packed.
     pub targets: &'a DeviceBuffer,
-    /// Priors of the normals, packed likewise.
+    /// Normal priors, packed like the photographs.
     pub normals: Option<&'a DeviceBuffer>,
-    /// What features should mean; the Gaussians must have some.
+    /// Semantic targets; the Gaussians must have features.
     pub semantics: Option<SemanticInputs<'a>>,
-    /// For pseudo-views: ids of regions of the training views ([`crate::loss::pack_regions`]), or masks of all views of a
-    /// step, as [`GeometryOptions::pseudo`](super::GeometryOptions::pseudo) says.
+    /// Regions for pseudo-views.
+    ///
+    /// Region ids of the training views ([`crate::loss::pack_regions`]), or masks of all views of a step, depending on
+    /// [`GeometryOptions::pseudo`](super::GeometryOptions::pseudo).
     pub regions: Option<&'a DeviceBuffer>,
-    /// Ids of regions of the pseudo-views, where they are numbered.
+    /// Region ids of the pseudo-views, for numbered masks.
     pub pseudo_regions: Option<&'a DeviceBuffer>,
 }
 
-/// What the semantic loss is bound to.
+/// Inputs of the semantic loss.
 #[derive(Clone, Copy, Debug)]
 pub struct SemanticInputs<'a> {
-    /// Learned beside the Gaussians.
+    /// Decoder, trained with the Gaussians.
     pub decoder: &'a Decoder,
-    /// `[samples * 512]` halves, all views' maps one behind the other.
+    /// `[samples * 512]` half floats: target features of all views, concatenated.
     pub features: &'a DeviceBuffer,
     /// `[samples]` of `SemanticTarget`.
     pub targets: &'a DeviceBuffer,
-    /// `[classes * 512]` floats, rows of length one.
+    /// `[classes * 512]` floats: text embeddings, rows of length one.
     pub embeddings: &'a DeviceBuffer,
-    /// Samples of the largest map.
+    /// Number of samples of the largest map.
     pub largest: u32,
 }
 
-/// The sizes of [`Inputs`], for a plan without them.
+/// Sizes of [`Inputs`], to compile a plan without them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct InputSizes {
     /// Bytes of the photographs.
     pub targets: u64,
-    /// Bytes of the normals.
+    /// Bytes of the normal priors.
     pub normals: Option<u64>,
-    /// The semantic targets.
+    /// Sizes of the semantic inputs.
     pub semantics: Option<SemanticSizes>,
     /// Bytes of the regions.
     pub regions: Option<u64>,
-    /// Bytes of those of the pseudo-views.
+    /// Bytes of the regions of the pseudo-views.
     pub pseudo_regions: Option<u64>,
 }
 
-/// The sizes of [`SemanticInputs`].
+/// Sizes of [`SemanticInputs`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SemanticSizes {
-    /// Samples of all maps.
+    /// Number of samples of all maps.
     pub samples: u64,
-    /// Samples of the largest map.
+    /// Number of samples of the largest map.
     pub largest: u32,
-    /// Classes.
+    /// Number of classes.
     pub classes: u32,
 }
 
-/// Bytes of a sample's target features.
+/// Bytes of the target features of one sample.
 const ROW: u64 = 2 * EMBEDDING as u64;
 
 impl SemanticSizes {
-    /// Bytes of the samples' features, which are one buffer.
+    /// Returns the bytes of the target features, which form one buffer.
     pub fn feature_bytes(&self) -> u64 {
         self.samples * ROW
     }
 
-    /// Bytes of everything but the decoder.
+    /// Returns the bytes of all inputs except the decoder.
     pub fn bytes(&self) -> u64 {
         self.samples * (ROW + size_of::<SemanticTarget>() as u64) + self.text_bytes()
     }
@@ -84,7 +86,7 @@ impl SemanticSizes {
 }
 
 impl Inputs<'_> {
-    /// What they take.
+    /// Returns the sizes of the inputs.
     pub fn sizes(&self) -> InputSizes {
         InputSizes {
             targets: self.targets.bytes(),
@@ -100,7 +102,7 @@ impl Inputs<'_> {
     }
 }
 
-/// Their handles in a graph.
+/// Handles of the inputs in a graph.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct InputHandles {
     pub targets: Buffer,

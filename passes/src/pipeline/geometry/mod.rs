@@ -1,4 +1,4 @@
-//! One step of geometry training: render a view, compare, go back, update.
+//! One step of geometry training: render a view, evaluate the losses, propagate gradients, update.
 
 mod build;
 mod inputs;
@@ -18,47 +18,48 @@ use sgs_engine::graph::{CompileOptions, Graph, Plan};
 use sgs_engine::{Device, Result, Ticket};
 use std::sync::Arc;
 
-/// Pseudo-views of a step.
+/// Number of pseudo-views of a step.
 pub const PSEUDO_VIEWS: usize = 2;
 
-/// Where a region is in the pictures of a step.
+/// Source of the region masks of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Masks {
-    /// In the training view by the ids of its pixels, and carried from there to the pseudo-views by depth.
+    /// Region ids of the training view; depth carries the mask to the pseudo-views.
     Carried,
-    /// By the ids of the pixels of all views, those of pseudo-views from their `target_offset`.
+    /// Region ids of all views; those of pseudo-views start at their `target_offset`.
     Numbered,
-    /// As bits, for each view from its `mask_offset`.
-    Given,
+    /// Bit masks of all views, each from the view's `mask_offset`.
+    Provided,
 }
 
-/// What a geometry step is made of.
+/// Options of a geometry step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GeometryOptions {
-    /// Columns and rows that no view exceeds.
+    /// Maximum columns and rows of a view.
     pub largest: [u32; 2],
-    /// Room for tile entries.
+    /// Capacity of tile entries.
     pub entry_capacity: u32,
-    /// What is blended; normals and depth only where a loss needs them.
+    /// Blended channels; normals and depth only if a loss requires them.
     pub channels: Channels,
-    /// Which losses' gradients enter the statistics of densification, if these are gathered.
+    /// Losses whose gradients enter the densification statistics, if gathered.
     pub statistics: Option<Statistic>,
-    /// Whether Adam also moves what a step did not see.
+    /// Applies Adam also to Gaussians that the view does not see.
     pub dense_adam: bool,
-    /// Which backward kernel.
+    /// Backward kernel of blending.
     pub backward: BackwardKernel,
-    /// Whether what is asked of features also moves opacities, positions and shapes.
+    /// Lets gradients of features also update opacities, positions and shapes.
     pub semantic_geometry: bool,
-    /// Whether a region is compared with two pseudo-views, and what says where it is; needs semantics, and depth among
-    /// the channels if masks are carried.
+    /// Source of masks for comparing a region with two pseudo-views; `None` disables that.
+    ///
+    /// Requires semantics, and depth among the channels for carried masks.
     pub pseudo: Option<Masks>,
-    /// Timestamps around every pass.
+    /// Writes timestamps around every pass.
     pub timestamps: bool,
-    /// Replays in flight.
+    /// Maximum number of replays in flight.
     pub frames_in_flight: usize,
 }
 
-/// A geometry step, ready to be replayed.
+/// Geometry step, replayable.
 pub struct GeometryStep {
     exec: Executor,
     steps: Steps,
@@ -67,7 +68,7 @@ pub struct GeometryStep {
 }
 
 impl GeometryStep {
-    /// Builds the graph and binds everything.
+    /// Builds the graph and binds all buffers.
     ///
     /// # Errors
     /// If memory runs out.
@@ -92,10 +93,10 @@ impl GeometryStep {
         Ok(GeometryStep { exec, steps: declared.steps, tile: tuning.tile, options })
     }
 
-    /// The plan of a step that does not exist yet, for what it would cost.
+    /// Compiles the plan of a step without allocating it, to estimate its cost.
     ///
     /// # Errors
-    /// If the sizes make no graph.
+    /// If the graph rejects the sizes.
     pub fn plan(
         tuning: &Tuning,
         gaussians: &Layout,
@@ -110,12 +111,12 @@ impl GeometryStep {
     /// # Errors
     /// If the device fails.
     pub fn submit(&mut self, step: &Step) -> Result<Ticket> {
-        // A step with pseudo-views that has none compares nothing: their weight is zero.
+        // The default pseudo-views have zero weights, so they compare nothing.
         let none = Step { camera: step.camera, step: step.step, ..Step::default() };
         self.submit_views(step, &[none; PSEUDO_VIEWS])
     }
 
-    /// Replays the step with these values, and those of its pseudo-views if it has some.
+    /// Replays the step with these values, and those of its pseudo-views if present.
     ///
     /// # Errors
     /// If the device fails.
@@ -145,18 +146,18 @@ impl GeometryStep {
         self.exec.finish()
     }
 
-    /// What it was made of.
+    /// Returns the options of the step.
     pub fn options(&self) -> &GeometryOptions {
         &self.options
     }
 
-    /// The executor, for its plan and its times.
+    /// Returns the executor, for its plan and its pass times.
     pub fn executor(&mut self) -> &mut Executor {
         &mut self.exec
     }
 }
 
-/// A compiled step and what is bound to it.
+/// Compiled step and the handles to bind.
 struct Declared {
     plan: Arc<Plan>,
     steps: Steps,

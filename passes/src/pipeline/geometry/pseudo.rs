@@ -1,15 +1,15 @@
-//! The pseudo-views of a step: rendered like the training view, compared with it in one region, and taken back to the
-//! Gaussians together with it.
+//! Pseudo-views of a step.
 //!
-//! They have features and depth alone: their colors are neither asked for nor worked out. A region that is empty in a picture costs its
-//! rendering and asks for nothing.
+//! They are rendered like the training view and compared with it in one region. Their gradients reach the Gaussians
+//! together with those of the training view. Pseudo-views blend only features and depth, no colors. A region that is
+//! empty in an image costs its rendering and gives no gradients.
 
 use super::build::{Built, FEATURE_BYTES, Rendering, render};
 use super::inputs::InputHandles;
 use super::{GeometryOptions, Masks, PSEUDO_VIEWS};
 use crate::Tuning;
 use crate::loss::{
-    CarryOptions, Correspondence, Head, Pictured, Prepared, Regions, Seen, carry_mask, correspondence_bwd,
+    CarryOptions, Correspondence, Head, ImagePart, Prepared, Regions, Seen, carry_mask, correspondence_bwd,
     correspondence_train_bwd, region, region_mask, regions, wanted_samples,
 };
 use crate::pipeline::status::StatusHandles;
@@ -20,30 +20,30 @@ use crate::splat::{
 };
 use sgs_engine::graph::{Buffer, Graph};
 
-/// What names of a pseudo-view's passes begin with.
+/// Prefixes of the pass names, by pseudo-view.
 const PREFIXES: [&str; PSEUDO_VIEWS] = ["pseudo0.", "pseudo1."];
 
-/// Where the step's region is in the training view.
+/// Region of the step in the training view.
 pub(super) struct Region {
-    /// A bit a pixel, from the step's `mask_offset`.
+    /// One bit per pixel, from the step's `mask_offset`.
     pub mask: Buffer,
     masks: Masks,
-    /// Where regions of pseudo-views are numbered.
+    /// Region ids of the pseudo-views, for numbered masks.
     ids: Option<Buffer>,
     steps: [Buffer; PSEUDO_VIEWS],
 }
 
-/// What pseudo-views leave for the optimizer.
+/// Output of the pseudo-views for the optimizer.
 pub(super) struct Pseudo {
-    /// For places, shapes and opacities.
+    /// Gradients of positions, shapes and opacities.
     pub extra: Option<ExtraGradients>,
-    /// `[Gaussians * 32]`; the training view adds its own.
+    /// `[Gaussians * 32]` floats: gradients of features, to which the training view adds its own.
     pub grad_features: Buffer,
-    /// How many entries each wanted.
+    /// Number of tile entries that each pseudo-view required.
     pub wanted: [Buffer; PSEUDO_VIEWS],
 }
 
-/// A pseudo-view whose features have gradients.
+/// Pseudo-view whose features have gradients.
 struct Compared {
     view: Rendering,
     wanted: Wanted,
@@ -51,11 +51,22 @@ struct Compared {
     gradient: Buffer,
 }
 
-/// All of them.
+/// All pseudo-views of a step.
 pub(super) struct Views([Compared; PSEUDO_VIEWS]);
 
+/// Training view of a comparison.
+pub(super) struct Training<'a> {
+    pub view: &'a Rendering,
+    /// Semantic head, and its prepared classes.
+    pub head: (&'a Head, &'a Prepared),
+    /// Its feature image.
+    pub image: Buffer,
+    /// Gradient of its feature image.
+    pub gradient: Buffer,
+}
+
 impl Region {
-    /// None without anything that says where regions are.
+    /// Declares the region; `None` without masks or regions.
     pub fn of(
         g: &mut Graph,
         t: &Tuning,
@@ -66,7 +77,7 @@ impl Region {
     ) -> Built<Option<Region>> {
         let (Some(masks), Some(given)) = (o.pseudo, inputs.regions) else { return Ok(None) };
         let mask = match masks {
-            Masks::Given => given,
+            Masks::Provided => given,
             Masks::Carried | Masks::Numbered => {
                 let mask = g.transient("region_mask", 4 * wanted_words(view.screen.pixels()));
                 region_mask(g, *t, &view.screen, given, mask)?;
@@ -76,21 +87,21 @@ impl Region {
         Ok(Some(Region { mask, masks, ids: inputs.pseudo_regions, steps }))
     }
 
-    /// Renders the pseudo-views, compares the region in all pictures, and adds to the training view's gradient. `trained`:
-    /// its picture of features, and the gradient.
+    /// Renders the pseudo-views and compares the region across all views.
+    ///
+    /// Adds to the gradient of the training view.
     pub fn compare(
         self,
         g: &mut Graph,
         t: &Tuning,
-        view: &Rendering,
         gaussians: &Handles,
         status: &StatusHandles,
-        (head, prepared): (&Head, &Prepared),
-        trained: (Buffer, Buffer),
+        trained: &Training<'_>,
         o: &GeometryOptions,
     ) -> Built<(Views, (Correspondence, Regions))> {
+        let &Training { view, head: (head, prepared), .. } = trained;
         let seen = |v: &Rendering| Seen { screen: v.screen, blended: v.blended, channels: v.channels };
-        let pictured = |v: &Rendering, image: Buffer, mask: Buffer| Pictured {
+        let image_part = |v: &Rendering, image: Buffer, mask: Buffer| ImagePart {
             step: v.screen.step,
             image,
             channels: Group::Semantics.width(),
@@ -99,7 +110,7 @@ impl Region {
             mask,
         };
         let all = regions(g, PSEUDO_VIEWS as u32);
-        let training = pictured(view, trained.0, self.mask);
+        let training = image_part(view, trained.image, self.mask);
         region(g, &training, head, prepared, &all, 0)?;
         let channels = Channels { colors: false, normals: false, depth: true };
         let mut one = |i: usize| -> Built<Compared> {
@@ -113,8 +124,8 @@ impl Region {
                     let options = CarryOptions::default();
                     carry_mask(g, *t, "carry_mask", &seen(view), self.mask, &seen(&view_i), options, wanted)?;
                 }
-                // The pseudo-view has no samples: what is wanted is the region.
-                (Masks::Given, _) => wanted_samples(g, *t, &view_i.screen, Some(self.mask), self.mask, wanted)?,
+                // A pseudo-view has no samples, so the wanted pixels are those of the region.
+                (Masks::Provided, _) => wanted_samples(g, *t, &view_i.screen, Some(self.mask), self.mask, wanted)?,
             }
             let image = g.transient("feature_image", FEATURE_BYTES * pixels);
             let wanted = Wanted { pixels: wanted, dense: true };
@@ -124,19 +135,19 @@ impl Region {
         };
         let views = Views([one(0)?, one(1)?]);
         g.set_prefix("");
-        let mask = |c: &Compared| if self.masks == Masks::Given { self.mask } else { c.wanted.pixels };
-        let pictures = views.0.each_ref().map(|c| (pictured(&c.view, c.image, mask(c)), c.gradient));
-        for (i, (picture, _)) in pictures.iter().enumerate() {
-            region(g, picture, head, prepared, &all, 1 + i as u32)?;
+        let mask = |c: &Compared| if self.masks == Masks::Provided { self.mask } else { c.wanted.pixels };
+        let images = views.0.each_ref().map(|c| (image_part(&c.view, c.image, mask(c)), c.gradient));
+        for (i, (rendered, _)) in images.iter().enumerate() {
+            region(g, rendered, head, prepared, &all, 1 + i as u32)?;
         }
-        let losses = correspondence_bwd(g, *t, &pictures, head, prepared, &all)?;
-        correspondence_train_bwd(g, *t, &training, &all, trained.1)?;
+        let losses = correspondence_bwd(g, *t, &images, head, prepared, &all)?;
+        correspondence_train_bwd(g, *t, &training, &all, trained.gradient)?;
         Ok((views, (losses, all)))
     }
 }
 
 impl Views {
-    /// Takes the gradients of the pseudo-views to the Gaussians.
+    /// Propagates the gradients of the pseudo-views to the Gaussians.
     pub fn gather(self, g: &mut Graph, t: &Tuning, gaussians: &Handles, o: &GeometryOptions) -> Built<Pseudo> {
         let features = 4 * u64::from(Group::Semantics.width()) * u64::from(gaussians.capacity);
         let grad_features = g.transient("grad_features", features);

@@ -1,17 +1,17 @@
-//! The graph of a step. Everything reads parameters before anything moves them.
+//! Graph of an intrinsic step. All reads of parameters precede their updates.
 
 use super::across::{Other, across_views};
 use super::inputs::Declared;
-use super::priors::{Asked, compared, priors};
+use super::priors::{PriorLosses, compared, priors};
 use super::{IntrinsicOptions, Steps};
 use crate::Tuning;
 use crate::kernel::stage;
-use crate::loss::{Compose, compose, compose_bwd, material_pictures_bwd, material_sum};
+use crate::loss::{Compose, compose, compose_bwd, material_images_bwd, material_sum};
 use crate::optim::{EPSILON, Rate};
 use crate::pipeline::{RING, SurfaceHandles};
-use crate::scene::StepWords;
+use crate::scene::{AdamRule, StepWords};
 use crate::shade::environment::{
-    Environment, EnvironmentView, Kept, environment as ambient_light, environment_bwd, environment_clamp,
+    Environment, EnvironmentView, StoredFilter, environment as ambient_light, environment_bwd, environment_clamp,
     environment_filter, environment_filter_bwd, environment_smoothness,
 };
 use crate::shade::lights::{
@@ -33,43 +33,45 @@ use sgs_shaders::structs::MaterialStats;
 
 type Built<T> = std::result::Result<T, GraphError>;
 
-/// Epsilon of the texels' Adam.
+/// Epsilon of Adam for the environment map's texels.
 pub(super) const TEXEL_EPSILON: f32 = 1e-8;
 
-/// What tells the host.
+/// Handles of the status buffers.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Words {
     pub flags: Buffer,
     pub skipped: Buffer,
     pub reports: Buffer,
-    /// Smoothness of the environment, where its texels do not move in each step.
+    /// Smoothness loss of the environment map, unless every step updates it.
     pub smoothness: Option<Buffer>,
 }
 
-/// What every part of a step works on.
+/// Inputs shared by all passes of a step.
 pub(super) struct Frame<'a> {
     pub t: &'a Tuning,
     pub steps: &'a Steps,
     pub screen: Screen,
-    /// What the view sees.
+    /// Surfaces of the view.
     pub seen: &'a Surfaces,
     pub inputs: &'a Declared,
     pub o: &'a IntrinsicOptions,
 }
 
-/// Adds all passes of a step; returns the picture that it shades.
-pub(super) fn build(
-    g: &mut Graph,
-    t: &Tuning,
-    steps: &Steps,
-    surface: &SurfaceHandles,
-    pseudo: &[SurfaceHandles],
-    inputs: &Declared,
-    environment: Option<&Environment>,
-    kept: Option<&Kept>,
-    words: &Words,
-    o: &IntrinsicOptions,
-) -> Built<Buffer> {
+/// Declared resources of a step.
+pub(super) struct StepResources<'a> {
+    pub steps: &'a Steps,
+    pub surface: &'a SurfaceHandles,
+    pub pseudo: &'a [SurfaceHandles],
+    pub inputs: &'a Declared,
+    pub environment: Option<&'a Environment>,
+    /// Stored levels of the environment map, if an update happens every several steps.
+    pub stored: Option<&'a StoredFilter>,
+    pub words: &'a Words,
+}
+
+/// Adds all passes of a step. Returns the shaded image.
+pub(super) fn build(g: &mut Graph, t: &Tuning, all: &StepResources<'_>, o: &IntrinsicOptions) -> Built<Buffer> {
+    let &StepResources { steps, surface, pseudo, inputs, environment, stored, words } = all;
     let step = steps.shaded;
     let screen = Screen { step, largest: o.shape.largest, tile: t.tile };
     let pixels = screen.pixels();
@@ -78,7 +80,7 @@ pub(super) fn build(
     let learned = inputs.normals.map(|l| normals(g, t, &screen, l.parameters, weights)).transpose()?;
     let seen = &learned.map_or(surface.surfaces, |l| l.of(&surface.surfaces));
 
-    // What the pixels are made of.
+    // Materials of the pixels.
     let raw = RawMaterials {
         albedo_range: o.albedo_range,
         albedo: inputs.albedo.parameters,
@@ -125,8 +127,8 @@ pub(super) fn build(
     };
     let around = match (environment, &inputs.environment) {
         (Some(e), Some((texels, tables))) => {
-            let filtered = match kept {
-                Some(kept) => kept.filtered(),
+            let filtered = match stored {
+                Some(stored) => stored.filtered(),
                 None => environment_filter(g, t, e, tables, texels.parameters)?,
             };
             let view = EnvironmentView::from(&shaded);
@@ -137,31 +139,30 @@ pub(super) fn build(
         _ => None,
     };
 
-    // The picture, and the way back to light.
+    // Shaded image, its loss, and the gradient of radiance.
     let composed = Compose {
         step,
         direct: lit.as_ref().map(|l| l.2),
         ambient: around.as_ref().map(|a| a.5),
         coverage: seen.coverage,
-        returning: o.returning,
         largest: o.shape.largest,
     };
-    let image = if o.picture { g.external("shaded", 12 * pixels) } else { g.transient("shaded", 12 * pixels) };
+    let image = if o.image { g.external("shaded", 12 * pixels) } else { g.transient("shaded", 12 * pixels) };
     let saturated = compose(g, *t, &composed, image)?;
     let (grad_image, stats) = compared(g, t, "shaded", step, image, inputs.targets, o)?;
     let radiance_gradient = g.transient("radiance_gradient", 12 * pixels);
     compose_bwd(g, *t, &composed, grad_image, radiance_gradient)?;
 
-    // What else is asked of materials.
+    // Other losses of materials.
     let frame = Frame { t, steps, screen, seen, inputs, o };
-    let mut asked = priors(g, &frame, &of_pixels, gradient.metallic, saturated)?;
-    let others = across_views(g, &frame, pseudo, &of_gaussians, &mut asked)?;
-    let Asked { shown, by_picture: of_pictures, losses, stats: of_priors, .. } = asked;
+    let mut prior_losses = priors(g, &frame, &of_pixels, gradient.metallic, saturated)?;
+    let others = across_views(g, &frame, pseudo, &of_gaussians, &mut prior_losses)?;
+    let PriorLosses { shown, by_image: of_images, losses, stats: of_priors, .. } = prior_losses;
     let material_stats = g.transient("material_stats", size_of::<MaterialStats>() as u64);
     material_sum(g, *t, step, steps.weights, &losses, material_stats)?;
-    material_pictures_bwd(g, *t, &shown, &of_pictures, gradient.materials)?;
+    material_images_bwd(g, *t, &shown, &of_images, gradient.materials)?;
 
-    // Back through light to materials.
+    // Gradients of materials through light.
     if let Some((_, _, _, sums, _)) = &lit {
         lights_materials_bwd(g, *t, &shaded, sums, radiance_gradient, gradient.materials, gradient.metallic)?;
     }
@@ -188,7 +189,7 @@ pub(super) fn build(
         if let Some(v) = &inputs.visibility {
             let learned = v.gradients(g, l.model.lights).zip(v.moments(words.flags, 1, words.skipped));
             let (gradients, moments) = learned.expect("invariant: the field is declared for training");
-            // What lights' places are asked through the field comes on top of what is asked of them directly.
+            // Gradients of light positions through the field add to the direct ones.
             let gradients = Gradients { lights: into.positions, ..gradients };
             let options = BackwardOptions {
                 regularized: o.visibility_jitter,
@@ -200,7 +201,7 @@ pub(super) fn build(
             visibility_adam(g, *t, &v.field, &gradients, &moments)?;
         }
         if let (Some(learned), Some(of_gaussians)) = (&learned, inputs.normals) {
-            // The surroundings take normals as they are, as published.
+            // As published, the environment map gives normals no gradient.
             let by_pixel = g.transient("normals_gradient", 12 * pixels);
             match (&inputs.visibility, sight) {
                 (Some(v), _) => lights_normals_bwd_field(g, *t, lights, &v.field, radiance_gradient, by_pixel)?,
@@ -219,8 +220,8 @@ pub(super) fn build(
     if let Some((e, texels, tables, filtered, view, _)) = &around {
         let sums =
             environment_bwd(g, t, e, tables, view, filtered, radiance_gradient, gradient.materials, gradient.metallic)?;
-        if let Some(kept) = kept {
-            kept.gather(g, t, e, &sums, 1.0 / o.environment_every as f32)?;
+        if let Some(stored) = stored {
+            stored.gather(g, t, e, &sums, 1.0 / o.environment_every as f32)?;
         } else {
             let weight = o.environment_smooth;
             let smoothness = environment_smoothness(g, t, e, tables, texels.parameters, weight);
@@ -237,11 +238,11 @@ pub(super) fn build(
         metallic: inputs.metallic.map(|m| m.gradient(g)),
     };
     materials_bwd(g, t, &raw, weights, n, &gradient, false, &grads)?;
-    for (i, Other { weights, shown, by_picture }) in others.into_iter().enumerate() {
+    for (i, Other { weights, shown, by_image }) in others.into_iter().enumerate() {
         g.set_prefix(format!("pseudo{i}."));
         let gradient = PixelMaterials { materials: g.transient("materials_gradient", 16 * pixels), metallic: None };
         g.fill("clear_materials_gradient", gradient.materials, 0)?;
-        material_pictures_bwd(g, *t, &shown, &by_picture, gradient.materials)?;
+        material_images_bwd(g, *t, &shown, &by_image, gradient.materials)?;
         let bare = RawMaterials { metallic: None, ..raw };
         materials_bwd(g, t, &bare, &weights, n, &gradient, true, &RawMaterials { metallic: None, ..grads })?;
     }
@@ -252,11 +253,11 @@ pub(super) fn build(
         moves.push((metallic, gradient, Rate::Share(o.rates.metallic), EPSILON));
     }
 
-    // Everything moves at once.
+    // All parameters are updated together.
     for (what, gradient, rate, epsilon) in moves {
-        what.follow(g, t, &words_of, gradient, rate, epsilon, true)?;
+        what.follow(g, t, &words_of, gradient, AdamRule { rate, epsilon, skip_zero: true })?;
     }
-    if let (Some((e, texels, ..)), None) = (&around, kept) {
+    if let (Some((e, texels, ..)), None) = (&around, stored) {
         environment_clamp(g, t, e, texels.parameters)?;
     }
     if let (Some((lights, parameters, ..)), true) = (&lit, o.light_prune > 0.0) {

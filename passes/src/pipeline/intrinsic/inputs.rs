@@ -1,6 +1,6 @@
-//! What an intrinsic step learns and what it reads, and what that takes.
+//! Parameters and inputs of an intrinsic step, and their sizes.
 
-use super::{IntrinsicOptions, KeptEnvironment};
+use super::{IntrinsicOptions, StoredEnvironment};
 use crate::scene::{Trainable, TrainableHandles};
 use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
@@ -10,27 +10,27 @@ use sgs_engine::graph::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 
-/// Everything that the stage learns.
+/// Parameters trained in the intrinsic stage.
 #[derive(Debug)]
 pub struct IntrinsicParameters {
-    /// Raw albedo, 3 a Gaussian.
+    /// Raw albedo, 3 floats per Gaussian.
     pub albedo: Trainable,
-    /// Raw roughness.
+    /// Raw roughness, 1 float per Gaussian.
     pub roughness: Trainable,
-    /// Raw metallic, where it is told.
+    /// Raw metallic, 1 float per Gaussian, if trained.
     pub metallic: Option<Trainable>,
     /// Positions and lobes of lights.
     pub lights: Option<[Trainable; 2]>,
-    /// Texels.
+    /// Texels of the environment map.
     pub environment: Option<Trainable>,
-    /// What lights see.
+    /// Visibility field.
     pub visibility: Option<VisibilityField>,
-    /// Normals, 3 a Gaussian, where they are learned.
+    /// Normals, 3 floats per Gaussian, if trained.
     pub normals: Option<Trainable>,
 }
 
 impl IntrinsicParameters {
-    /// All of them but the field, in an order that never changes.
+    /// Returns all parameters except the field, in a fixed order.
     pub fn all(&self) -> Vec<&Trainable> {
         let mut all = vec![&self.albedo, &self.roughness];
         all.extend(&self.metallic);
@@ -41,53 +41,55 @@ impl IntrinsicParameters {
     }
 }
 
-/// Device memory that a step is bound to, beside what a view sees.
+/// Device memory of an intrinsic step, besides the surfaces of a view.
 pub struct IntrinsicInputs<'a> {
-    /// What is learned.
+    /// Trained parameters.
     pub parameters: &'a IntrinsicParameters,
-    /// Factors of the lights: 0 switches one off.
+    /// Gains of the lights; 0 switches one off.
     pub gains: Option<&'a DeviceBuffer>,
-    /// The environment's tables: what it is, and where they lie.
+    /// Environment map: its filter tables and their device memory.
     pub environment: Option<(&'a Environment, &'a EnvironmentMemory)>,
-    /// Its levels, where the texels do not move with every step.
-    pub kept: Option<&'a KeptEnvironment>,
-    /// What rays to lights go through.
+    /// Mip levels of the environment map, unless every step updates it.
+    pub stored: Option<&'a StoredEnvironment>,
+    /// Tree for traced visibility.
     pub traced: Option<&'a TracedMemory>,
     /// Photographs, packed.
     pub targets: &'a DeviceBuffer,
-    /// Priors, packed likewise.
+    /// Albedo priors, packed like the photographs.
     pub albedo: Option<&'a DeviceBuffer>,
-    /// Likewise.
+    /// Roughness priors, packed likewise.
     pub roughness: Option<&'a DeviceBuffer>,
-    /// Likewise.
+    /// Metallic priors, packed likewise.
     pub metallic: Option<&'a DeviceBuffer>,
-    /// Ids of regions of the training views ([`crate::loss::pack_regions`]); masks of the step's views where
-    /// [`crate::pipeline::Masks::Given`] says so.
+    /// Region ids of the training views ([`crate::loss::pack_regions`]).
+    ///
+    /// With [`crate::pipeline::Masks::Provided`], masks of the step's views.
     pub regions: Option<&'a DeviceBuffer>,
-    /// Ids of regions of the pseudo-views, for [`crate::pipeline::Masks::Numbered`].
+    /// Region ids of the pseudo-views, for [`crate::pipeline::Masks::Numbered`].
     pub pseudo_regions: Option<&'a DeviceBuffer>,
-    /// What is said of the training views under other lights, packed as priors are: albedo, then roughness, of each copy of
-    /// the lights.
+    /// Estimates of the materials under other lights, packed like the priors.
+    ///
+    /// They cover the training views: albedo of each copy of the lights, then roughness of each copy.
     pub estimates: [Option<&'a DeviceBuffer>; 2 * COPIES],
 }
 
-/// Most copies of the lights that a step compares with.
+/// Maximum number of copies of the lights in a step.
 pub const COPIES: usize = 2;
 
-/// Names of the estimates.
+/// Buffer names of the estimates.
 const ESTIMATES: [&str; 2 * COPIES] = ["relit_albedo0", "relit_albedo1", "relit_roughness0", "relit_roughness1"];
 
-/// The tables of an environment in device memory.
+/// Filter tables of an environment map in device memory.
 #[derive(Debug)]
 pub struct EnvironmentMemory(Vec<DeviceBuffer>);
 
 impl EnvironmentMemory {
-    /// Puts them there.
+    /// Uploads the tables.
     ///
     /// # Errors
     /// If memory runs out.
     pub fn new(device: &Device, environment: &Environment) -> Result<EnvironmentMemory> {
-        // Handles of a graph that nobody runs: they only name the contents.
+        // This graph never runs. Its handles only label the contents.
         let mut g = Graph::new("tables");
         let tables = environment.declare(&mut g);
         let put = |(_, bytes): (Buffer, Vec<u8>)| {
@@ -98,24 +100,24 @@ impl EnvironmentMemory {
         Ok(EnvironmentMemory(environment.contents(&tables).into_iter().map(put).collect::<Result<_>>()?))
     }
 
-    /// What they take.
+    /// Returns the bytes of the tables.
     pub fn bytes_of(environment: &Environment) -> u64 {
         let mut g = Graph::new("tables");
         let tables = environment.declare(&mut g);
         environment.contents(&tables).iter().map(|(_, bytes)| bytes.len() as u64).sum()
     }
 
-    /// Puts them behind their handles.
+    /// Binds the tables to their handles.
     ///
     /// # Errors
-    /// If the plan was made for another environment.
+    /// If the plan was compiled for another environment map.
     pub fn bind(&self, exec: &mut Executor, environment: &Environment, tables: &EnvironmentTables) -> Result<()> {
         let handles = environment.contents(tables);
         handles.iter().zip(&self.0).try_for_each(|((handle, _), buffer)| exec.bind(*handle, buffer))
     }
 }
 
-/// The sizes of [`IntrinsicInputs`], for a plan without them.
+/// Sizes of [`IntrinsicInputs`], to compile a plan without them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IntrinsicSizes {
     /// Bytes of the photographs.
@@ -128,14 +130,14 @@ pub struct IntrinsicSizes {
     pub metallic: Option<u64>,
     /// Bytes of the regions.
     pub regions: Option<u64>,
-    /// Bytes of the pseudo-views' regions.
+    /// Bytes of the regions of the pseudo-views.
     pub pseudo_regions: Option<u64>,
     /// Bytes of the estimates.
     pub estimates: [Option<u64>; 2 * COPIES],
 }
 
 impl IntrinsicInputs<'_> {
-    /// What they take.
+    /// Returns the sizes of the inputs.
     pub fn sizes(&self) -> IntrinsicSizes {
         IntrinsicSizes {
             targets: self.targets.bytes(),
@@ -153,7 +155,7 @@ impl IntrinsicInputs<'_> {
     }
 }
 
-/// Lights in a graph.
+/// Handles of the lights in a graph.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LightHandles {
     pub model: LightModel,
@@ -163,7 +165,7 @@ pub(super) struct LightHandles {
     pub gains: Buffer,
 }
 
-/// All of it in a graph.
+/// Handles of all parameters and inputs in a graph.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Declared {
     pub albedo: TrainableHandles,

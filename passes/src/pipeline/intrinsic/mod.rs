@@ -1,7 +1,8 @@
-//! One step of the intrinsic stage: shade a view, compare, go back, update materials, lights, surroundings and shadows.
+//! One step of the intrinsic stage: shade a view, evaluate the losses, propagate gradients, update.
 //!
-//! Geometry stands still. What the view sees of it ([`super::Surface`]) is bound before each step; nothing of the size of
-//! pixels times lights is stored; the host waits for nothing.
+//! A step updates materials, lights, environment map and visibility; geometry is fixed. The surfaces of the view
+//! ([`super::Surface`]) are bound before each step. No buffer has the size of pixels times lights. The host does not
+//! wait.
 
 mod across;
 mod build;
@@ -11,15 +12,15 @@ mod refresh;
 mod relit;
 
 pub use inputs::{COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes};
-pub use refresh::{EnvironmentRefresh, KeptEnvironment};
+pub use refresh::{EnvironmentRefresh, StoredEnvironment};
 pub use relit::{RelitOptions, RelitView};
 
-use self::build::{Words, build};
+use self::build::{StepResources, Words, build};
 use self::inputs::Declared as Inputs;
 use super::status::RING;
 use super::{Masks, PSEUDO_VIEWS, Step, Surface, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
-use crate::shade::environment::{Environment, EnvironmentTables, Kept};
+use crate::shade::environment::{Environment, EnvironmentTables, StoredFilter};
 use crate::shade::lights::LightModel;
 use crate::shade::traced::TracedShape;
 use crate::shade::visibility::FieldConfig;
@@ -29,130 +30,141 @@ use sgs_engine::{Device, DeviceBuffer, Location, Result, Ticket};
 use sgs_shaders::structs::{FieldStep, IntrinsicReport, MaterialWeights};
 use std::sync::Arc;
 
-/// What an intrinsic step is made of.
+/// Options of an intrinsic step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntrinsicOptions {
-    /// Columns and rows that no view exceeds, Gaussians, and room for weights.
+    /// Maximum size of a view, number of Gaussians, and capacity of weights.
     pub shape: SurfaceShape,
-    /// The lowest albedo, and how far above it the highest lies.
+    /// Lowest albedo, and the distance from it to the highest.
     pub albedo_range: [f32; 2],
-    /// Whether there is a metallic value for each Gaussian.
+    /// Trains a metallic value per Gaussian.
     pub metallic: bool,
-    /// Point lights, and the factor of all their light: one over their number at the start.
+    /// Point lights, and the factor on all their light: one over their initial number.
     pub lights: Option<(LightModel, f32)>,
-    /// What lights see, if it is learned.
+    /// Learned visibility field, if used.
     pub visibility: Option<FieldConfig>,
-    /// What lights see, if it is traced; the tree itself is an input. Nothing is learned of it.
+    /// Traced visibility, if used; the tree is an input. It has no trained parameters.
     pub traced: Option<TracedShape>,
-    /// Whether visibility is not to notice a jitter of places.
+    /// Enables the smoothness loss of visibility under a jitter of positions.
     pub visibility_jitter: bool,
-    /// One pair of pixel and light of so many teaches the field, for as many: 1 is all of them.
+    /// Supervises the field with one in this many (pixel, light) pairs; 1 uses all.
+    ///
+    /// Each pair is weighted by this number.
     pub visibility_sample: u32,
-    /// Weights of the lights' nearness to surfaces and of their amplitudes.
+    /// Weights of the distance of lights from surfaces and of their amplitudes.
     pub light_regularizers: [f32; 2],
-    /// Lights whose amplitudes are all below this share of the largest are switched off for good; 0 keeps all.
+    /// Amplitude threshold that switches lights off for good.
+    ///
+    /// Fraction of the largest amplitude that at least one amplitude of a light must reach; 0 keeps all lights.
     pub light_prune: f32,
-    /// What lamps' diffuse radiance may be short of, each channel, because lights too faint to matter are left out of blocks of
-    /// pixels; 0 leaves none out. Specular radiance is short of `1 / (2 roughness^6)` times that at most
-    /// ([`crate::shade::lights::lights_prepare_culled`]).
+    /// Diffuse radiance per channel that culled lights may lack at a pixel.
+    ///
+    /// Faint lights are culled from blocks of pixels; 0 disables culling. Specular radiance lacks at most
+    /// `1 / (2 roughness^6)` times that ([`crate::shade::lights::lights_prepare_culled`]).
     pub cull_error: f32,
-    /// Weight of the environment's smoothness; the environment itself is an input.
+    /// Weight of the smoothness of the environment map, which is itself an input.
     pub environment_smooth: f32,
-    /// Of how many steps the environment's texels move after one, by what all of these asked of them; its levels stay meanwhile
-    /// ([`EnvironmentRefresh`]). 1: with every step.
+    /// Number of steps between updates of the environment map; 1 updates it with every step.
+    ///
+    /// An update uses the mean gradient of these steps. The mip levels are fixed in between ([`EnvironmentRefresh`]).
     pub environment_every: u32,
-    /// Whether albedo and roughness are to be smooth where the photograph is.
+    /// Enables the edge-aware smoothness losses, guided by the photograph.
+    ///
+    /// They smooth albedo and roughness.
     pub edge_aware: bool,
-    /// Whether their gradients are compared with those of the priors at several scales.
+    /// Compares gradients of albedo and roughness with the priors' at several scales.
     pub gradients: bool,
-    /// How the step's region is found in the training view and in pseudo-views.
+    /// Source of the region masks in the training view and the pseudo-views.
     pub masks: Masks,
-    /// Whether a region's albedo is compared with two pseudo-views; needs regions among the inputs.
+    /// Compares the albedo of a region with two pseudo-views; requires regions among the inputs.
     pub cross_view: bool,
-    /// Whether albedo in the region is compared with estimates of it under other lights; needs these and regions.
+    /// Compares the albedo of the region with estimates under other lights; requires these and regions.
     pub relight: bool,
-    /// Whether albedo in the region is compared with the view's own prior; needs that and regions.
+    /// Compares the albedo of the region with the view's own prior; requires that prior and regions.
     pub own_prior: bool,
-    /// What roughness in the region weighs beside albedo, where there are estimates of it under other lights.
+    /// Weight of the estimated roughness relative to albedo, under other lights.
     pub relight_roughness: f32,
-    /// Pixels that are too bright keep the gradients that lead them back.
-    pub returning: bool,
     /// Learning rates.
     pub rates: IntrinsicRates,
-    /// Whether the shaded picture can be had after a step ([`IntrinsicStep::picture`]).
-    pub picture: bool,
-    /// Timestamps around every pass.
+    /// Makes the shaded image available after a step ([`IntrinsicStep::image`]).
+    pub image: bool,
+    /// Writes timestamps around every pass.
     pub timestamps: bool,
-    /// Replays in flight.
+    /// Maximum number of replays in flight.
     pub frames_in_flight: usize,
 }
 
-/// Learning rates of Adam. Those of materials and normals count times `lr_share` of the step.
+/// Learning rates of Adam; those of materials and normals are multiplied by `lr_share` of the step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntrinsicRates {
-    /// Of albedo.
+    /// Rate of albedo.
     pub albedo: f32,
-    /// Of roughness.
+    /// Rate of roughness.
     pub roughness: f32,
-    /// Of metallic.
+    /// Rate of metallic.
     pub metallic: f32,
-    /// Of lights' places, world units.
+    /// Rate of light positions, in world units.
     pub light_positions: f32,
-    /// Of their lobes.
+    /// Rate of light lobes.
     pub lights: f32,
-    /// Of the environment's texels.
+    /// Rate of the environment map's texels.
     pub environment: f32,
-    /// Of the visibility field.
+    /// Rate of the visibility field.
     pub visibility: f32,
-    /// Of the Gaussians' normals, through the light of lamps; 0 leaves them as they are.
+    /// Rate of the Gaussians' normals through the light of the point lights; 0 keeps them fixed.
     pub normals: f32,
 }
 
 impl IntrinsicOptions {
-    /// What irradiance may miss before the normalizer, for [`Self::cull_error`]: no albedo is above 1.
+    /// Returns the irradiance that culled lights may lack at a pixel.
+    ///
+    /// The value precedes the normalizer and corresponds to [`Self::cull_error`]. The bound assumes an albedo of at
+    /// most 1.
     fn missing(&self, normalizer: f32) -> f32 {
         self.cull_error * std::f32::consts::PI / normalizer.max(f32::MIN_POSITIVE)
     }
 
-    /// Whether normals are learned.
+    /// Returns whether normals are trained.
     pub fn learns_normals(&self) -> bool {
         self.rates.normals > 0.0 && self.lights.is_some()
     }
 }
 
-/// The uniforms of a step: what the shaded picture is compared with, and the priors, each with weights and offset of its
-/// own. Camera and step number are those of the first.
+/// Uniforms of a step.
+///
+/// The photograph and each prior have their own weights and target offset. Camera, step number and seed come from
+/// [`Self::shaded`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct IntrinsicStepValues {
-    /// The photograph.
+    /// Uniform of the photograph.
     pub shaded: Step,
-    /// The albedo prior.
+    /// Uniform of the albedo prior.
     pub albedo: Step,
-    /// The roughness prior.
+    /// Uniform of the roughness prior.
     pub roughness: Step,
-    /// The metallic prior.
+    /// Uniform of the metallic prior.
     pub metallic: Step,
-    /// Of the other losses of materials.
+    /// Weights of the other material losses.
     pub weights: MaterialWeights,
-    /// The pseudo-views', where there are some.
+    /// Uniforms of the pseudo-views, if present.
     pub pseudo: [Step; PSEUDO_VIEWS],
-    /// Of the visibility field, where there is one.
+    /// Uniform of the visibility field, if present.
     pub field: FieldStep,
 }
 
-/// An intrinsic step, ready to be replayed.
+/// Intrinsic step, replayable.
 pub struct IntrinsicStep {
     exec: Executor,
     steps: Steps,
     surface: SurfaceHandles,
     pseudo: Vec<SurfaceHandles>,
     field: Option<Buffer>,
-    picture: Option<DeviceBuffer>,
+    image: Option<DeviceBuffer>,
     tile: [u32; 2],
     options: IntrinsicOptions,
 }
 
-/// The uniforms.
+/// Handles of the uniforms.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Steps {
     pub shaded: Buffer,
@@ -163,23 +175,25 @@ pub(super) struct Steps {
     pub pseudo: [Buffer; PSEUDO_VIEWS],
 }
 
-/// What steps tell the host: a counter, and a ring of reports.
+/// Status that steps report to the host: a counter and a ring of reports.
 #[derive(Debug)]
 pub struct IntrinsicStatus {
     flags: DeviceBuffer,
     skipped: DeviceBuffer,
     reports: DeviceBuffer,
-    /// Smoothness of the environment when its texels last moved, where they do not move in each step.
+    /// Smoothness loss of the environment map at its last update.
+    ///
+    /// Unused if every step updates it.
     smoothness: DeviceBuffer,
 }
 
 const REPORTS: u64 = RING as u64 * size_of::<IntrinsicReport>() as u64;
 
 impl IntrinsicStatus {
-    /// What it takes.
+    /// Bytes of the status buffers.
     pub const BYTES: u64 = 12 + REPORTS;
 
-    /// Makes it, all clear.
+    /// Allocates the buffers and clears them.
     ///
     /// # Errors
     /// If memory runs out.
@@ -194,7 +208,7 @@ impl IntrinsicStatus {
         Ok(IntrinsicStatus { flags, skipped, reports, smoothness })
     }
 
-    /// The smoothness that steps report until texels move again.
+    /// Returns the smoothness loss that steps report until the next update.
     ///
     /// # Errors
     /// If the device fails.
@@ -202,7 +216,7 @@ impl IntrinsicStatus {
         Ok(device.download_as(&self.smoothness, 1)?.first().copied().unwrap_or(0.0))
     }
 
-    /// Sets the smoothness that steps report until texels move again.
+    /// Sets the smoothness loss that steps report until the next update.
     ///
     /// # Errors
     /// If the device fails.
@@ -210,10 +224,10 @@ impl IntrinsicStatus {
         device.upload(&self.smoothness, 0, bytemuck::bytes_of(&value))
     }
 
-    /// The report of a step that is done.
+    /// Returns the report of a completed step.
     ///
     /// # Errors
-    /// If the memory is not visible, which would be a defect.
+    /// If the memory is not host-visible, which indicates a bug.
     pub fn report(&self, step: u32) -> Result<IntrinsicReport> {
         let bytes = size_of::<IntrinsicReport>() as u64;
         let mut report = IntrinsicReport::default();
@@ -223,7 +237,7 @@ impl IntrinsicStatus {
 }
 
 impl IntrinsicStep {
-    /// Builds the graph and binds everything but what a view sees.
+    /// Builds the graph and binds everything except the surfaces of a view.
     ///
     /// # Errors
     /// If memory runs out.
@@ -242,8 +256,8 @@ impl IntrinsicStep {
         };
         let mut exec = Executor::new(device, declared.plan, exec_options)?;
         declared.inputs.bind(&mut exec, inputs)?;
-        if let (Some(kept), Some(handles)) = (inputs.kept, &declared.kept) {
-            kept.bind(&mut exec, handles)?;
+        if let (Some(stored), Some(handles)) = (inputs.stored, &declared.stored) {
+            stored.bind(&mut exec, handles)?;
         }
         exec.bind(declared.words.flags, &status.flags)?;
         exec.bind(declared.words.skipped, &status.skipped)?;
@@ -252,9 +266,9 @@ impl IntrinsicStep {
             exec.bind(smoothness, &status.smoothness)?;
         }
         let bytes = 12 * u64::from(options.shape.largest[0]) * u64::from(options.shape.largest[1]);
-        let make = || device.buffer("shaded_picture", bytes, Location::Device);
-        let picture = declared.picture.map(|_| make()).transpose()?;
-        if let (Some(handle), Some(buffer)) = (declared.picture, &picture) {
+        let make = || device.buffer("shaded_image", bytes, Location::Device);
+        let image = declared.image.map(|_| make()).transpose()?;
+        if let (Some(handle), Some(buffer)) = (declared.image, &image) {
             exec.bind(handle, buffer)?;
         }
         let field = declared.inputs.visibility.map(|v| v.field.step);
@@ -264,16 +278,16 @@ impl IntrinsicStep {
             surface: declared.surface,
             pseudo: declared.pseudo,
             field,
-            picture,
+            image,
             tile: tuning.tile,
             options,
         })
     }
 
-    /// The plan of a step that does not exist yet, for what it would cost.
+    /// Compiles the plan of a step without allocating it, to estimate its cost.
     ///
     /// # Errors
-    /// If the sizes make no graph.
+    /// If the graph rejects the sizes.
     pub fn plan(
         tuning: &Tuning,
         sizes: &IntrinsicSizes,
@@ -283,10 +297,10 @@ impl IntrinsicStep {
         Ok(declare(tuning, sizes, environment, options)?.plan)
     }
 
-    /// Replays the step on a view, and its pseudo-views if it has some.
+    /// Replays the step on a view, and on its pseudo-views if present.
     ///
     /// # Errors
-    /// If the device fails, or a surface has another shape than the step was made for.
+    /// If the device fails, or a surface differs in shape from the step's options.
     pub fn submit(&mut self, surface: &Surface, pseudo: &[Surface], values: &IntrinsicStepValues) -> Result<Ticket> {
         surface.bind(&mut self.exec, &self.surface)?;
         for (surface, handles) in pseudo.iter().zip(&self.pseudo) {
@@ -329,31 +343,32 @@ impl IntrinsicStep {
         self.exec.finish()
     }
 
-    /// What the last step shaded, display-referred, three floats a pixel of the largest view (waits for the device). Nothing where
-    /// [`IntrinsicOptions::picture`] did not ask for it.
+    /// Returns the shaded image of the last step (waits for the device).
+    ///
+    /// Display-referred, three floats per pixel of the largest view. Empty unless [`IntrinsicOptions::image`] is set.
     ///
     /// # Errors
     /// If the device fails.
-    pub fn picture(&mut self, device: &Device) -> Result<Vec<f32>> {
+    pub fn image(&mut self, device: &Device) -> Result<Vec<f32>> {
         self.exec.finish()?;
-        match &self.picture {
+        match &self.image {
             Some(buffer) => device.download_as(buffer, buffer.bytes() as usize / 4),
             None => Ok(Vec::new()),
         }
     }
 
-    /// What it was made of.
+    /// Returns the options of the step.
     pub fn options(&self) -> &IntrinsicOptions {
         &self.options
     }
 
-    /// The executor, for its plan and its times.
+    /// Returns the executor, for its plan and its pass times.
     pub fn executor(&mut self) -> &mut Executor {
         &mut self.exec
     }
 }
 
-/// A compiled step and what is bound to it.
+/// Compiled step and the handles to bind.
 struct Declared {
     plan: Arc<Plan>,
     steps: Steps,
@@ -361,8 +376,8 @@ struct Declared {
     pseudo: Vec<SurfaceHandles>,
     words: Words,
     inputs: Inputs,
-    kept: Option<Kept>,
-    picture: Option<Buffer>,
+    stored: Option<StoredFilter>,
+    image: Option<Buffer>,
 }
 
 fn declare(
@@ -394,9 +409,18 @@ fn declare(
     };
     let tables: Option<(EnvironmentTables, u32)> = environment.map(|e| (e.declare(&mut g), e.floats()));
     let inputs = Inputs::declare(&mut g, sizes, tables, o, t.accuracy.table_bits);
-    let kept = environment.filter(|_| o.environment_every > 1).map(|e| Kept::declare(&mut g, e, false));
-    let shaded = build(&mut g, t, &steps, &surface, &pseudo, &inputs, environment, kept.as_ref(), &words, o)?;
-    let picture = o.picture.then_some(shaded);
+    let stored = environment.filter(|_| o.environment_every > 1).map(|e| StoredFilter::declare(&mut g, e, false));
+    let resources = StepResources {
+        steps: &steps,
+        surface: &surface,
+        pseudo: &pseudo,
+        inputs: &inputs,
+        environment,
+        stored: stored.as_ref(),
+        words: &words,
+    };
+    let shaded = build(&mut g, t, &resources, o)?;
+    let image = o.image.then_some(shaded);
     let plan = Arc::new(g.compile(&CompileOptions::default())?);
-    Ok(Declared { plan, steps, surface, pseudo, words, inputs, kept, picture })
+    Ok(Declared { plan, steps, surface, pseudo, words, inputs, stored, image })
 }

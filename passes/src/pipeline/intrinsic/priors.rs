@@ -1,11 +1,11 @@
-//! What priors ask of the materials of a view, and what its photograph asks beside its colors.
+//! Losses of a view's materials: priors, and smoothness guided by the photograph.
 
 use super::IntrinsicOptions;
 use super::build::Frame;
 use crate::Tuning;
 use crate::loss::{
-    EdgeAware, MaterialLosses, MaterialPictures, Materials, Msg, Photometric, Saturated, edge_aware, gray_picture,
-    gray_picture_bwd, loss_sum, material_pictures, msg, photometric, photometric_bwd, pictures,
+    EdgeAware, MaterialImages, MaterialLosses, Materials, Msg, Photometric, Saturated, edge_aware, gray_image,
+    gray_image_bwd, images, loss_sum, material_images, msg, photometric, photometric_bwd,
 };
 use crate::shade::PixelMaterials;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -13,35 +13,37 @@ use sgs_shaders::structs::LossStats;
 
 type Built<T> = Result<T, GraphError>;
 
-/// What has been asked of materials so far.
-pub(super) struct Asked {
-    /// They, by pixel.
+/// Material losses accumulated so far.
+pub(super) struct PriorLosses {
+    /// Materials by pixel.
     pub shown: Materials,
-    /// They, as they are displayed.
-    pub pictures: MaterialPictures,
-    /// What is asked of these.
-    pub by_picture: MaterialPictures,
+    /// Materials as displayed.
+    pub images: MaterialImages,
+    /// Gradients of `images`.
+    pub by_image: MaterialImages,
     pub losses: MaterialLosses,
-    /// What the losses against priors of albedo, roughness and metallic came to.
+    /// Loss statistics against the priors of albedo, roughness and metallic.
     pub stats: [Option<Buffer>; 3],
 }
 
-/// Compares the materials of a view with their priors, as they are displayed; metallic goes into its gradient at once.
+/// Compares the displayed materials of a view with their priors.
+///
+/// Propagates the gradient of metallic to `metallic_gradient` at once.
 pub(super) fn priors(
     g: &mut Graph,
     f: &Frame<'_>,
     of_pixels: &PixelMaterials,
     metallic_gradient: Option<Buffer>,
     saturated: Saturated,
-) -> Built<Asked> {
+) -> Built<PriorLosses> {
     let shown = Materials {
         step: f.steps.shaded,
         materials: of_pixels.materials,
         coverage: f.seen.coverage,
         largest: f.o.shape.largest,
     };
-    let seen_as = pictures(g, "material_pictures", f.o.shape.largest, true);
-    material_pictures(g, *f.t, &shown, &seen_as)?;
+    let seen_as = images(g, "material_images", f.o.shape.largest, true);
+    material_images(g, *f.t, &shown, &seen_as)?;
     let clear = |g: &mut Graph, name: &str| -> Built<Buffer> {
         let buffer = g.transient(format!("grad_{name}_picture"), 12 * f.screen.pixels());
         g.fill(format!("clear_grad_{name}_picture"), buffer, 0)?;
@@ -55,8 +57,8 @@ pub(super) fn priors(
         None => (clear(g, "albedo")?, None),
     };
     let (roughness_gradient, roughness_stats) = match (f.inputs.roughness_priors, seen_as.roughness) {
-        (Some(priors), Some(picture)) => {
-            let (gradient, stats) = compared(g, f.t, "roughness", f.steps.roughness, picture, priors, f.o)?;
+        (Some(priors), Some(rendered)) => {
+            let (gradient, stats) = compared(g, f.t, "roughness", f.steps.roughness, rendered, priors, f.o)?;
             (gradient, Some(stats))
         }
         _ => (clear(g, "roughness")?, None),
@@ -64,29 +66,29 @@ pub(super) fn priors(
     let mut metallic_stats = None;
     if let (Some(priors), Some(values), Some(into)) = (f.inputs.metallic_priors, of_pixels.metallic, metallic_gradient)
     {
-        let picture = g.transient("metallic_picture", 12 * f.screen.pixels());
-        gray_picture(g, *f.t, &f.screen, values, f.seen.coverage, picture)?;
-        let (by_picture, stats) = compared(g, f.t, "metallic", f.steps.metallic, picture, priors, f.o)?;
-        gray_picture_bwd(g, *f.t, &f.screen, by_picture, f.seen.coverage, into)?;
+        let rendered = g.transient("metallic_image", 12 * f.screen.pixels());
+        gray_image(g, *f.t, &f.screen, values, f.seen.coverage, rendered)?;
+        let (by_image, stats) = compared(g, f.t, "metallic", f.steps.metallic, rendered, priors, f.o)?;
+        gray_image_bwd(g, *f.t, &f.screen, by_image, f.seen.coverage, into)?;
         metallic_stats = Some(stats);
     }
-    let of_pictures = MaterialPictures { albedo: albedo_gradient, roughness: Some(roughness_gradient) };
+    let of_images = MaterialImages { albedo: albedo_gradient, roughness: Some(roughness_gradient) };
     let mut losses = MaterialLosses { saturated: Some(saturated), ..Default::default() };
     if f.o.edge_aware {
         let edges = EdgeAware {
             step: f.steps.shaded,
             weights: f.steps.weights,
-            pictures: seen_as,
+            images: seen_as,
             targets: f.inputs.targets,
             largest: f.o.shape.largest,
         };
-        losses.edge = Some(edge_aware(g, *f.t, &edges, &of_pictures)?);
+        losses.edge = Some(edge_aware(g, *f.t, &edges, &of_images)?);
     }
     if let (Some(priors), true) = (f.inputs.albedo_priors, f.o.gradients) {
         let scales = Msg {
             step: f.steps.shaded,
             weights: f.steps.weights,
-            pictures: seen_as,
+            images: seen_as,
             coverage: f.seen.coverage,
             albedo_prior: priors,
             roughness_prior: f.inputs.roughness_priors,
@@ -94,13 +96,13 @@ pub(super) fn priors(
             mask: None,
             largest: f.o.shape.largest,
         };
-        losses.msg = Some(msg(g, *f.t, &scales, &of_pictures)?);
+        losses.msg = Some(msg(g, *f.t, &scales, &of_images)?);
     }
     let stats = [albedo_stats, roughness_stats, metallic_stats];
-    Ok(Asked { shown, pictures: seen_as, by_picture: of_pictures, losses, stats })
+    Ok(PriorLosses { shown, images: seen_as, by_image: of_images, losses, stats })
 }
 
-/// A picture against photographs or priors: its gradient, and what the loss came to.
+/// Compares an image with photographs or priors. Returns its gradient and the loss statistics.
 pub(super) fn compared(
     g: &mut Graph,
     t: &Tuning,

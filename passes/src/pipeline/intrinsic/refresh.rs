@@ -1,19 +1,21 @@
-//! Surroundings that move once in several steps.
+//! Environment map that is updated once every several steps.
 //!
-//! Steps look up levels that stay ([`KeptEnvironment`]) and gather what they ask of them. When it is due, the sum goes back
-//! through the filters, Adam moves the texels by it, and the levels are filtered anew: what a step costs beside shading is
-//! paid once for all of them. Promises: the gradient is the mean of those of the steps, at the texels that they saw; the same
-//! bits from run to run. Nothing else may be in flight meanwhile.
+//! Steps look up fixed mip levels ([`StoredEnvironment`]) and accumulate their gradients. An update propagates the sum
+//! back through the filters, moves the texels with Adam, and filters the levels again. All steps between two updates
+//! share that cost.
+//!
+//! Guarantees: the gradient is the mean of those of the steps, at the texels that they used. Results are bitwise equal
+//! from run to run. Nothing else may be in flight during an update.
 
 use super::build::TEXEL_EPSILON;
 use super::{IntrinsicInputs, IntrinsicOptions, IntrinsicStatus, Step};
 use crate::Tuning;
 use crate::kernel::stage;
 use crate::optim::Rate;
-use crate::scene::{StepWords, Trainable};
+use crate::scene::{AdamRule, StepWords, Trainable};
 use crate::shade::environment::{
-    Environment, EnvironmentTables, Kept, environment_clamp, environment_filter_kept, environment_filter_kept_bwd,
-    environment_smoothness,
+    Environment, EnvironmentTables, StoredFilter, environment_clamp, environment_filter_stored,
+    environment_filter_stored_bwd, environment_smoothness,
 };
 use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
@@ -21,23 +23,25 @@ use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::semantic_reduce;
 use std::sync::Arc;
 
-/// The levels of an environment in device memory, and what has been asked of them since the texels moved.
+/// Mip levels of an environment map, and their gradients since the last update.
 #[derive(Debug)]
-pub struct KeptEnvironment {
+pub struct StoredEnvironment {
     radiance: DeviceBuffer,
     inverse_sums: DeviceBuffer,
     gathered: DeviceBuffer,
 }
 
-impl KeptEnvironment {
-    /// Makes it; nothing is filtered yet ([`EnvironmentRefresh::filter`]), nothing gathered.
+impl StoredEnvironment {
+    /// Allocates the buffers and clears the gradients.
+    ///
+    /// Levels are undefined until [`EnvironmentRefresh::filter`].
     ///
     /// # Errors
     /// If memory runs out.
-    pub fn new(device: &Device, environment: &Environment) -> Result<KeptEnvironment> {
-        let [radiance, inverse_sums, gathered] = Kept::bytes(environment);
+    pub fn new(device: &Device, environment: &Environment) -> Result<StoredEnvironment> {
+        let [radiance, inverse_sums, gathered] = StoredFilter::bytes(environment);
         let make = |name: &str, bytes: u64| device.buffer(name, bytes, Location::Device);
-        let made = KeptEnvironment {
+        let made = StoredEnvironment {
             radiance: make("environment_radiance", radiance)?,
             inverse_sums: make("environment_inverse_sums", inverse_sums)?,
             gathered: make("environment_gathered", gathered)?,
@@ -46,17 +50,17 @@ impl KeptEnvironment {
         Ok(made)
     }
 
-    /// What it takes.
+    /// Returns the bytes of all buffers.
     pub fn bytes_of(environment: &Environment) -> u64 {
-        Kept::bytes(environment).iter().sum()
+        StoredFilter::bytes(environment).iter().sum()
     }
 
-    /// Of it what a checkpoint holds.
-    pub fn kept_bytes_of(environment: &Environment) -> u64 {
-        Kept::bytes(environment)[2]
+    /// Returns the bytes that a checkpoint stores.
+    pub fn stored_bytes_of(environment: &Environment) -> u64 {
+        StoredFilter::bytes(environment)[2]
     }
 
-    /// What steps have gathered since the texels moved.
+    /// Downloads the gradients accumulated since the last update.
     ///
     /// # Errors
     /// If the device fails.
@@ -64,7 +68,7 @@ impl KeptEnvironment {
         device.download_as(&self.gathered, self.floats())
     }
 
-    /// Puts back what [`KeptEnvironment::download`] gave.
+    /// Restores the gradients from [`StoredEnvironment::download`].
     ///
     /// # Errors
     /// If the device fails.
@@ -72,20 +76,20 @@ impl KeptEnvironment {
         device.upload(&self.gathered, 0, bytemuck::cast_slice(gathered))
     }
 
-    /// How many numbers that is.
+    /// Returns the number of floats of the gradients.
     pub fn floats(&self) -> usize {
         self.gathered.bytes() as usize / 4
     }
 
-    /// Puts it behind its handles.
-    pub(super) fn bind(&self, exec: &mut Executor, handles: &Kept) -> Result<()> {
+    /// Binds the buffers to their handles.
+    pub(super) fn bind(&self, exec: &mut Executor, handles: &StoredFilter) -> Result<()> {
         exec.bind(handles.radiance, &self.radiance)?;
         exec.bind(handles.inverse_sums, &self.inverse_sums)?;
         exec.bind(handles.gathered, &self.gathered)
     }
 }
 
-/// Moves the texels, and filters them.
+/// Update of the texels and their mip levels.
 pub struct EnvironmentRefresh {
     exec: Executor,
     step: Buffer,
@@ -97,12 +101,12 @@ struct Declared {
     words: StepWords,
     texels: crate::scene::TrainableHandles,
     tables: EnvironmentTables,
-    kept: Kept,
+    stored: StoredFilter,
     smoothness: Option<Buffer>,
 }
 
 impl EnvironmentRefresh {
-    /// Builds the graph. `inputs` must have an environment with its levels.
+    /// Builds the graph. Returns `None` unless `inputs` has an environment map with its levels.
     ///
     /// # Errors
     /// If memory runs out.
@@ -113,8 +117,8 @@ impl EnvironmentRefresh {
         status: &IntrinsicStatus,
         options: &IntrinsicOptions,
     ) -> Result<Option<EnvironmentRefresh>> {
-        let (Some((environment, memory)), Some(texels), Some(kept)) =
-            (inputs.environment, &inputs.parameters.environment, inputs.kept)
+        let (Some((environment, memory)), Some(texels), Some(stored)) =
+            (inputs.environment, &inputs.parameters.environment, inputs.stored)
         else {
             return Ok(None);
         };
@@ -122,7 +126,7 @@ impl EnvironmentRefresh {
         let mut exec = Executor::new(device, made.plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
         texels.bind(&mut exec, &made.texels)?;
         memory.bind(&mut exec, environment, &made.tables)?;
-        kept.bind(&mut exec, &made.kept)?;
+        stored.bind(&mut exec, &made.stored)?;
         exec.bind(made.words.flags, &status.flags)?;
         exec.bind(made.words.skipped, &status.skipped)?;
         if let Some(smoothness) = made.smoothness {
@@ -131,15 +135,17 @@ impl EnvironmentRefresh {
         Ok(Some(EnvironmentRefresh { exec, step: made.step }))
     }
 
-    /// The plan of one that does not exist yet, for what it would cost.
+    /// Compiles the plan of an update without allocating it, to estimate its cost.
     ///
     /// # Errors
-    /// If the sizes make no graph.
+    /// If the graph rejects the sizes.
     pub fn plan(tuning: &Tuning, environment: &Environment, options: &IntrinsicOptions) -> Result<Arc<Plan>> {
         Ok(declare(tuning, environment, options)?.plan)
     }
 
-    /// Moves the texels by what was gathered, and waits. `step` has the number of this move, from 1, and its corrections.
+    /// Updates the texels from the accumulated gradients (waits for the device).
+    ///
+    /// `step` holds the number of this update, from 1, and the bias corrections of Adam.
     ///
     /// # Errors
     /// If the device fails.
@@ -148,26 +154,28 @@ impl EnvironmentRefresh {
         self.exec.finish()
     }
 
-    /// Filters the texels as they are, once, and waits: at the start, and where texels come from a file.
+    /// Filters the current texels once (waits for the device).
+    ///
+    /// Required at the start of training and after loading texels from a file.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn filter(device: &Device, tuning: &Tuning, inputs: &IntrinsicInputs<'_>) -> Result<()> {
-        let (Some((environment, memory)), Some(texels), Some(kept)) =
-            (inputs.environment, &inputs.parameters.environment, inputs.kept)
+        let (Some((environment, memory)), Some(texels), Some(stored)) =
+            (inputs.environment, &inputs.parameters.environment, inputs.stored)
         else {
             return Ok(());
         };
         let mut g = Graph::new("environment_filter");
         let tables = environment.declare(&mut g);
         let handles = texels.declare(&mut g, false);
-        let levels = Kept::declare(&mut g, environment, true);
-        environment_filter_kept(&mut g, tuning, environment, &tables, handles.parameters, &levels)?;
+        let levels = StoredFilter::declare(&mut g, environment, true);
+        environment_filter_stored(&mut g, tuning, environment, &tables, handles.parameters, &levels)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
         texels.bind(&mut exec, &handles)?;
         memory.bind(&mut exec, environment, &tables)?;
-        kept.bind(&mut exec, &levels)?;
+        stored.bind(&mut exec, &levels)?;
         exec.submit(&[])?;
         exec.finish()
     }
@@ -179,10 +187,10 @@ fn declare(t: &Tuning, e: &Environment, o: &IntrinsicOptions) -> Result<Declared
     let words = StepWords { step, flags: g.input("flags", 4), skipped: g.external("skipped", 4) };
     let tables = e.declare(&mut g);
     let texels = Trainable::handles(&mut g, "environment", e.floats(), true);
-    let kept = Kept::declare(&mut g, e, true);
+    let stored = StoredFilter::declare(&mut g, e, true);
     let smoothness = environment_smoothness(&mut g, t, e, &tables, texels.parameters, o.environment_smooth);
     let gradient = texels.gradient(&mut g);
-    environment_filter_kept_bwd(&mut g, t, e, &tables, &kept, smoothness.as_ref(), gradient)?;
+    environment_filter_stored_bwd(&mut g, t, e, &tables, &stored, smoothness.as_ref(), gradient)?;
     let smoothness = match smoothness {
         Some(s) if o.environment_smooth > 0.0 => {
             let into = g.external("smoothness", 4);
@@ -197,12 +205,13 @@ fn declare(t: &Tuning, e: &Environment, o: &IntrinsicOptions) -> Result<Declared
         }
         _ => None,
     };
-    // As far in as many steps: moves are rarer, so they are longer.
+    // The rate is scaled by the update interval, so that texels move as far in the same number of steps.
     let rate = o.rates.environment * o.environment_every.max(1) as f32;
-    texels.follow(&mut g, t, &words, gradient, Rate::Constant(rate), TEXEL_EPSILON, true)?;
+    let rule = AdamRule { rate: Rate::Constant(rate), epsilon: TEXEL_EPSILON, skip_zero: true };
+    texels.follow(&mut g, t, &words, gradient, rule)?;
     environment_clamp(&mut g, t, e, texels.parameters)?;
-    environment_filter_kept(&mut g, t, e, &tables, texels.parameters, &kept)?;
-    g.fill("clear_gathered", kept.gathered, 0)?;
+    environment_filter_stored(&mut g, t, e, &tables, texels.parameters, &stored)?;
+    g.fill("clear_gathered", stored.gathered, 0)?;
     let plan = Arc::new(g.compile(&CompileOptions::default())?);
-    Ok(Declared { plan, step, words, texels, tables, kept, smoothness })
+    Ok(Declared { plan, step, words, texels, tables, stored, smoothness })
 }

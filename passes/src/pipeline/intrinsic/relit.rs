@@ -1,8 +1,10 @@
-//! A view shaded for a network, everything as it is before the step: under the lights as they are, and under copies of them
-//! that are moved, dimmed and switched off at random.
+//! Shades a view as input of a material estimator.
 //!
-//! Promises: what comes out is a function of parameters, seed and view; nothing is changed. Each copy of the lights costs a
-//! forward pass of shading; the surroundings are shaded once. The host waits.
+//! Uses the parameters before the step: under the current lights, and under copies of them that are moved, dimmed and
+//! switched off at random.
+//!
+//! Guarantees: the output is a function of parameters, seed and view. Shading changes no parameter. Each copy of the
+//! lights costs a forward pass of shading; the environment map is shaded once. The host waits.
 
 use super::inputs::Declared as Inputs;
 use super::{COPIES, IntrinsicInputs, IntrinsicOptions, IntrinsicSizes, IntrinsicStepValues, Step};
@@ -19,27 +21,29 @@ use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
 
-/// Which lights a view is shaded under.
+/// Lights under which a view is shaded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RelitOptions {
-    /// Whether under the lights as they are, before all copies.
+    /// Shades under the current lights, before all copies.
     pub as_is: bool,
-    /// Perturbed copies of the lights: at most [`COPIES`], and at least one where they are not shown as they are.
+    /// Number of perturbed copies of the lights.
+    ///
+    /// At most [`COPIES`]; at least one is used if `as_is` is false.
     pub copies: u32,
-    /// How far apart lights started, or what else is the unit of the distance that they move.
+    /// Unit of the distance that copies move, e.g. the initial distance between lights.
     pub spacing: f32,
 }
 
-/// Shades views as a network is shown them.
+/// Shader of views for a material estimator.
 pub struct RelitView {
     exec: Executor,
     step: Buffer,
     field: Option<Buffer>,
     surface: SurfaceHandles,
     tile: [u32; 2],
-    /// Direct light: as it is, of each copy; then that of the environment if there is one.
+    /// Direct light: under the current lights, under each copy; then ambient light if present.
     outputs: Vec<DeviceBuffer>,
-    /// How many of them are of direct light.
+    /// Number of direct-light outputs.
     direct: usize,
 }
 
@@ -52,7 +56,7 @@ struct Built {
 }
 
 impl RelitView {
-    /// Builds the graph and binds what is learned. There must be lights.
+    /// Builds the graph and binds the parameters. `inputs` must have lights.
     ///
     /// # Errors
     /// If memory runs out.
@@ -83,10 +87,10 @@ impl RelitView {
         })
     }
 
-    /// What one would take that does not exist yet: its plan, and bytes beside that.
+    /// Compiles the plan without allocating it, and returns the bytes of its outputs.
     ///
     /// # Errors
-    /// If the sizes make no graph.
+    /// If the graph rejects the sizes.
     pub fn plan(
         tuning: &Tuning,
         sizes: &IntrinsicSizes,
@@ -98,11 +102,13 @@ impl RelitView {
         Ok((made.plan, made.outputs.len() as u64 * output_bytes(options)))
     }
 
-    /// Linear light that the surfaces of a view send to its camera, under the lights as they are if the options ask for it, then
-    /// under each copy that the step's seed draws: `[pixels * 3]` floats, not yet over any background (waits for the device).
+    /// Returns the linear radiance of a view's surfaces for each set of lights.
+    ///
+    /// Waits for the device. First under the current lights if the options request that, then under each copy drawn
+    /// from the step's seed. `[pixels * 3]` floats each, without background.
     ///
     /// # Errors
-    /// If the device fails, or the surface has another shape than this was made for.
+    /// If the device fails, or the surface differs in shape from the options.
     pub fn shade(&mut self, device: &Device, surface: &Surface, values: &IntrinsicStepValues) -> Result<Vec<Vec<f32>>> {
         surface.bind(&mut self.exec, &self.surface)?;
         let mut step = values.shaded;
@@ -117,15 +123,15 @@ impl RelitView {
         let floats = 3 * size[0] as usize * size[1] as usize;
         let read = |b: &DeviceBuffer| device.download_as::<f32>(b, floats);
         let around = self.outputs.get(self.direct).map(read).transpose()?;
-        let mut pictures = self.outputs[..self.direct].iter().map(read).collect::<Result<Vec<_>>>()?;
+        let mut images = self.outputs[..self.direct].iter().map(read).collect::<Result<Vec<_>>>()?;
         if let Some(around) = around {
-            pictures.iter_mut().for_each(|p| p.iter_mut().zip(&around).for_each(|(v, a)| *v += a));
+            images.iter_mut().for_each(|p| p.iter_mut().zip(&around).for_each(|(v, a)| *v += a));
         }
-        Ok(pictures)
+        Ok(images)
     }
 }
 
-/// The lights of each picture: None as they are, else the number of a copy.
+/// Returns the lights of each image: `None` for the current ones, else the number of a copy.
 fn lights_of(relit: &RelitOptions) -> Vec<Option<u32>> {
     let copies = relit.copies.clamp(u32::from(!relit.as_is), COPIES as u32);
     relit.as_is.then_some(None).into_iter().chain((0..copies).map(Some)).collect()

@@ -1,4 +1,4 @@
-//! The graph of a shaded view.
+//! Graph of a shaded view.
 
 use super::{Lighting, LitLayer, LitOptions, LitScene};
 use crate::Tuning;
@@ -23,7 +23,7 @@ use sgs_shaders::lit_layer as kernel;
 use sgs_shaders::structs::{FieldStep, LitStep};
 use std::sync::Arc;
 
-/// A plan and its handles.
+/// Compiled plan and its handles.
 pub(super) struct Built {
     pub plan: Arc<Plan>,
     pub step: Buffer,
@@ -36,30 +36,30 @@ pub(super) struct Built {
     pub lights: Option<[Buffer; 3]>,
     pub field: Option<FieldHandles>,
     pub tree: Option<Traced>,
-    pub environment: Option<Surroundings>,
-    /// Frames, incomplete ones, entries wanted; weights wanted.
+    pub environment: Option<EnvironmentBuffers>,
+    /// View statistics (frames, incomplete frames, required entries); required weights.
     pub report: [Buffer; 2],
 }
 
-/// The handles of the surroundings.
+/// Handles of the environment map.
 #[derive(Clone, Copy)]
-pub(super) struct Surroundings {
+pub(super) struct EnvironmentBuffers {
     pub tables: EnvironmentTables,
     pub texels: TrainableHandles,
     pub radiance: Buffer,
 }
 
-/// What a layer is put together from; zeros stand for what is not.
+/// Buffers that a layer is composed of; the kernel treats absent terms as zero.
 struct Parts {
     direct: Option<Buffer>,
     ambient: Option<Buffer>,
     rest: [Option<Buffer>; 2],
-    surroundings: Option<Buffer>,
-    /// Floats a pixel, the first one shown, how many.
+    environment_map: Option<Buffer>,
+    /// Buffer, then floats per pixel, first channel shown and number of channels shown.
     values: Option<(Buffer, [u32; 3])>,
 }
 
-/// Makes the plan for so many entries and weights.
+/// Builds the plan for this capacity of entries and weights.
 pub(super) fn build(
     t: &Tuning,
     scene: &LitScene,
@@ -80,7 +80,7 @@ pub(super) fn build(
     let flags = g.transient("flags", 4);
     g.fill("clear_flags", flags, 0)?;
 
-    // What is seen.
+    // Surfaces.
     let visible = project(&mut g, t, &screen, &gaussians, GBUFFER_CHANNELS)?;
     let entries = intersect(&mut g, t, &screen, &visible, capacity[0], flags)?;
     let blended = Blended {
@@ -106,7 +106,7 @@ pub(super) fn build(
     let room = Room { capacity: capacity[1], gaussians: s.gaussians.capacity, flags, wanted };
     weight_rows(&mut g, t, &screen, &visible, &entries, surfaces.coverage, &room, &rows)?;
 
-    // Of what it is made.
+    // Materials.
     let take = |g: &mut Graph, name, given: &Trainable| Trainable::handles(g, name, given.floats(), false);
     let mut of = vec![take(&mut g, "albedo", &s.albedo), take(&mut g, "roughness", &s.roughness)];
     of.extend(s.metallic.as_ref().map(|m| take(&mut g, "metallic", m)));
@@ -121,8 +121,8 @@ pub(super) fn build(
     materials(&mut g, t, &screen, &of_gaussians, rows, &shown)?;
     let seen = Pixels { screen, surfaces, materials: shown };
 
-    // What shines on it.
-    let mut parts = Parts { direct: None, ambient: None, rest: [None; 2], surroundings: None, values: None };
+    // Light.
+    let mut parts = Parts { direct: None, ambient: None, rest: [None; 2], environment_map: None, values: None };
     let wants_lights = layer.direct() || layer == LitLayer::Visibility;
     let (mut field, mut tree) = (None, None);
     match s.visibility.as_ref().filter(|_| wants_lights) {
@@ -149,19 +149,19 @@ pub(super) fn build(
             let parameters = LightParameters { positions, lobes, gains };
             let prepared = lights_prepare(&mut g, *t, "lights_prepare", step, m, &parameters, None)?;
             let shape = Shape::for_device(*t);
-            let lamps = Lights { pixels: seen, prepared, normalizer: lighting.normalizer, shape };
+            let light_table = Lights { pixels: seen, prepared, normalizer: lighting.normalizer, shape };
             let direct = floats(&mut g, "direct", 3);
             let diffuse = (layer.split() || tree.is_some()).then(|| floats(&mut g, "direct_diffuse", 3));
             match (&tree, &field, diffuse) {
                 (Some(traced), _, Some(diffuse)) => {
                     let into = floats(&mut g, "visibility", 1);
-                    lights_split_traced(&mut g, *t, &lamps, traced, [direct, diffuse], into)?;
+                    lights_split_traced(&mut g, *t, &light_table, traced, [direct, diffuse], into)?;
                     parts.values = (layer == LitLayer::Visibility).then_some((into, [1, 0, 1]));
                 }
-                (_, Some(f), Some(diffuse)) => lights_split_field(&mut g, *t, &lamps, &f.field, direct, diffuse)?,
-                (_, Some(f), None) => lights_field(&mut g, *t, &lamps, &f.field, direct)?,
-                (_, None, Some(diffuse)) => lights_split(&mut g, &lamps, direct, diffuse)?,
-                (_, None, None) => lights(&mut g, &lamps, direct)?,
+                (_, Some(f), Some(diffuse)) => lights_split_field(&mut g, *t, &light_table, &f.field, direct, diffuse)?,
+                (_, Some(f), None) => lights_field(&mut g, *t, &light_table, &f.field, direct)?,
+                (_, None, Some(diffuse)) => lights_split(&mut g, &light_table, direct, diffuse)?,
+                (_, None, None) => lights(&mut g, &light_table, direct)?,
             }
             parts.direct = match layer {
                 LitLayer::Visibility => None,
@@ -176,7 +176,7 @@ pub(super) fn build(
         let tables = e.given.tables.declare(&mut g);
         let texels = take(&mut g, "texels", &e.given.texels);
         let radiance = g.input("environment_radiance", e.radiance.bytes());
-        environment = Some(Surroundings { tables, texels, radiance });
+        environment = Some(EnvironmentBuffers { tables, texels, radiance });
         let (filtered, view) = (Filtered::kept(radiance), EnvironmentView::from(&seen));
         if layer != LitLayer::Diffuse {
             let ambient = floats(&mut g, "ambient", 3);
@@ -190,9 +190,9 @@ pub(super) fn build(
             *place = Some(diffuse);
         }
         if layer == LitLayer::Environment {
-            let behind = floats(&mut g, "surroundings", 3);
+            let behind = floats(&mut g, "environment_background", 3);
             environment_background(&mut g, t, &e.given.tables, step, pixels, texels.parameters, behind)?;
-            parts.surroundings = Some(behind);
+            parts.environment_map = Some(behind);
         }
     }
     match layer {
@@ -202,10 +202,11 @@ pub(super) fn build(
         _ => {}
     }
 
-    // How it is shown.
+    // Output.
     let into = Blended { image: floats(&mut g, "image", 3), transmittance: floats(&mut g, "transmittance", 1) };
     let of_view = [surfaces.coverage, blended.transmittance];
-    put_together(&mut g, t, &screen, layer, &parts, of_view, [lit, flags, wanted, report[1]], &into)?;
+    let of_step = LayerBuffers { of_view, lit, flags, wanted, most: report[1] };
+    put_together(&mut g, t, &screen, layer, &parts, &of_step, &into)?;
     let texels = g.transient("texels_of_image", format.bytes() * pixels);
     let channels = Channels { colors: true, normals: false, depth: false };
     let wanted = entries.wanted.into();
@@ -229,18 +230,28 @@ pub(super) fn build(
     })
 }
 
-/// The layer from its parts.
+/// Buffers of a step that the layer is composed from.
+struct LayerBuffers {
+    /// Coverage and transmittance of the view.
+    of_view: [Buffer; 2],
+    lit: Buffer,
+    flags: Buffer,
+    wanted: Buffer,
+    most: Buffer,
+}
+
+/// Composes the layer from its terms.
 fn put_together(
     g: &mut Graph,
     t: &Tuning,
     screen: &Screen,
     layer: LitLayer,
     parts: &Parts,
-    [coverage, blended]: [Buffer; 2],
-    [lit, flags, wanted, most]: [Buffer; 4],
+    buffers: &LayerBuffers,
     into: &Blended,
 ) -> std::result::Result<(), GraphError> {
-    // What is not there has something behind it that the specialized kernel never touches.
+    let &LayerBuffers { of_view: [coverage, blended], lit, flags, wanted, most } = buffers;
+    // A specialized kernel never reads absent terms, but each binding needs a buffer.
     let or_any = |buffer: Option<Buffer>| buffer.unwrap_or(coverage).into();
     let bindings = kernel::Bindings {
         params: screen.step.into(),
@@ -251,7 +262,7 @@ fn put_together(
         ambient: or_any(parts.ambient),
         direct_rest: or_any(parts.rest[0]),
         ambient_rest: or_any(parts.rest[1]),
-        background: or_any(parts.surroundings),
+        background: or_any(parts.environment_map),
         values: or_any(parts.values.map(|v| v.0)),
         flags: flags.into(),
         required: wanted.into(),
@@ -262,7 +273,7 @@ fn put_together(
     let [stride, first, count] = parts.values.map_or([0, 0, 1], |v| v.1);
     let behind = match layer {
         LitLayer::Shaded => 1,
-        LitLayer::Environment if parts.surroundings.is_some() => 2,
+        LitLayer::Environment if parts.environment_map.is_some() => 2,
         _ => 0,
     };
     let specs = kernel::Specs {
@@ -279,7 +290,7 @@ fn put_together(
         .dispatch(groups(screen.pixels(), t.workgroup))
 }
 
-/// The field's uniform for a view.
+/// Returns the uniform of the visibility field for a view.
 pub(super) fn field_step(scene: &LitScene, lighting: &Lighting, size: [u32; 2]) -> FieldStep {
     let pixels = size[0] * size[1];
     let place = match &scene.scene.visibility {

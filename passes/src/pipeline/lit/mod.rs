@@ -1,9 +1,11 @@
-//! Gaussians with materials, shaded into images frame by frame under lights that change from frame to frame.
+//! Shades Gaussians with materials into images, frame by frame.
 //!
-//! Promises: lights are parameters of a frame. Moving, coloring, switching, adding and removing them changes neither plans
-//! nor memory as long as there is room for them ([`Lighting::model`]), and a frame that was prepared keeps the lights that
-//! it was prepared with. Nothing is read back on the way, as in [`super::View`]. Pictures are those of [`super::Shader`].
-//! Leaves to others where lights come from, and submitting or recording.
+//! The lights may change with each frame.
+//!
+//! Guarantees: lights are parameters of a frame. Moving, coloring, switching, adding and removing lights changes
+//! neither plans nor memory within the capacity ([`Lighting::model`]). A prepared frame keeps its lights. Nothing is
+//! read back, as in [`super::View`]. Images equal those of [`super::Shader`]. The caller supplies the lights, and
+//! submits or records.
 
 mod build;
 mod scene;
@@ -17,31 +19,31 @@ use crate::splat::{Encoding, TexelFormat};
 use sgs_engine::graph::ImageState;
 use sgs_shaders::structs::Camera;
 
-/// What of a shaded view is shown. Light is linear, and what surfaces send times their opacity.
+/// Layer of a shaded view. Light is linear radiance of the surfaces times their opacity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LitLayer {
-    /// All light, over a color.
+    /// All light, over a background color.
     Shaded,
     /// Linear albedo.
     Albedo,
-    /// Roughness, in all three components.
+    /// Roughness, in all three channels.
     Roughness,
-    /// Metallic.
+    /// Metallic, in all three channels.
     Metallic,
     /// Diffuse light, over black.
     Diffuse,
     /// Specular light, over black.
     Specular,
-    /// How much of the lights is seen, mean over all of them.
+    /// Visibility of the lights, mean over all of them.
     Visibility,
-    /// Light of the surroundings, over the surroundings themselves.
+    /// Light of the environment map, over the environment map itself.
     Environment,
-    /// Light of lamps, over black.
+    /// Light of the point lights, over black.
     Direct,
 }
 
 impl LitLayer {
-    /// All of them.
+    /// All layers.
     pub const ALL: [LitLayer; 9] = [
         LitLayer::Shaded,
         LitLayer::Albedo,
@@ -54,7 +56,7 @@ impl LitLayer {
         LitLayer::Direct,
     ];
 
-    /// Its name.
+    /// Returns the name of the layer.
     pub fn name(self) -> &'static str {
         match self {
             LitLayer::Shaded => "shaded",
@@ -69,80 +71,82 @@ impl LitLayer {
         }
     }
 
-    /// Whether it is no color, so that it is never encoded.
+    /// Returns whether the layer is a value instead of a color, and thus never encoded.
     pub fn is_value(self) -> bool {
         matches!(self, LitLayer::Roughness | LitLayer::Metallic | LitLayer::Visibility)
     }
 
-    /// Whether light of lamps is in it.
+    /// Returns whether the layer contains light of the point lights.
     fn direct(self) -> bool {
         matches!(self, LitLayer::Shaded | LitLayer::Direct) || self.split()
     }
 
-    /// Whether light of the surroundings is in it.
+    /// Returns whether the layer contains light of the environment map.
     fn ambient(self) -> bool {
         matches!(self, LitLayer::Shaded | LitLayer::Environment) || self.split()
     }
 
-    /// Whether diffuse light is told from specular.
+    /// Returns whether the layer separates diffuse from specular light.
     fn split(self) -> bool {
         matches!(self, LitLayer::Diffuse | LitLayer::Specular)
     }
 }
 
-/// What a view is made for.
+/// Options of a [`LitView`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LitOptions {
     /// Columns and rows of the images.
     pub size: [u32; 2],
-    /// What is shown.
+    /// Layer to show.
     pub layer: LitLayer,
-    /// The format of the images.
+    /// Format of the images.
     pub format: TexelFormat,
-    /// How colors are encoded; formats that decode sRGB hold encoded values either way.
+    /// Encoding of colors; formats that decode sRGB always hold encoded values.
     pub encoding: Encoding,
-    /// The state in which images are found; their texels are overwritten.
+    /// Image state before a frame, which overwrites all texels.
     pub entry: ImageState,
-    /// The state in which images are left.
+    /// Image state after a frame.
     pub exit: ImageState,
-    /// Frames that may be in flight together.
+    /// Maximum number of frames in flight.
     pub frames_in_flight: usize,
-    /// Room for tile entries and for weights at first; 0 guesses.
+    /// Initial capacities of tile entries and of weights; 0 estimates them.
     pub capacity: [u32; 2],
 }
 
-/// One frame.
+/// Inputs of one frame.
 #[derive(Clone, Copy, Debug)]
 pub struct LitFrame {
-    /// From where.
+    /// Camera.
     pub camera: Camera,
-    /// What lies behind [`LitLayer::Shaded`], linear; exposure does not change it.
+    /// Background of [`LitLayer::Shaded`], linear; exposure does not affect it.
     pub background: [f32; 3],
-    /// Factor of all light.
+    /// Factor on all light.
     pub exposure: f32,
 }
 
-/// Lights on the host, in the world's unit of length, as many as there is room for: those that are not there have a gain of 0.
+/// Lights on the host, in world units.
+///
+/// Padded to the capacity with lights of gain 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lighting {
-    /// Room for lights, and lobes of each.
+    /// Capacity of lights, and lobes per light.
     pub model: LightModel,
-    /// Factor of all their light.
+    /// Factor on the light of all lights.
     pub normalizer: f32,
-    /// Lights that there are, which is what visibility is the mean over.
+    /// Number of lights without padding; visibility is the mean over these.
     pub count: u32,
-    /// `[lights * 3]`
+    /// `[lights * 3]`: positions.
     pub positions: Vec<f32>,
-    /// `[lights * lobes * row]`, see [`LightModel::row`].
+    /// `[lights * lobes * row]`: lobes; see [`LightModel::row`].
     pub lobes: Vec<f32>,
-    /// `[lights]`; 0 is off.
+    /// `[lights]`: gains; 0 is off.
     pub gains: Vec<f32>,
-    /// Factors of the light of the surroundings.
+    /// Factor on the light of the environment map, per channel.
     pub environment: [f32; 3],
 }
 
 impl Lighting {
-    /// The same lights in another unit of length; none where it is the world's.
+    /// Converts the lights to another unit of length; `None` if it is the world's.
     fn in_unit(&self, unit: f32) -> Option<Lighting> {
         (unit != 1.0).then(|| {
             let (by, bright) = (1.0 / unit, 1.0 / (unit * unit));

@@ -1,4 +1,4 @@
-//! What is shaded, and the surroundings as surfaces see them.
+//! Scene of a shaded view, and its filtered environment map.
 
 use crate::Tuning;
 use crate::pipeline::{ShadedEnvironment, ShadedScene};
@@ -8,26 +8,28 @@ use sgs_engine::graph::{CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
 
-/// Everything that shades, but lamps: these come with each frame.
+/// Shading inputs without lights, which come with each frame.
 #[derive(Debug)]
 pub struct LitScene {
-    /// Geometry, materials and the visibility field; its lamps are not used, and neither are its surroundings.
+    /// Geometry, materials and visibility; its lights and its environment map are not used.
     pub scene: ShadedScene,
-    /// The surroundings.
+    /// Filtered environment map.
     pub environment: Option<LitEnvironment>,
 }
 
-/// Surroundings that were filtered once. They do not change: others take their place, while frames under way keep these.
+/// Environment map that was filtered once and does not change.
+///
+/// Another one may replace it; frames in flight still use this one.
 #[derive(Debug)]
 pub struct LitEnvironment {
     /// Tables and texels.
     pub(super) given: ShadedEnvironment,
-    /// All levels.
+    /// Radiance of all mip levels.
     pub(super) radiance: DeviceBuffer,
 }
 
 impl LitScene {
-    /// Filters the surroundings of a scene (waits for the device).
+    /// Filters the environment map of a scene (waits for the device).
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -40,12 +42,12 @@ impl LitScene {
 }
 
 impl LitEnvironment {
-    /// Filters surroundings (waits for the device).
+    /// Filters an environment map (waits for the device).
     ///
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn new(device: &Device, tuning: &Tuning, given: ShadedEnvironment) -> Result<LitEnvironment> {
-        let mut g = Graph::new("surroundings");
+        let mut g = Graph::new("environment");
         let tables = given.tables.declare(&mut g);
         let texels = given.texels.declare(&mut g, false);
         let bytes = 12 * u64::from(given.tables.filtered_texels());
@@ -63,7 +65,7 @@ impl LitEnvironment {
         Ok(LitEnvironment { given, radiance })
     }
 
-    /// Its levels and tables.
+    /// Returns the mip levels and filter tables.
     pub fn tables(&self) -> &Environment {
         &self.given.tables
     }

@@ -11,7 +11,7 @@ use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::{Device, DeviceBuffer, DeviceImage, ImageFormat, Location};
 use sgs_shaders::structs::LitStep;
 
-/// Renders into images of one size and format, frame by frame.
+/// Renderer of shaded views into images of one size and format, frame by frame.
 pub struct LitView {
     device: Device,
     tuning: Tuning,
@@ -30,7 +30,7 @@ struct State {
     built: Built,
 }
 
-/// What a plan is made for besides the view: with another one it is made anew.
+/// Inputs of a plan besides the options of the view; a change rebuilds the plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Key {
     gaussians: u32,
@@ -64,10 +64,10 @@ impl Key {
 }
 
 impl LitView {
-    /// Prepares for frames of a scene.
+    /// Prepares a view of a scene.
     ///
     /// # Errors
-    /// If the scene lacks what is to be shown, the format cannot show it, or memory runs out.
+    /// If the scene lacks the requested layer, the format cannot show it, or memory runs out.
     pub fn new(
         device: &Device,
         tuning: Tuning,
@@ -99,18 +99,20 @@ impl LitView {
         Ok(LitView { device, tuning, options, capacity, report, state, retired: Vec::new(), built: 1 })
     }
 
-    /// What it was made for.
+    /// Returns the options of the view.
     pub fn options(&self) -> &LitOptions {
         &self.options
     }
 
-    /// Prepares one frame under these lights and hands over the executor with its uniforms, as [`super::super::View::frame`].
-    /// The plan is made anew first if an earlier frame is known to have lacked room, or if the scene has other parts than
-    /// before, or the lighting other room.
+    /// Prepares one frame under these lights, as [`super::super::View::frame`].
+    ///
+    /// Passes the executor with the frame's uniforms to `how`. Rebuilds the plan first if an earlier frame is known to
+    /// have overflowed, if the components of the scene changed, or if the model or the normalizer of the lighting
+    /// changed.
     ///
     /// # Errors
-    /// If image or camera have another size than the view, the lighting is not as long as its model says, or memory runs
-    /// out; and what `how` returns.
+    /// If the size of the image or the camera differs from that of the view, the lengths of the lighting differ from
+    /// its model, or memory runs out. Passes on the errors of `how`.
     pub fn frame<R>(
         &mut self,
         scene: &LitScene,
@@ -143,7 +145,7 @@ impl LitView {
         let mut uniforms = vec![(built.step, bytemuck::bytes_of(&step)), (built.lit, bytemuck::bytes_of(&lit))];
         if let Some([positions, lobes, gains]) = built.lights {
             uniforms.push((positions, bytemuck::cast_slice(&lighting.positions)));
-            // A field alone asks where lights are, and no more.
+            // The field alone requires only the positions of the lights.
             if self.options.layer != LitLayer::Visibility || built.tree.is_some() {
                 uniforms.push((lobes, bytemuck::cast_slice(&lighting.lobes)));
                 uniforms.push((gains, bytemuck::cast_slice(&lighting.gains)));
@@ -155,22 +157,22 @@ impl LitView {
         Ok(how(exec, &uniforms)?)
     }
 
-    /// What is known of the frames that are done. Waits for nothing.
+    /// Returns the statistics of completed frames without waiting.
     ///
     /// # Errors
-    /// If the memory is not visible, which would be a defect.
+    /// If the memory is not host-visible, which indicates a bug.
     pub fn report(&self) -> sgs_engine::Result<ViewReport> {
         let mut words = [0u32; 3];
         self.report[0].read(0, bytemuck::cast_slice_mut(&mut words))?;
         Ok(ViewReport { frames: words[0], incomplete: words[1], wanted: words[2] })
     }
 
-    /// How often a plan was made.
+    /// Returns the number of plans built.
     pub fn plans(&self) -> u32 {
         self.built
     }
 
-    /// Recordings that a host still holds.
+    /// Returns the number of recordings that a host still holds.
     ///
     /// # Errors
     /// If the device fails.
@@ -178,7 +180,7 @@ impl LitView {
         self.retired.iter().chain([&self.state.exec]).map(Executor::recordings).sum()
     }
 
-    /// Waits for the frames submitted here; recordings are the host's to wait for.
+    /// Waits for the frames submitted here, but not for a host's recordings.
     ///
     /// # Errors
     /// If the device fails.
@@ -241,7 +243,7 @@ impl State {
     }
 }
 
-/// Puts a scene behind its handles; costs nothing where it is there already.
+/// Binds the buffers of a scene to their handles; unchanged bindings cost nothing.
 fn bind(exec: &mut Executor, built: &Built, scene: &LitScene) -> sgs_engine::Result<()> {
     let s = &scene.scene;
     s.gaussians.bind(exec, &built.gaussians)?;

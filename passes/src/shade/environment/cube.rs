@@ -1,10 +1,12 @@
-//! The geometry of a cube of texels, in double precision: what tables are made from and files are converted with.
+//! Cube map geometry in double precision. Used to build tables and to convert files.
 //!
 //! Faces are +x -x +y -y +z -z with u to the right and v downwards in [-1, 1]: (1,-v,-u) (-1,-v,u) (u,1,v) (u,-1,-v)
-//! (u,-v,1) (-u,-v,-1). Texel (x, y) of face f is number `(f size + y) size + x`. Promises a lookup without seams; the
-//! texel that a corner of the cube lacks gives its share to the three that meet there. Leaves filters to others.
+//! (u,-v,1) (-u,-v,-1). Texel (x, y) of face f has index `(f size + y) size + x`.
+//!
+//! Guarantees: bilinear lookups have no seams. At a corner of the cube, the weight of the missing fourth texel is split
+//! among the three texels that meet there. Filters are implemented elsewhere.
 
-/// The vector that lies so far along a face's u, v and normal.
+/// Returns the vector with coordinates u, v and n along a face's axes and normal.
 pub fn from_face(face: usize, u: f64, v: f64, n: f64) -> [f64; 3] {
     match face {
         0 => [n, -v, -u],
@@ -16,7 +18,7 @@ pub fn from_face(face: usize, u: f64, v: f64, n: f64) -> [f64; 3] {
     }
 }
 
-/// The face that a direction goes through, and where: u and v in [-1, 1].
+/// Returns the face that a direction intersects, and its u and v in [-1, 1].
 pub fn to_face(d: [f64; 3]) -> (usize, f64, f64) {
     let a = d.map(f64::abs);
     let axis = if a[0] >= a[1] && a[0] >= a[2] {
@@ -34,7 +36,7 @@ pub fn to_face(d: [f64; 3]) -> (usize, f64, f64) {
     }
 }
 
-/// Unit vector through the center of a texel.
+/// Returns the unit vector through the center of a texel.
 pub fn texel_direction(size: u32, texel: u32) -> [f64; 3] {
     let (x, row) = (texel % size, texel / size);
     let at = |i: u32| f64::from(2 * i + 1) / f64::from(size) - 1.0;
@@ -43,7 +45,8 @@ pub fn texel_direction(size: u32, texel: u32) -> [f64; 3] {
     d.map(|c| c / length)
 }
 
-/// Solid angle of texel (x, y) of any face, exact: those of all texels are 4 pi.
+/// Returns the exact solid angle of texel (x, y) of any face. The solid angles of all texels of the cube add up to 4
+/// pi.
 pub fn solid_angle(size: u32, x: u32, y: u32) -> f64 {
     let edge = |i: u32| 2.0 * f64::from(i) / f64::from(size) - 1.0;
     let to = |x: f64, y: f64| (x * y).atan2((x * x + y * y + 1.0).sqrt());
@@ -51,17 +54,17 @@ pub fn solid_angle(size: u32, x: u32, y: u32) -> f64 {
     to(x1, y1) - to(x0, y1) - to(x1, y0) + to(x0, y0)
 }
 
-/// Four texels around a direction and their weights, which add up to one.
+/// Four texels around a direction and their weights, which add up to 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Footprint {
-    /// Numbers of the texels; some texel where a corner of the cube lacks one.
+    /// Indices of the texels. At a corner of the cube, the entry of the missing texel is arbitrary and has weight 0.
     pub texels: [u32; 4],
-    /// Their weights.
+    /// Weights of the texels.
     pub weights: [f64; 4],
 }
 
 impl Footprint {
-    /// Of a direction of any length.
+    /// Returns the footprint of a direction of any length.
     pub fn of(d: [f64; 3], size: u32) -> Footprint {
         let (face, u, v) = to_face(d);
         let n = f64::from(size);
@@ -90,7 +93,7 @@ impl Footprint {
         f
     }
 
-    /// The weighted mean of three channels.
+    /// Returns the weighted mean of three channels.
     pub fn apply(&self, texels: &[f32]) -> [f64; 3] {
         let mut sum = [0.0; 3];
         for (&t, &w) in self.texels.iter().zip(&self.weights) {
@@ -102,8 +105,8 @@ impl Footprint {
     }
 }
 
-/// The texel at (x, y) of a face, one of which may be a step past an edge: then that of the next face. In units of half
-/// texels everything is an integer.
+/// Returns the texel at (x, y) of a face, or its neighbor on the next face. At most one coordinate may lie one step
+/// past an edge. In units of half texels all coordinates are integers.
 fn across(face: usize, x: i32, y: i32, size: u32) -> u32 {
     let n = size as i32;
     let place = |i: i32| 2 * i + 1 - n;
@@ -122,7 +125,7 @@ mod tests {
     use crate::reference::rng::Pcg;
 
     #[test]
-    fn faces_and_directions_are_inverse_to_each_other() {
+    fn face_coordinates_and_directions_are_inverse() {
         let mut rng = Pcg::new(1);
         for face in 0..6 {
             for _ in 0..50 {
@@ -134,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn solid_angles_are_those_of_the_sphere() {
+    fn solid_angles_add_up_to_the_sphere() {
         for size in [1, 2, 16, 64] {
             let sum: f64 = (0..size).flat_map(|y| (0..size).map(move |x| solid_angle(size, x, y))).sum();
             assert!((6.0 * sum - 4.0 * std::f64::consts::PI).abs() < 1e-10, "{size}: {sum}");
@@ -142,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_texel_past_an_edge_is_the_one_that_touches_it() {
+    fn texel_past_an_edge_is_the_adjacent_one() {
         let size = 8;
         for face in 0..6 {
             for i in 0..8 {
@@ -159,12 +162,12 @@ mod tests {
     }
 
     #[test]
-    fn lookups_are_continuous_and_keep_constants() {
+    fn lookups_are_continuous_and_preserve_constants() {
         let size = 4;
         let mut rng = Pcg::new(2);
         let texels: Vec<f32> = (0..6 * size * size * 3).map(|_| rng.uniform() as f32).collect();
         for _ in 0..2000 {
-            // Half of them near an edge, some near a corner.
+            // Half of the samples lie near an edge, some near a corner.
             let mut d = [rng.normal(), rng.normal(), rng.normal()];
             if rng.uniform() < 0.5 {
                 d[1] = d[0] * if rng.uniform() < 0.5 { 1.0 } else { -1.0 };

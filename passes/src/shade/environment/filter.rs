@@ -1,7 +1,8 @@
-//! `environment_mips` and `environment_prefilter`: from texels to levels, and back by the exact adjoints.
+//! `environment_mips` and `environment_prefilter`: filtering and its exact adjoint. The passes filter the texels of an
+//! environment map into prefiltered levels, and take gradients back to the texels.
 //!
-//! Cost: [`super::Environment::levels`] has for each level how far its lobe reaches; a product is about 20 operations, in
-//! blocks of 32 texels and more (of a subgroup) that share what they read.
+//! Cost: [`super::Environment::levels`] gives the reach of each level's lobe. Each product costs about 20 operations. A
+//! subgroup works on blocks of 32 texels or more that share their reads.
 
 use super::levels::Level;
 use super::smoothness::Smoothness;
@@ -14,57 +15,58 @@ use sgs_shaders::{
     environment_prefilter_bwd,
 };
 
-/// An environment as surfaces see it.
+/// Prefiltered environment map that surfaces look up.
 #[derive(Clone, Copy, Debug)]
 pub struct Filtered {
-    /// `[texels of all levels * 3]`.
+    /// Prefiltered radiance, `[texels of all levels * 3]`.
     pub radiance: Buffer,
-    /// `[texels of all levels]`: one over the sum of each filter's weights.
+    /// Inverse of the sum of each filter's weights, `[texels of all levels]`.
     pub inverse_sums: Buffer,
 }
 
 impl Filtered {
-    /// Levels that another graph has left in memory: for looking them up, not for gradients.
+    /// Wraps levels that another graph left in memory. The result supports lookups, not gradients.
     pub fn kept(radiance: Buffer) -> Filtered {
         Filtered { radiance, inverse_sums: radiance }
     }
 }
 
-/// Levels that stay from step to step, and what steps ask of them until the texels move.
+/// Persistent levels and the gradients that steps accumulate between updates.
 #[derive(Clone, Copy, Debug)]
-pub struct Kept {
-    /// `[texels of all levels * 3]`.
+pub struct StoredFilter {
+    /// Prefiltered radiance, `[texels of all levels * 3]`.
     pub radiance: Buffer,
-    /// `[texels of all levels]`: one over the sum of each filter's weights.
+    /// Inverse of the sum of each filter's weights, `[texels of all levels]`.
     pub inverse_sums: Buffer,
-    /// `[texels of all levels * 3]`: gradients, over the sums of weights.
+    /// Accumulated gradients over the sums of weights, `[texels of all levels * 3]`.
     pub gathered: Buffer,
 }
 
-impl Kept {
-    /// Bytes of its buffers, in their order.
+impl StoredFilter {
+    /// Returns the sizes of the buffers in bytes, in declaration order.
     pub fn bytes(e: &Environment) -> [u64; 3] {
         let all = u64::from(e.filtered_texels());
         [12 * all, 4 * all, 12 * all]
     }
 
-    /// Declares them in a graph: `moving` where it filters and moves texels, else where steps look up and gather.
-    pub fn declare(g: &mut Graph, e: &Environment, moving: bool) -> Kept {
-        let [radiance, inverse_sums, gathered] = Kept::bytes(e);
+    /// Declares the buffers in a graph. Set `moving` in the graph that filters and updates the texels. Other graphs
+    /// only look up levels and accumulate gradients.
+    pub fn declare(g: &mut Graph, e: &Environment, moving: bool) -> StoredFilter {
+        let [radiance, inverse_sums, gathered] = StoredFilter::bytes(e);
         let mut fixed = |name: &str, bytes: u64| match moving {
             true => g.external(format!("environment.kept_{name}"), bytes),
             false => g.input(format!("environment.kept_{name}"), bytes),
         };
         let (radiance, inverse_sums) = (fixed("radiance", radiance), fixed("inverse_sums", inverse_sums));
-        Kept { radiance, inverse_sums, gathered: g.external("environment.gathered", gathered) }
+        StoredFilter { radiance, inverse_sums, gathered: g.external("environment.gathered", gathered) }
     }
 
-    /// As lookups take it.
+    /// Returns the levels in the form that lookups take.
     pub fn filtered(&self) -> Filtered {
         Filtered { radiance: self.radiance, inverse_sums: self.inverse_sums }
     }
 
-    /// Adds the pass that adds a step's gradients, `share` of them.
+    /// Adds the pass that accumulates a step's gradients, scaled by `share`.
     ///
     /// # Errors
     /// If a buffer does not belong to the graph or is too small to be bound.
@@ -91,8 +93,8 @@ impl Kept {
     }
 }
 
-/// Columns of a block and rows of a lane. A processor shares each texel that it fetches among several; where the cone is
-/// narrow, a block that is nearly square sees fewest texels that only some of its own need.
+/// Returns the columns of a block and the rows of a lane. A processor shares each fetched texel among several output
+/// texels. Where the cone is narrow, a nearly square block needs the fewest texels that only some of its outputs use.
 fn block(t: &Tuning, level: &Level) -> [u32; 2] {
     let narrow = level.reach() < 16.0 * std::f64::consts::FRAC_PI_2 / f64::from(level.size);
     match (t.narrow(), narrow) {
@@ -106,7 +108,7 @@ fn floats(texels: u32) -> u64 {
     12 * u64::from(texels)
 }
 
-/// What the kernels know of a lobe.
+/// Push constants that describe a lobe to the kernels.
 macro_rules! push {
     ($kernel:ident, $level:expr) => {
         $kernel::Push {
@@ -119,14 +121,14 @@ macro_rules! push {
     };
 }
 
-/// Workgroups of a level.
+/// Returns the number of workgroups of a level.
 fn blocks(t: &Tuning, level: &Level) -> [u32; 3] {
     let [columns, rows] = block(t, level);
     let height = t.subgroup_size / columns * rows;
     groups(u64::from(6 * (level.size / columns) * (level.size / height)), 1)
 }
 
-/// Adds the passes that filter the environment whose texels are `texels`.
+/// Adds the passes that filter the environment map stored in `texels`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -142,17 +144,17 @@ pub fn environment_filter(
     filter_into(g, t, e, tables, texels, Filtered { radiance, inverse_sums })
 }
 
-/// The same into levels that stay.
+/// Adds the passes of [`environment_filter`], which write persistent levels.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
-pub fn environment_filter_kept(
+pub fn environment_filter_stored(
     g: &mut Graph,
     t: &Tuning,
     e: &Environment,
     tables: &EnvironmentTables,
     texels: Buffer,
-    kept: &Kept,
+    kept: &StoredFilter,
 ) -> Result<(), GraphError> {
     filter_into(g, t, e, tables, texels, kept.filtered()).map(|_| ())
 }
@@ -165,7 +167,7 @@ fn filter_into(
     texels: Buffer,
     into: Filtered,
 ) -> Result<Filtered, GraphError> {
-    // Down to the coarsest mip that a level is made from; the last one is always of 16.
+    // Reduces to the coarsest mip that any level is filtered from; the last level always has size 16.
     let mut mips = vec![(e.size, texels)];
     while let Some(&(size, finer)) = mips.last()
         && size > 16
@@ -205,11 +207,12 @@ fn filter_into(
     Ok(into)
 }
 
-/// Adds the passes that write `gradient`, of the texels, from the sums that [`super::environment_bwd`] left and from
-/// smoothness.
+/// Adds the passes that write the texels' `gradient`. Its inputs are the sums that [`super::environment_bwd`] left and
+/// the smoothness term.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn environment_filter_bwd(
     g: &mut Graph,
     t: &Tuning,
@@ -236,16 +239,16 @@ pub fn environment_filter_bwd(
     back(g, t, e, tables, scaled, smoothness, gradient)
 }
 
-/// The same from what steps have gathered.
+/// Adds the passes that write the texels' `gradient` from accumulated gradients.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
-pub fn environment_filter_kept_bwd(
+pub fn environment_filter_stored_bwd(
     g: &mut Graph,
     t: &Tuning,
     e: &Environment,
     tables: &EnvironmentTables,
-    kept: &Kept,
+    kept: &StoredFilter,
     smoothness: Option<&Smoothness>,
     gradient: Buffer,
 ) -> Result<(), GraphError> {

@@ -1,26 +1,27 @@
-//! The smoothness of an environment as a quadratic form of its texels, worked out once.
+//! Smoothness of an environment map as a precomputed quadratic form of its texels.
 //!
-//! The term is a mean over a map of latitude and longitude: squared differences of neighbors, down and to the right, of
-//! the cube looked up bilinearly. That is x' Q x with a fixed sparse Q whose rows add up to zero, and of which only what
-//! is off the diagonal is kept. Exact for the map's resolution; no map exists in a step.
+//! The term is a mean over a latitude-longitude map: squared differences of each pixel and its neighbors below and to
+//! the right, where the cube is looked up bilinearly. The term equals x' Q x with a fixed sparse Q whose rows add up to
+//! zero. Only the entries off the diagonal are stored. The form is exact for the map's resolution, and training steps
+//! never build the map.
 
 use super::cube::Footprint;
 use super::latlong::direction;
 
-/// Rows of Q off the diagonal, compressed.
+/// Off-diagonal entries of Q in compressed rows.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Form {
-    /// Where each row begins, and where the last ends.
+    /// Start of each row in `entries`, followed by the end of the last row.
     pub starts: Vec<u32>,
     /// Column and bits of the 32-bit coefficient.
     pub entries: Vec<[u32; 2]>,
 }
 
-/// Q for a cube of `cube` texels a side, from a map of `size`. The map closes around to the right.
+/// Builds Q for a cube of `cube` texels a side, from a map of `size`. The map wraps around to the right.
 pub fn form(cube: u32, size: [u32; 2]) -> Form {
     let [w, h] = size;
     let count = (6 * cube * cube) as usize;
-    // By the smaller of two texels.
+    // Each pair is stored once, in the row of the smaller texel.
     let mut rows: Vec<Vec<(u32, f64)>> = vec![Vec::new(); count];
     let row_of = |y: u32| -> Vec<Footprint> { (0..w).map(|x| Footprint::of(direction(size, x, y), cube)).collect() };
     let mut pair = |a: &Footprint, b: &Footprint, share: f64| {
@@ -65,7 +66,7 @@ pub fn form(cube: u32, size: [u32; 2]) -> Form {
         }
         above = Some(here);
     }
-    // Both halves.
+    // Writes each pair in both of its rows.
     let mut starts = vec![0_u32; count + 1];
     for (s, row) in rows.iter().enumerate() {
         starts[s + 1] += row.len() as u32;

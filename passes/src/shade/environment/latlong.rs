@@ -1,30 +1,31 @@
-//! Latitude and longitude: how environments lie in files, and what their smoothness is measured on.
+//! Latitude-longitude maps: the layout of files, and the domain of the smoothness term.
 //!
-//! Row i of h is theta = pi (i + 1/2) / h from +y, column j of w is phi = 2 pi (j + 1/2) / w - pi, and the direction is
-//! (sin theta sin phi, cos theta, -sin theta cos phi). Three channels, linear. On the host, in double precision.
+//! Row i of h is theta = pi (i + 1/2) / h from +y. Column j of w is phi = 2 pi (j + 1/2) / w - pi. The direction is
+//! (sin theta sin phi, cos theta, -sin theta cos phi). Maps have three linear channels. All functions run on the host
+//! in double precision.
 
 use super::cube::{Footprint, texel_direction};
 use std::f64::consts::{PI, TAU};
 
-/// Columns and rows of the map that smoothness is measured on and files hold.
+/// Columns and rows of files and of the map that the smoothness term uses.
 pub const SIZE: [u32; 2] = [1024, 512];
 
-/// Direction of a pixel.
+/// Returns the direction of a pixel.
 pub fn direction(size: [u32; 2], column: u32, row: u32) -> [f64; 3] {
     let theta = PI * (f64::from(row) + 0.5) / f64::from(size[1]);
     let phi = TAU * (f64::from(column) + 0.5) / f64::from(size[0]) - PI;
     [theta.sin() * phi.sin(), theta.cos(), -theta.sin() * phi.cos()]
 }
 
-/// A cube as a map, by seamless bilinear lookup.
+/// Resamples a cube to a map by seamless bilinear lookup.
 pub fn from_cube(texels: &[f32], cube: u32, size: [u32; 2]) -> Vec<f32> {
     let pixels = (0..size[1]).flat_map(|row| (0..size[0]).map(move |column| (column, row)));
     pixels.flat_map(|(x, y)| Footprint::of(direction(size, x, y), cube).apply(texels).map(|v| v as f32)).collect()
 }
 
-/// A map as a cube: the mean of as many samples of each texel as the map's resolution asks for.
+/// Resamples a map to a cube. Each texel is the mean of as many samples as the map's resolution requires.
 pub fn to_cube(map: &[f32], size: [u32; 2], cube: u32) -> Vec<f32> {
-    // Samples along a side of a texel, which is about four times as wide as the map's columns over the cube's texels.
+    // Samples along a texel's side: map columns per texel on the equator, which has 4 `cube` texels.
     let samples = size[0].div_ceil(4 * cube).clamp(1, 16);
     let fine = cube * samples;
     let mut texels = vec![0.0; 18 * (cube * cube) as usize];
@@ -43,7 +44,7 @@ pub fn to_cube(map: &[f32], size: [u32; 2], cube: u32) -> Vec<f32> {
     texels
 }
 
-/// Bilinear lookup; the map closes around, and its first and last rows reach the poles.
+/// Looks up a map bilinearly. The map wraps around horizontally, and its first and last rows extend to the poles.
 fn sample(map: &[f32], size: [u32; 2], d: [f64; 3]) -> [f64; 3] {
     let [w, h] = size.map(f64::from);
     let theta = d[0].hypot(d[2]).atan2(d[1]);
@@ -65,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn smooth_environments_survive_the_way_there_and_back() {
+    fn smooth_environment_survives_cube_map_round_trip() {
         let cube = 32;
         let color = |d: [f64; 3]| [1.0 + 0.5 * d[0], 1.0 + 0.5 * d[1], 1.0 + 0.3 * d[2] * d[0]];
         let texels: Vec<f32> =
@@ -82,10 +83,10 @@ mod tests {
     }
 
     #[test]
-    fn the_middle_of_the_map_looks_along_minus_z() {
+    fn map_center_faces_minus_z() {
         let d = direction([1024, 512], 512, 256);
         assert!(d[2] < -0.9999);
-        // And a quarter to the right is +x.
+        // A quarter of the map further right is +x.
         assert!(direction([1024, 512], 768, 256)[0] > 0.9999);
     }
 }

@@ -1,80 +1,82 @@
-//! Which levels an environment is filtered to: roughness, resolution, and how far each lobe reaches.
+//! Prefiltered levels of an environment map: roughness, resolution and lobe reach.
 //!
-//! Roughness goes from 0.08 to 0.5 in even steps and then to 1, in five levels (six for 512 texels a side), as in the
-//! published method; there it depends on the resolution how many there are, here small cubes have as many, so that the
-//! steps between them stay small.
+//! Roughness goes from 0.08 to 0.5 in even steps and then to 1, as in the published method. There are five levels (six
+//! for 512 texels a side). In the published method the number of levels depends on the resolution. Here small cubes
+//! have as many levels, so that the steps between them stay small.
 //!
-//! Resolution: a level is as fine as its lobe needs, a texel and a quarter to the angle where the lobe has fallen to half,
-//! and not finer than the cube; and it is filtered from the cube's mip of the same resolution. The published one halves it
-//! from level to level, which gives the lobe of roughness 0.22 four times the texels along a side, and 256 times the
-//! products.
+//! Resolution: a level is as fine as its lobe requires, with 1.25 texels to the angle where the lobe has fallen to
+//! half, and never finer than the cube. A level is filtered from the cube's mip of the same resolution. The published
+//! method halves the resolution from level to level. This gives the lobe of roughness 0.22 four times the texels along
+//! a side, and 256 times the products.
 //!
-//! Reach: the cone holds 99 % of the lobe's light (the published rule, 99 % of the sum of D over evenly spaced angles,
-//! cuts a quarter of it off for the sharpest one). Where that would take more than a given number of products, the cone
-//! is as narrow as these demand, but never narrower than five texels. What it then holds is [`Level::share`]. The lobe
-//! fades out over the last quarter of its squared reach, so that no texel is in or out by rounding.
+//! Reach: the cone holds 99 % of the lobe's light. The published rule, 99 % of the sum of D over evenly spaced angles,
+//! cuts off a quarter of the light of the sharpest lobe. Where 99 % would exceed the limit on products, the cone
+//! shrinks to that limit, but never below five texels. [`Level::share`] is the share that the cone then holds. The lobe
+//! fades out over the last quarter of its squared reach, so that rounding does not decide whether a texel counts.
 //!
-//! The last level is a lobe of roughness 1, which is the cosine: it is the diffuse irradiance over pi as well.
+//! The last level is a lobe of roughness 1, which is the cosine. It is therefore also the diffuse irradiance over pi.
 
 use std::f64::consts::FRAC_PI_2;
 
-/// Products of a level, if nothing else is asked for.
+/// Default limit on the products of a level.
 pub const PRODUCTS: u64 = 1 << 23;
-/// Share of a lobe that its cone holds where that is affordable.
+/// Share of a lobe's light that its cone holds, if affordable.
 const SHARE: f64 = 0.99;
-/// The least that a cone reaches, in texels.
+/// Minimum reach of a cone in texels.
 const LEAST: f64 = 5.0;
 
-/// One level.
+/// One prefiltered level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Level {
     /// Texels along a side.
     pub size: u32,
-    /// Number of texels before it in the buffer of all levels.
+    /// Index of the level's first texel in the buffer of all levels.
     pub first: u32,
-    /// Roughness that it is filtered for.
+    /// Roughness that the level is filtered for.
     pub roughness: f64,
-    /// Squared distance of unit vectors up to which texels count.
+    /// Squared distance between unit vectors up to which texels count.
     pub cutoff: f64,
-    /// Share of the lobe's light within that.
+    /// Share of the lobe's light within the cutoff.
     pub share: f64,
 }
 
 impl Level {
-    /// GGX's alpha.
+    /// Returns GGX's alpha, the square of the roughness.
     pub fn alpha(&self) -> f64 {
         self.roughness * self.roughness
     }
 
-    /// Weight of a texel at squared distance `e`: n.l D(h) for a view along the normal, over its value at 0, faded out.
+    /// Returns the weight of a texel at squared distance `e`. The weight is n.l D(h) for a view along the normal, over
+    /// its value at 0, faded out towards the cutoff.
     pub fn weight(&self, e: f64) -> f64 {
         let q = 1.0 + self.steep() * e;
         (1.0 - 0.5 * e) * ((self.cutoff - e) * self.fade()).clamp(0.0, 1.0) / (q * q)
     }
 
-    /// The lobe is `(1 - e/2) / (1 + steep e)^2`: alpha^2 (h.n)^2 + |h x n|^2 with h half way, over alpha^2.
+    /// Returns the steepness of the lobe. The lobe is `(1 - e/2) / (1 + steep e)^2`: alpha^2 (h.n)^2 + |h x n|^2, over
+    /// alpha^2, with h the half vector.
     pub fn steep(&self) -> f64 {
         let square = self.alpha() * self.alpha();
         (1.0 - square) / (4.0 * square)
     }
 
-    /// Slope of the fading. A hemisphere ends by itself.
+    /// Returns the slope of the fade; a hemisphere needs no fade.
     pub fn fade(&self) -> f64 {
         if self.cutoff >= 2.0 { 1e6 } else { 4.0 / self.cutoff }
     }
 
-    /// Angle of the cutoff.
+    /// Returns the angle of the cutoff in radians.
     pub fn reach(&self) -> f64 {
         2.0 * (0.5 * self.cutoff.sqrt()).asin()
     }
 
-    /// Texels of the level.
+    /// Returns the number of texels of the level.
     pub fn texels(&self) -> u32 {
         6 * self.size * self.size
     }
 }
 
-/// The levels of a cube of `size` texels a side.
+/// Returns the levels of a cube of `size` texels a side.
 pub fn levels(size: u32, products: u64) -> Vec<Level> {
     let count: u32 = if size > 256 { 6 } else { 5 };
     let mut first = 0;
@@ -95,7 +97,7 @@ fn level(cube: u32, first: u32, roughness: f64, products: u64) -> Level {
     let needed = (1.25 * FRAC_PI_2 / half).ceil() as u32;
     let size = needed.next_power_of_two().max(16).min(cube);
     let texels = f64::from(6 * size * size);
-    // The cap of a cutoff e has the share e / 4 of the sphere.
+    // The cap with cutoff e covers e / 4 of the sphere.
     let affordable = 4.0 * products as f64 / (texels * texels);
     let least = (LEAST * FRAC_PI_2 / f64::from(size)).powi(2);
     let wanted = if roughness >= 1.0 { 2.0 } else { reaching(alpha, SHARE) };
@@ -103,7 +105,7 @@ fn level(cube: u32, first: u32, roughness: f64, products: u64) -> Level {
     Level { size, first, roughness, cutoff, share: share(alpha, cutoff) }
 }
 
-/// Share of a lobe's light within squared distance `e`.
+/// Returns the share of a lobe's light within squared distance `e`.
 fn share(alpha: f64, e: f64) -> f64 {
     let square = alpha * alpha;
     let c = (1.0 - square) / 4.0;
@@ -118,7 +120,7 @@ fn share(alpha: f64, e: f64) -> f64 {
     (to(e) - to(0.0)) / (to(2.0) - to(0.0))
 }
 
-/// Squared distance that holds a share.
+/// Returns the squared distance that holds the share `wanted`, by bisection.
 fn reaching(alpha: f64, wanted: f64) -> f64 {
     let (mut low, mut high) = (0.0, 2.0);
     for _ in 0..60 {
@@ -133,7 +135,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shares_are_those_of_the_integrated_lobe() {
+    fn shares_match_the_integrated_lobe() {
         for roughness in [0.08, 0.22, 0.5, 0.9, 1.0] {
             let alpha: f64 = roughness * roughness;
             let lobe = |angle: f64| {
@@ -153,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn levels_are_as_stated() {
+    fn levels_have_the_documented_sizes() {
         for size in [16, 32, 64, 128, 256, 512] {
             let all = levels(size, PRODUCTS);
             assert_eq!(all[0].size, size.min(256));
@@ -168,7 +170,7 @@ mod tests {
                 assert!(l.share > 0.84, "{l:?}");
             }
         }
-        // What is affordable grows with the products.
+        // A higher limit on products lets the cone hold its full share.
         assert!(levels(256, 1 << 30)[0].share > 0.9899);
     }
 }

@@ -1,14 +1,14 @@
-//! `environment` and `environment_bwd`: the filtered environment on each pixel's surface.
+//! `environment` and `environment_bwd`: shading by the prefiltered environment map.
 //!
-//! Radiance is `(1 - M) A irradiance(n) / pi + radiance(2 max(n.v, 0) n - v, roughness) (F0 a + b)`. Cost a pixel: 12 texels
-//! and 4 entries of the split-sum table from the caches, about 500 operations; backward also 72 atomic additions of
-//! integers.
+//! Radiance is `(1 - M) A irradiance(n) / pi + radiance(2 max(n.v, 0) n - v, roughness) (F0 a + b)`. Cost per pixel: 12
+//! texels and 4 entries of the split-sum table from the caches, and about 500 operations. The backward pass adds 72
+//! integer atomic additions.
 //!
-//! Gradients of the levels are sums of 64-bit integers, kept in two words each, so that they need no feature and do not
-//! depend on their order. Their unit is a power of two, chosen in each step so that as many contributions as there are
-//! pixels, each as large as the largest, still fit: with P pixels contributions are exact to 2^-(61 - log2 P) of the
-//! largest one, about 2^-46 at 160 by 120 and 2^-40 at 1600 by 1200. A pixel whose gradient or material is not finite
-//! gives nothing to the environment.
+//! Gradients of the levels are sums of 64-bit integers, stored in two words each. They therefore need no device feature
+//! and do not depend on the order of additions. Their unit is a power of two, chosen in each step so that as many
+//! contributions as there are pixels, each as large as the largest, still fit. With P pixels, contributions are exact
+//! to 2^-(61 - log2 P) of the largest, about 2^-46 at 160x120 and 2^-40 at 1600x1200. A pixel whose gradient or
+//! material is not finite contributes nothing to the environment map.
 
 use super::{Environment, EnvironmentTables, Filtered};
 use crate::Tuning;
@@ -19,22 +19,22 @@ use sgs_shaders::{
     environment as kernel, environment_background as background, environment_bwd as bwd, environment_scale as scale,
 };
 
-/// The surfaces of a view.
+/// Surfaces of a view.
 #[derive(Clone, Copy, Debug)]
 pub struct EnvironmentView {
-    /// Uniform `Step`: size of the view, place of the camera.
+    /// Uniform `Step`: size of the view and position of the camera.
     pub step: Buffer,
-    /// `[P * 3]` world.
+    /// World-space points, `[P * 3]`.
     pub points: Buffer,
-    /// `[P * 3]` unit or zero.
+    /// Unit normals or zero, `[P * 3]`.
     pub normals: Buffer,
-    /// `[P]` blended opacity; pixels below 0.001 are not shaded.
+    /// Blended opacity, `[P]`; pixels below 0.001 are not shaded.
     pub coverage: Buffer,
-    /// `[P * 4]` albedo, roughness.
+    /// Albedo and roughness, `[P * 4]`.
     pub materials: Buffer,
-    /// `[P]`, if there is any; else 0.
+    /// Metallic, `[P]`; 0 everywhere if `None`.
     pub metallic: Option<Buffer>,
-    /// Pixels that no view exceeds.
+    /// Maximum number of pixels of a view.
     pub pixels: u64,
 }
 
@@ -52,18 +52,18 @@ impl From<&Pixels> for EnvironmentView {
     }
 }
 
-/// Gradients of the levels as [`environment_bwd`] leaves them.
+/// Gradients of the levels, written by [`environment_bwd`].
 #[derive(Clone, Copy, Debug)]
 pub struct EnvironmentSums {
-    /// `[texels of all levels * 3]` 64-bit integers, low word first.
+    /// 64-bit integers, low word first, `[texels of all levels * 3]`.
     pub texel_sums: Buffer,
-    /// `[1]`: bits of the float that no contribution exceeds.
+    /// Bits of a float that bounds every contribution, `[1]`.
     pub largest: Buffer,
-    /// Bits that the largest contribution takes.
+    /// Number of bits of the largest contribution.
     pub bits: i32,
 }
 
-/// Adds the pass that writes `ambient`, `[P * 3]`: zero where nothing is shaded.
+/// Adds the pass that writes `ambient`, `[P * 3]`. Unshaded pixels are zero.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -79,7 +79,7 @@ pub fn environment(
     light(g, t, ("environment", false), e, tables, view, filtered, ambient)
 }
 
-/// Adds the pass that writes the diffuse part of [`environment`] alone, `[P * 3]`.
+/// Adds the pass that writes only the diffuse term of [`environment`], `[P * 3]`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -95,7 +95,8 @@ pub fn environment_diffuse(
     light(g, t, ("environment_diffuse", true), e, tables, view, filtered, diffuse)
 }
 
-/// Either; the name comes with whether only the diffuse part is wanted.
+/// Adds the named shading pass, restricted to the diffuse term if `diffuse_only`.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 fn light(
     g: &mut Graph,
     t: &Tuning,
@@ -123,11 +124,12 @@ fn light(
     stage(g, name, &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(view.pixels, t.workgroup))
 }
 
-/// Adds the passes of the gradients by `radiance_gradient`, `[P * 3]`: those of materials (`[P * 4]`) and of metallic
-/// (`[P]`, if the view has it) are added to, those of the levels are returned.
+/// Adds the passes that propagate `radiance_gradient`, `[P * 3]`. The gradients of materials (`[P * 4]`) and of
+/// metallic (`[P]`, if the view has it) are added to. Returns the gradients of the levels.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn environment_bwd(
     g: &mut Graph,
     t: &Tuning,
@@ -156,9 +158,9 @@ pub fn environment_bwd(
 
     let texel_sums = g.transient("environment.texel_sums", 24 * u64::from(e.filtered_texels()));
     g.fill("environment.clear_sums", texel_sums, 0)?;
-    // A texel gets at most twice a pixel's largest contribution: from a level and, if it is the last, from diffuse light.
+    // A pixel contributes to a texel at most twice: from a level and, if that is the last, from diffuse light.
     let bits = 62 - (2 * view.pixels.max(1)).next_power_of_two().ilog2() as i32;
-    // Without metallic nobody writes there.
+    // Without metallic, the kernel never writes this buffer.
     let unused = g.transient("environment.unused", 4);
     let metallic_gradient = match (view.metallic, metallic_gradient) {
         (Some(_), Some(buffer)) => buffer,
@@ -195,7 +197,8 @@ pub fn environment_bwd(
     Ok(EnvironmentSums { texel_sums, largest, bits })
 }
 
-/// Adds the pass that writes `background`, `[P * 3]`: the texels along each pixel's ray, unfiltered.
+/// Adds the pass that writes `background`, `[P * 3]`. The background is the unfiltered environment map along each
+/// pixel's ray.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

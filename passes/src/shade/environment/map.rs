@@ -1,6 +1,7 @@
-//! The lookups of an environment in the map that its smoothness is measured on, and which texel is in which of them.
+//! Bilinear lookups of an environment map at the pixels of the smoothness map. Stored by pixel and, transposed, by
+//! texel.
 //!
-//! For cubes that are finer than the map the quadratic form ([`super::form`]) would have more than ten times as many numbers.
+//! For cubes finer than the map, the quadratic form ([`super::form`]) would hold more than ten times as many numbers.
 
 use super::cube::Footprint;
 use super::latlong::direction;
@@ -10,15 +11,15 @@ use super::latlong::direction;
 pub struct MapLookup {
     /// Columns and rows of the map.
     pub size: [u32; 2],
-    /// By pixel: four texels, bits of their weights.
+    /// By pixel: four texels and the bits of their weights.
     pub footprints: Vec<[u32; 8]>,
-    /// Where each texel's entries begin, and where the last end.
+    /// Start of each texel's range in `entries`, followed by the end of the last range.
     pub starts: Vec<u32>,
     /// Pixel and bits of the weight.
     pub entries: Vec<[u32; 2]>,
 }
 
-/// The lookups of a cube of `cube` texels a side in a map of `size`.
+/// Builds the lookups of a cube of `cube` texels a side in a map of `size`.
 pub fn map_lookup(cube: u32, size: [u32; 2]) -> MapLookup {
     let [w, h] = size;
     let count = (6 * cube * cube) as usize;

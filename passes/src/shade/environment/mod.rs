@@ -1,16 +1,20 @@
-//! `environment`: light from far away, as a cube of texels that is learned.
+//! `environment`: distant light as a trainable cube map of texels.
 //!
-//! Parameters are the texels: raw linear radiance, `[6 * S * S * 3]` floats, S a power of two from 16 to 512, not negative
-//! ([`environment_clamp`] after each step). In a step [`environment_filter`] makes mips and from them the levels that
-//! surfaces of each roughness see, the last of which is the diffuse irradiance too; [`environment`] shades pixels;
-//! [`environment_bwd`] leaves gradients of materials and, summed in fixed point, of the levels; [`environment_filter_bwd`]
-//! takes those back to the texels by the filters' exact adjoints, together with [`environment_smoothness`].
+//! The parameters are the texels: raw linear radiance, `[6 * S * S * 3]` floats, where S is a power of two from 16 to
+//! 512. They are not negative ([`environment_clamp`] after each step). Passes of a step:
 //!
-//! Promises: every filter is a fixed linear operator that keeps constants, so that a white environment is exactly white at
-//! every roughness; lookups have no seams; the same bits from run to run. Radiance is not clamped, nothing shadows it,
-//! and pixels are left out by coverage alone (and where there is no normal at all). Normals are detached.
+//! - [`environment_filter`] builds mips, and from them the levels for each roughness. The last level is also the
+//!   diffuse irradiance.
+//! - [`environment`] shades pixels.
+//! - [`environment_bwd`] computes gradients of materials and, summed in fixed point, of the levels.
+//! - [`environment_filter_bwd`] takes the gradients of the levels back to the texels by the filters' exact adjoints,
+//!   and adds those of [`environment_smoothness`].
 //!
-//! After SGS-Intrinsic; [`levels`] says where the filters differ from the published ones.
+//! Guarantees: every filter is a fixed linear operator that preserves constants, so that a white environment map is
+//! exactly white at every roughness. Lookups have no seams. Results are bit-identical from run to run. Radiance is not
+//! clamped and not shadowed. Only pixels with low coverage or without a normal are skipped. Normals are detached.
+//!
+//! After SGS-Intrinsic. [`levels`] documents where the filters differ from the published ones.
 
 pub mod cube;
 mod filter;
@@ -23,7 +27,8 @@ mod smoothness;
 pub mod split_sum;
 
 pub use filter::{
-    Filtered, Kept, environment_filter, environment_filter_bwd, environment_filter_kept, environment_filter_kept_bwd,
+    Filtered, StoredFilter, environment_filter, environment_filter_bwd, environment_filter_stored,
+    environment_filter_stored_bwd,
 };
 pub use lookup::{
     EnvironmentSums, EnvironmentView, environment, environment_background, environment_bwd, environment_diffuse,
@@ -36,23 +41,24 @@ use levels::Level;
 use map::MapLookup;
 use sgs_engine::graph::{Buffer, Graph, Slice};
 
-/// Why an environment cannot be made.
+/// Reason why an environment map cannot be created.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EnvironmentError {
     /// The resolution is none of 16, 32, 64, 128, 256 and 512.
     #[error("An environment of {0} texels a side is not possible; use 16, 32, 64, 128, 256 or 512.")]
     Size(u32),
-    /// The filters would take more products than kernels count.
+    /// The filters would need more products than kernels can count.
     #[error("{0} products a level are too many for an environment's filter; {1} are the most.")]
     Products(u64, u64),
 }
 
-/// How an environment is filtered and measured.
+/// Options for filtering an environment map and for its smoothness term.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnvironmentOptions {
-    /// Products of texel and weight that a level may take ([`levels::PRODUCTS`]): time against how far lobes reach.
+    /// Limit on the products of texel and weight of a level ([`levels::PRODUCTS`]). Trades time for the reach of the
+    /// lobes.
     pub products: u64,
-    /// Columns and rows of the map that smoothness is measured on ([`latlong::SIZE`]); none: there will be no such term.
+    /// Columns and rows of the smoothness term's map ([`latlong::SIZE`]). `None` disables the term.
     pub smoothness: Option<[u32; 2]>,
 }
 
@@ -62,7 +68,7 @@ impl Default for EnvironmentOptions {
     }
 }
 
-/// Everything about an environment that does not change: its levels and tables.
+/// Constant data of an environment map: its levels and tables.
 #[derive(Clone, Debug)]
 pub struct Environment {
     size: u32,
@@ -74,16 +80,16 @@ pub struct Environment {
     measured: Option<Measured>,
 }
 
-/// How smoothness is measured.
+/// Evaluation method of the smoothness term.
 #[derive(Clone, Debug)]
 enum Measured {
     /// By a quadratic form of the texels.
     Form(Form),
-    /// On the map, looked up in each step.
+    /// On the map, which is looked up in each step.
     Map(MapLookup),
 }
 
-/// Its tables as inputs of a graph.
+/// Smoothness tables as inputs of a graph.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum SmoothnessTables {
     /// Starts and entries of the form's rows.
@@ -92,7 +98,7 @@ pub(super) enum SmoothnessTables {
     Map([Buffer; 3], [u32; 2]),
 }
 
-/// The tables as inputs of a graph.
+/// Environment tables as inputs of a graph.
 #[derive(Clone, Copy, Debug)]
 pub struct EnvironmentTables {
     areas: Buffer,
@@ -102,13 +108,13 @@ pub struct EnvironmentTables {
 }
 
 impl Environment {
-    /// The most products of a level: llvmpipe ends loops after 65535 rounds.
+    /// Maximum number of products of a level. llvmpipe ends loops after 65535 iterations.
     pub const MOST_PRODUCTS: u64 = 1 << 34;
 
-    /// Works out the tables of an environment of `size` texels a side; with smoothness that takes about a second.
+    /// Builds the tables of an environment map of `size` texels a side. With smoothness this takes about a second.
     ///
     /// # Errors
-    /// If the size is not possible, or the filters would be too large.
+    /// If the size is not supported, or the filters would be too large.
     pub fn new(size: u32, options: &EnvironmentOptions) -> Result<Environment, EnvironmentError> {
         if !size.is_power_of_two() || !(16..=512).contains(&size) {
             return Err(EnvironmentError::Size(size));
@@ -132,36 +138,36 @@ impl Environment {
         Ok(Environment { size, levels, areas, area_of, split_sum: split_sum::table(), measured })
     }
 
-    /// The finest cube whose smoothness is a quadratic form of its texels. A map of 1024 columns has no more texels along its equator;
-    /// finer cubes are looked up at the map's pixels in each step.
+    /// Size of the finest cube whose smoothness is a quadratic form of its texels. A map of 1024 columns has no more
+    /// texels along its equator. Finer cubes are looked up at the map's pixels in each step.
     pub const FORM: u32 = 256;
 
-    /// Texels along a side.
+    /// Returns the number of texels along a side.
     pub fn size(&self) -> u32 {
         self.size
     }
 
-    /// Floats of the parameters: three a texel.
+    /// Returns the number of floats of the parameters, three per texel.
     pub fn floats(&self) -> u32 {
         18 * self.size * self.size
     }
 
-    /// The levels, from the sharpest to the irradiance.
+    /// Returns the levels, from the sharpest to the irradiance.
     pub fn levels(&self) -> &[Level] {
         &self.levels
     }
 
-    /// Texels of all levels.
+    /// Returns the number of texels of all levels.
     pub fn filtered_texels(&self) -> u32 {
         self.levels.iter().map(Level::texels).sum()
     }
 
-    /// Factor of F0 and what is added, [`split_sum::NODES`] a row.
+    /// Returns the split-sum table: the factor of F0 and the offset of each node. A row has [`split_sum::NODES`] nodes.
     pub fn split_sum(&self) -> &[[f32; 2]] {
         &self.split_sum
     }
 
-    /// Texels to begin with: each number between 0.25 and 1.75.
+    /// Returns random initial texels, uniform between 0.25 and 1.75.
     pub fn start(&self, seed: u32) -> Vec<f32> {
         let mut rng = Pcg::new(seed);
         (0..self.floats()).map(|_| rng.range(0.25, 1.75) as f32).collect()
@@ -191,7 +197,7 @@ impl Environment {
         }
     }
 
-    /// What the host must put into the tables once.
+    /// Returns the contents that the host uploads to the tables once.
     pub fn contents(&self, tables: &EnvironmentTables) -> Vec<(Buffer, Vec<u8>)> {
         let levels: Vec<[u32; 2]> = self.levels.iter().map(|l| [l.size, l.first]).collect();
         let mut all = vec![
@@ -214,13 +220,14 @@ impl Environment {
         all
     }
 
-    /// Solid angles of a face of a level.
+    /// Returns the slice with the texels' solid angles on a face of a level.
     fn areas(&self, tables: &EnvironmentTables, size: u32) -> Slice {
         let first = self.area_of.iter().find(|(s, _)| *s == size).map_or(0, |(_, first)| *first);
         Slice { buffer: tables.areas, offset: 4 * u64::from(first), bytes: 4 * u64::from(size * size) }
     }
 
-    /// The parts that gradients of the texels are made of: first texel and size of each level's mip, then of smoothness.
+    /// Returns the first texel and size of each term of the texels' gradients. The terms are each level's mip, then
+    /// smoothness.
     fn parts(&self, smoothness: bool) -> Vec<(u32, u32)> {
         let mut parts: Vec<(u32, u32)> = self.levels.iter().map(|l| (l.first, l.size)).collect();
         if smoothness && self.measured.is_some() {

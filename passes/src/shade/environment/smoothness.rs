@@ -1,9 +1,10 @@
-//! `environment_smoothness` and `environment_clamp`: what the texels are asked for besides light.
+//! `environment_smoothness` and `environment_clamp`: regularization of the texels.
 //!
-//! Smoothness is weight times the mean, over a map of 512 by 1024 pixels, of squared differences of neighbors, down and to
-//! the right. For cubes of up to [`Environment::FORM`] texels a side that is a fixed quadratic form ([`super::form`]); cost a texel:
-//! about ten entries of 8 bytes and their texels. Finer cubes are looked up at the map's pixels ([`super::map`]) and derivatives
-//! go back the same way; cost a pixel: about 160 bytes, a texel: 16 and 20 for each of its pixels.
+//! Smoothness is the weight times the mean, over a map of 512 by 1024 pixels, of squared differences between each pixel
+//! and its neighbors below and to the right. For cubes of up to [`Environment::FORM`] texels a side, the term is a
+//! fixed quadratic form ([`super::form`]). It costs about ten entries of 8 bytes and their texels per texel. Finer
+//! cubes are looked up at the map's pixels ([`super::map`]), and derivatives go back through the same lookups. This
+//! costs about 160 bytes per pixel, and per texel 16 bytes plus 20 for each of its pixels.
 
 use super::{Environment, EnvironmentTables, SmoothnessTables};
 use crate::Tuning;
@@ -13,20 +14,21 @@ use sgs_shaders::environment_clamp as clamp;
 use sgs_shaders::environment_smoothness as kernel;
 use sgs_shaders::{environment_map, environment_map_bwd, environment_map_smoothness};
 
-/// The smoothness of an environment, to be added to its gradients.
+/// Smoothness term of an environment map, added to its gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct Smoothness {
     texels: Buffer,
     tables: SmoothnessTables,
     count: u32,
     weight: f32,
-    /// `[groups]` floats: the term without its weight, by workgroup.
+    /// Unweighted term by workgroup, `[groups]` floats.
     pub sums: Buffer,
     /// Number of workgroups.
     pub groups: u32,
 }
 
-/// Declares the term; [`super::environment_filter_bwd`] adds its pass. None if the environment was made without it.
+/// Declares the term, whose passes [`super::environment_filter_bwd`] adds. Returns `None` if the environment map was
+/// created without smoothness.
 pub fn environment_smoothness(
     g: &mut Graph,
     t: &Tuning,
@@ -47,7 +49,7 @@ pub fn environment_smoothness(
 }
 
 impl Smoothness {
-    /// Adds the passes, which write `gradient`.
+    /// Adds the passes that write `gradient`.
     pub(super) fn add(&self, g: &mut Graph, t: &Tuning, gradient: Slice) -> Result<(), GraphError> {
         match self.tables {
             SmoothnessTables::Form(form) => self.by_form(g, t, form, gradient),
@@ -110,7 +112,7 @@ impl Smoothness {
     }
 }
 
-/// Adds the pass that makes negative texels black, after a step of the optimizer.
+/// Adds the pass that clamps negative texels to zero after an optimizer step.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

@@ -1,15 +1,16 @@
-//! The part of the specular reflection that does not depend on the environment: how a surface in even light reflects it.
+//! Split-sum table: the reflectance of a surface under uniform light.
 //!
-//! Integral of D V n.l over the hemisphere, split by Schlick's term: reflectance is F0 a + b (Karis 2013), with GGX,
-//! height-correlated Smith, and alpha = roughness^2. Nodes lie at the ends: row j is roughness j / 63, column i is
-//! n.v = i / 63, not below 1e-4. In the first row, a mirror, a = 1 - (1 - n.v)^5 exactly.
+//! The integral of D V n.l over the hemisphere, split by Schlick's term: reflectance is F0 a + b (Karis 2013), with
+//! GGX, height-correlated Smith, and alpha = roughness^2. The table does not depend on the environment map. Nodes
+//! include both ends of each axis: row j is roughness j / 63, column i is n.v = i / 63, clamped to 1e-4. In the first
+//! row, a mirror, a = 1 - (1 - n.v)^5 exactly.
 
 /// Nodes along a side.
 pub const NODES: usize = 64;
-/// As the kernels have it.
+/// Minimum n.v, as in the kernels.
 const NV_MIN: f64 = 1e-4;
 
-/// Factor of F0 and what is added, row by row.
+/// Returns the factor of F0 and the offset of each node, row by row.
 pub fn table() -> Vec<[f32; 2]> {
     let node = |i: usize| i as f64 / (NODES - 1) as f64;
     (0..NODES * NODES)
@@ -17,7 +18,7 @@ pub fn table() -> Vec<[f32; 2]> {
         .collect()
 }
 
-/// One entry, by quadrature over half vectors distributed as D (n.h).
+/// Computes one entry by quadrature over half vectors distributed as D (n.h).
 fn split_sum(roughness: f64, nv: f64) -> [f64; 2] {
     let alpha = roughness * roughness;
     if alpha < 1e-6 {
@@ -30,12 +31,12 @@ fn split_sum(roughness: f64, nv: f64) -> [f64; 2] {
     let (rings, around) = (64, 24);
     let mut sum = [0.0; 2];
     for i in 0..rings {
-        // Finer towards grazing half vectors, by which light comes back that came in edge-on.
+        // Samples are denser towards grazing half vectors, which reflect light that arrives edge-on.
         let s = 1.0 - (f64::from(i) + 0.5) / f64::from(rings);
         let (u, stretch) = (1.0 - s.powi(4), 4.0 * s.powi(3));
         let cos2 = (1.0 - u) / (1.0 + (square - 1.0) * u);
         let (nh, sin_h) = (cos2.sqrt(), (1.0 - cos2).max(0.0).sqrt());
-        // Light comes from above the horizon where cos phi exceeds this; that is where it changes fastest.
+        // Light comes from above the horizon where cos phi exceeds this; the integrand changes fastest there.
         let horizon = (nv / (2.0 * nh) - nv * nh) / (sin_v * sin_h).max(1e-300);
         let end = horizon.clamp(-1.0, 1.0).acos();
         for j in 0..around {
@@ -62,14 +63,14 @@ fn split_sum(roughness: f64, nv: f64) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    /// By directions of light over the hemisphere: another route, for lobes that are not narrow.
+    /// Integrates over light directions: an independent check for lobes that are not narrow.
     fn by_light(roughness: f64, nv: f64) -> [f64; 2] {
         let square = roughness.powi(4);
         let v = [(1.0 - nv * nv).sqrt(), 0.0, nv];
         let (n, m) = (600, 600);
         let mut sum = [0.0; 2];
         for i in 0..n {
-            // Finer at the horizon, and around the mirrored view below.
+            // Samples are denser at the horizon, and around the mirrored view below.
             let x = (f64::from(i) + 0.5) / f64::from(n);
             let nl = x * x;
             let s = (1.0 - nl * nl).sqrt();
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn entries_are_those_of_another_quadrature() {
+    fn entries_match_an_independent_quadrature() {
         for roughness in [0.35, 0.5, 0.75, 1.0] {
             for nv in [0.02, 0.1, 0.4, 0.8, 1.0] {
                 let (a, b) = (split_sum(roughness, nv), by_light(roughness, nv));
@@ -103,17 +104,17 @@ mod tests {
     }
 
     #[test]
-    fn no_light_is_created_and_mirrors_keep_all() {
+    fn energy_is_not_created_and_mirrors_preserve_it() {
         let t = table();
         let most = t.iter().map(|[a, b]| a + b).fold(0.0, f32::max);
         assert!(most <= 1.0005, "{most}");
         assert!(t[..NODES].iter().all(|[a, b]| (a + b - 1.0).abs() < 1e-6));
-        // Rougher surfaces keep less, since light that bounces between facets is not followed.
+        // Rougher surfaces lose energy, since light that bounces between facets is not followed.
         assert!(t[NODES * NODES - 1].iter().sum::<f32>() < 0.32);
     }
 
     #[test]
-    fn published_values_are_met() {
+    fn entries_match_published_values() {
         // Texel centers (i + 1/2) / 256 of the table that GGX implementations share.
         let at = |row: f64, column: f64| split_sum((row + 0.5) / 256.0, (column + 0.5) / 256.0);
         for (row, column, a, b) in

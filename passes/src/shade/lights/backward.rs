@@ -1,13 +1,15 @@
-//! `lights_bwd` and `lights_prepare_bwd`: gradients of the lights; `lights_normals_bwd`: of normals, if they are wanted.
+//! Backward passes of lights: `lights_bwd`, `lights_prepare_bwd`, `lights_normals_bwd`. The first two compute gradients
+//! of the lights, the last one gradients of normals.
 //!
-//! Promises: nothing the forward pass made is needed, all of it is worked out again; sums are in a fixed order, so that
-//! results are the same bits from run to run; every gradient is written, zero for lights that are off.
+//! Guarantees: the passes need nothing from the forward pass and recompute everything. Sums have a fixed order, so that
+//! results are bit-identical from run to run. Every gradient is written, zero for lights that are off.
 //!
-//! `lights_bwd` goes from the pixels' side, like the forward pass, so that what a pixel knows (its surface, what a visibility
-//! field made of its point) is worked out once for all lights. A pair that faces takes 48 operations a lobe and 200 more:
-//! with 64 lights of 12 lobes 64 (20 + 0.5 (576 + 200)) = 26000 a pixel, 2.0 Gop at 320x240, 50 Gop at 1600x1200; adding
-//! up across lanes comes on top, 8 numbers a lobe for each block of pixels. Memory: 56 bytes a pixel, and a row of
-//! `32 lights (1 + lobes)` bytes for each workgroup (27 KB), of which there are at most a few hundred.
+//! `lights_bwd` iterates over pixels, like the forward pass. Data of a pixel (its surface, the visibility field's
+//! encoding of its point) is therefore computed once for all lights. A pair that faces takes 48 operations per lobe and
+//! 200 more. With 64 lights of 12 lobes this is 64 (20 + 0.5 (576 + 200)) = 26000 per pixel: 2.0 Gop at 320x240, 50 Gop
+//! at 1600x1200. The reduction across lanes adds 8 numbers per lobe for each block of pixels. Memory: 56 bytes per
+//! pixel, and a row of `32 lights (1 + lobes)` bytes for each workgroup (27 KB), of which there are at most a few
+//! hundred.
 
 use super::{LightParameters, LightRegularizers, Lights, Prepared, Shape};
 use crate::Tuning;
@@ -22,23 +24,24 @@ use sgs_shaders::{
 /// Gradients of prepared lights.
 #[derive(Clone, Copy, Debug)]
 pub struct LightGradients {
-    /// `[lights * 8 (1 + lobes)]` floats, see `lights_bwd.glsl`.
+    /// Gradients as laid out in `lights_bwd.glsl`, `[lights * 8 (1 + lobes)]` floats.
     pub buffer: Buffer,
 }
 
-/// Where gradients of raw parameters go; shapes are those of [`LightParameters`].
+/// Destinations of the raw parameters' gradients, shaped like [`LightParameters`].
 #[derive(Clone, Copy, Debug)]
 pub struct LightParameterGradients {
-    /// `[lights * 3]`.
+    /// Gradients of positions, `[lights * 3]`.
     pub positions: Buffer,
-    /// `[lights * lobes * row]`.
+    /// Gradients of lobes, `[lights * lobes * row]`.
     pub lobes: Buffer,
 }
 
-/// Numbers that an invocation can keep in arrays of its own.
+/// Maximum number of elements in an invocation's private arrays.
 pub(in crate::shade) const OWN: u32 = 4096;
 
-/// Blocks of a workgroup, and workgroups. `extra`: rounds of loops of a block beside those here.
+/// Returns the blocks of a workgroup, and the number of workgroups. `extra` is the number of loop iterations per block
+/// beyond those of this kernel.
 pub(in crate::shade) fn cut(
     tuning: Tuning,
     shape: &Shape,
@@ -49,7 +52,7 @@ pub(in crate::shade) fn cut(
     cut_blocks(tuning, shape, prepared, pixels.screen.pixels().div_ceil(u64::from(shape.block())) as u32, extra)
 }
 
-/// The same of some blocks.
+/// Returns the same as [`cut`] for a given number of blocks.
 pub(in crate::shade) fn cut_blocks(
     tuning: Tuning,
     shape: &Shape,
@@ -57,16 +60,16 @@ pub(in crate::shade) fn cut_blocks(
     blocks: u32,
     extra: u32,
 ) -> (u32, u32) {
-    // Each light of a block takes two rounds, and one a group of lobes.
+    // Each light of a block takes two iterations, and one per group of lobes.
     let groups = prepared.model.lobes.div_ceil(shape.subgroup / 8);
     let rounds = prepared.model.lights * (3 + groups) + 8 + extra;
     let most = (tuning.rounds / 2 / rounds).max(1);
-    // Four on a processor: a row is worth more than a last bit of balance.
+    // Two workgroups per worker: fewer rows of partial sums matter more than perfect balance.
     let each = blocks.div_ceil(2 * tuning.workers).clamp(1, most);
     (each, blocks.div_ceil(each))
 }
 
-/// Writes the gradients of the prepared lights, from that of the radiance, `[P * 3]`.
+/// Writes the gradients of the prepared lights from `radiance_gradient`, `[P * 3]`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -96,7 +99,7 @@ pub fn lights_bwd(
     sum_rows(g, tuning, partials, width, workgroups)
 }
 
-/// Adds up the rows that workgroups left.
+/// Adds up the rows of partial sums that workgroups wrote.
 pub(in crate::shade) fn sum_rows(
     g: &mut Graph,
     tuning: Tuning,
@@ -114,8 +117,8 @@ pub(in crate::shade) fn sum_rows(
     Ok(LightGradients { buffer })
 }
 
-/// Writes `normals_gradient`, `[P * 3]`: gradients of unit normals, the part across the normal; zero where there is no surface.
-/// Costs what [`super::lights_train`] does.
+/// Writes `normals_gradient`, `[P * 3]`: gradients of unit normals. Only the component orthogonal to the normal is
+/// written. Pixels without a surface are zero. The cost is that of [`super::lights_train`].
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -138,7 +141,7 @@ pub fn lights_normals_bwd(
         .dispatch(groups(p.screen.pixels(), shape.block()))
 }
 
-/// Writes the gradients of the raw parameters, those of the regularizers included if there are any.
+/// Writes the gradients of the raw parameters. Includes those of the regularizers, if present.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

@@ -1,12 +1,13 @@
-//! `lights` (with its variants `lights_train` and `lights_split`): radiance of pixels; `lights_materials_bwd`: gradients of
-//! materials from what the forward pass left.
+//! `lights` and its variants: radiance of pixels, and gradients of materials. The variants are `lights_train` and
+//! `lights_split`. `lights_materials_bwd` computes gradients of materials from the results of the forward pass.
 //!
-//! Promises: every pixel of the view is written, zero where there is no surface; pairs that face away contribute exactly
-//! nothing; the same bits from run to run. See [`super`] for the cost.
+//! Guarantees: every pixel of the view is written, zero without a surface. Pairs that face away contribute exactly
+//! zero. Results are bit-identical from run to run. See [`super`] for the cost.
 //!
-//! Radiance depends on roughness through two sums over the lights, and on everything else linearly or through F0: the forward
-//! pass leaves the irradiance and the derivative by roughness (6 floats a pixel; with metallic 12, the specular sums too).
-//! [`lights_materials_bwd`] then looks at no light again: 60 bytes and 20 operations a pixel (128 and 60 with metallic).
+//! Radiance depends on roughness through two sums over the lights, and on everything else linearly or through F0. The
+//! forward pass therefore stores the irradiance and the derivative by roughness: 6 floats per pixel, or 12 with
+//! metallic, which adds the specular sums. [`lights_materials_bwd`] does not iterate over lights again. It costs 60
+//! bytes and 20 operations per pixel (128 and 60 with metallic).
 
 use super::Prepared;
 use crate::Tuning;
@@ -18,20 +19,21 @@ use sgs_shaders::{
     lights_split as split, lights_train as train,
 };
 
-/// What is shaded, and by what.
+/// Inputs of shading by lights.
 #[derive(Clone, Copy, Debug)]
 pub struct Lights {
-    /// The pixels.
+    /// Pixels to be shaded.
     pub pixels: Pixels,
-    /// The lights.
+    /// Prepared lights.
     pub prepared: Prepared,
-    /// Factor of all light: 1 over the number of lights at the start, whatever has become of them.
+    /// Factor of all light: 1 over the initial number of lights. The factor stays constant when lights are switched off
+    /// or added.
     pub normalizer: f32,
-    /// How the kernels are cut.
+    /// Shape of the kernels' workgroups.
     pub shape: Shape,
 }
 
-/// What the kernels over pixels and lights bind alike; `$a` is a [`Lights`].
+/// Bindings that the kernels over pixels and lights share; `$a` is a [`Lights`].
 macro_rules! of_lights {
     ($kernel:ident, $a:expr, { $($more:tt)* }) => {
         $kernel::Bindings {
@@ -50,7 +52,7 @@ macro_rules! of_lights {
 }
 pub(in crate::shade) use of_lights;
 
-/// And the constants that they share.
+/// Specialization constants that the kernels share.
 macro_rules! lit_specs {
     ($kernel:ident, $a:expr, $shape:expr, { $($more:tt)* }) => {
         $kernel::Specs {
@@ -65,34 +67,34 @@ macro_rules! lit_specs {
 }
 pub(in crate::shade) use lit_specs;
 
-/// How kernels over pixels and lights are cut.
+/// Workgroup shape of kernels over pixels and lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
-    /// Lanes of a subgroup; a workgroup is one.
+    /// Lanes of a subgroup; a workgroup is one subgroup.
     pub subgroup: u32,
-    /// Pixels of a lane, which share what is fetched of a light.
+    /// Pixels per lane, which share the fetched data of a light.
     pub per_lane: u32,
-    /// Whether lanes fetch lights' numbers for one another: quicker where loads go lane by lane.
+    /// Whether lanes fetch the lights' numbers for one another. Faster where loads are executed lane by lane.
     pub spread: bool,
 }
 
 impl Shape {
-    /// What suits a device.
+    /// Returns the shape for a device.
     pub fn for_device(tuning: Tuning) -> Shape {
         let narrow = tuning.narrow();
         Shape { subgroup: tuning.subgroup_size, per_lane: if narrow { 16 } else { 2 }, spread: narrow }
     }
 
-    /// Pixels of a workgroup.
+    /// Returns the number of pixels of a workgroup.
     pub fn block(&self) -> u32 {
         self.subgroup * self.per_lane
     }
 }
 
-/// What [`lights_train`] leaves for [`lights_materials_bwd`].
+/// Sums that [`lights_train`] stores for [`lights_materials_bwd`].
 #[derive(Clone, Copy, Debug)]
 pub struct Sums {
-    /// `[P * 6]`, or 12 with metallic.
+    /// Sums per pixel, `[P * 6]`, or 12 with metallic.
     pub buffer: Buffer,
 }
 
@@ -112,7 +114,7 @@ pub fn lights(g: &mut Graph, a: &Lights, direct: Buffer) -> Result<(), GraphErro
         .dispatch(groups(p.screen.pixels(), a.shape.block()))
 }
 
-/// As [`lights`], and writes the diffuse part of it to `diffuse`, `[P * 3]`; the rest is specular.
+/// Writes `direct` like [`lights`], and its diffuse term to `diffuse`, `[P * 3]`. The remainder is specular.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -129,7 +131,7 @@ pub fn lights_split(g: &mut Graph, a: &Lights, direct: Buffer, diffuse: Buffer) 
         .dispatch(groups(p.screen.pixels(), a.shape.block()))
 }
 
-/// As [`lights`], and leaves what [`lights_materials_bwd`] needs.
+/// Writes `direct` like [`lights`], and stores sums for [`lights_materials_bwd`].
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -148,8 +150,8 @@ pub fn lights_train(g: &mut Graph, a: &Lights, direct: Buffer) -> Result<Sums, G
     Ok(Sums { buffer: sums })
 }
 
-/// Adds to `materials_gradient` (`[P * 4]`) and, if it is wanted, to `metallic_gradient` (`[P]`), from the gradient of the
-/// radiance, `[P * 3]`. Without metallic its gradient is left alone.
+/// Adds the gradients of materials from the gradient of radiance, `[P * 3]`. Adds to `materials_gradient` (`[P * 4]`)
+/// and, if present, to `metallic_gradient` (`[P]`). Without metallic, `metallic_gradient` is not touched.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

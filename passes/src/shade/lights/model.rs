@@ -1,64 +1,65 @@
-//! How many lights there are, how their parameters are laid out, and what they start from.
+//! Sizes, parameter layout and initial values of a set of lights.
 
 use sgs_engine::graph::Buffer;
 
-/// How lobes point.
+/// Parameterization of lobe axes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Axes {
-    /// Two angles, squashed around the centers of a grid of two rows (one, if the number of lobes is odd): polar angle
-    /// `center + 3 pi/8 tanh`, azimuth `center + pi/2 tanh`. The published layout; it does not reach down everywhere.
+    /// Two angles, squashed around the centers of a grid of two rows. The grid has one row if the number of lobes is
+    /// odd. The polar angle is `center + 3 pi/8 tanh`, the azimuth `center + pi/2 tanh`. This is the published layout;
+    /// it does not cover all downward directions.
     #[default]
     Grid,
-    /// A vector of any length, normalized on use.
+    /// Vector of any length, normalized on use.
     Free,
 }
 
-/// The size of a set of lights.
+/// Size of a set of lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LightModel {
-    /// Lights.
+    /// Number of lights.
     pub lights: u32,
     /// Lobes of a light, at most 32.
     pub lobes: u32,
-    /// How lobes point.
+    /// Parameterization of lobe axes.
     pub axes: Axes,
 }
 
 impl Default for LightModel {
-    /// 64 lights of 12 lobes, on grids.
+    /// Returns 64 lights of 12 lobes on grids.
     fn default() -> Self {
         LightModel { lights: 64, lobes: 12, axes: Axes::Grid }
     }
 }
 
 impl LightModel {
-    /// Whether axes are free vectors.
+    /// Returns whether axes are free vectors.
     pub(super) fn is_free(&self) -> bool {
         self.axes == Axes::Free
     }
 
-    /// Floats of a lobe's row: axis (2 or 3), log sharpness, log amplitudes (3).
+    /// Returns the floats of a lobe's row. The row holds the axis (2 or 3), log sharpness and log amplitudes (3).
     pub fn row(&self) -> u32 {
         if self.axes == Axes::Free { 7 } else { 6 }
     }
 
-    /// Bytes of the positions.
+    /// Returns the bytes of the positions.
     pub fn position_bytes(&self) -> u64 {
         12 * u64::from(self.lights)
     }
 
-    /// Bytes of the lobes.
+    /// Returns the bytes of the lobes.
     pub fn lobe_bytes(&self) -> u64 {
         4 * u64::from(self.lights) * u64::from(self.lobes) * u64::from(self.row())
     }
 
-    /// Bytes of the gains.
+    /// Returns the bytes of the gains.
     pub fn gain_bytes(&self) -> u64 {
         4 * u64::from(self.lights)
     }
 
-    /// Positions to start from: a lattice that fills a box, corners included, x fastest.
-    /// As many points along each axis as the cube root of the number of lights, rounded up.
+    /// Returns initial positions: a lattice that fills a box, corners included, x fastest. Each axis has as many points
+    /// as the cube root of the number of lights, rounded up.
     pub fn start_positions(&self, low: [f32; 3], high: [f32; 3]) -> Vec<[f32; 3]> {
         let side = (1..).find(|s: &u32| s.pow(3) >= self.lights).unwrap_or(1);
         let at = |axis: usize, i: u32| {
@@ -68,7 +69,8 @@ impl LightModel {
         (0..self.lights).map(|i| [at(0, i % side), at(1, i / side % side), at(2, i / side / side)]).collect()
     }
 
-    /// Lobes to start from: the centers of the grid, or a Fibonacci sphere; sharpness pi/2, amplitudes exp(-4).
+    /// Returns initial lobes: the centers of the grid, or a Fibonacci sphere. Sharpness is pi/2, amplitudes are
+    /// exp(-4).
     pub fn start_lobes(&self) -> Vec<f32> {
         let rest = [std::f32::consts::FRAC_PI_2.ln(), -4.0, -4.0, -4.0];
         let mut all = Vec::new();
@@ -83,7 +85,7 @@ impl LightModel {
     }
 }
 
-/// One of `count` directions that are spread evenly.
+/// Returns direction `i` of `count` evenly distributed directions.
 fn fibonacci(i: u32, count: u32) -> [f32; 3] {
     let z = 1.0 - (2.0 * f64::from(i) + 1.0) / f64::from(count);
     let azimuth = f64::from(i) * std::f64::consts::PI * (3.0 - 5.0_f64.sqrt());
@@ -91,14 +93,14 @@ fn fibonacci(i: u32, count: u32) -> [f32; 3] {
     [(r * azimuth.cos()) as f32, (r * azimuth.sin()) as f32, z as f32]
 }
 
-/// The buffers of a set of lights. The first two are trained, each with a gradient of the same shape.
+/// Buffers of a set of lights. The first two are trained, each with a gradient of the same shape.
 #[derive(Clone, Copy, Debug)]
 pub struct LightParameters {
-    /// `[lights * 3]`: places in the world.
+    /// World-space positions, `[lights * 3]`.
     pub positions: Buffer,
-    /// `[lights * lobes * row]`, see [`LightModel::row`]. Log sharpness counts up to 9.5, log amplitudes up to 15.
+    /// Lobes, `[lights * lobes * row]`, see [`LightModel::row`]. Log sharpness is clamped to 9.5, log amplitudes to 15.
     pub lobes: Buffer,
-    /// `[lights]`: factors of all amplitudes. A light whose gain is 0 is off and costs nothing.
+    /// Factors of all amplitudes, `[lights]`. A light with gain 0 is off and costs nothing.
     pub gains: Buffer,
 }
 
@@ -107,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_start_is_the_published_one() {
+    fn initial_lights_match_the_published_ones() {
         let model = LightModel::default();
         let positions = model.start_positions([-1.5; 3], [1.5; 3]);
         assert_eq!(positions.len(), 64);
@@ -118,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn free_axes_start_as_unit_vectors_that_point_everywhere() {
+    fn free_axes_start_as_evenly_distributed_unit_vectors() {
         let model = LightModel { lights: 2, lobes: 12, axes: Axes::Free };
         let rows = model.start_lobes();
         let mut sum = [0.0_f32; 3];
@@ -131,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn any_number_of_lights_has_places() {
+    fn initial_positions_are_distinct_for_any_number_of_lights() {
         for lights in [1, 2, 7, 8, 9, 65] {
             let model = LightModel { lights, ..Default::default() };
             let places = model.start_positions([0.0; 3], [1.0; 3]);

@@ -1,8 +1,8 @@
-//! `lights_prepare`: raw parameters of lights to what shading reads.
+//! `lights_prepare`: converts raw parameters of lights for shading.
 //!
-//! Promises: lights that are off are not in the list, and shading does not look at them; with a [`Perturbation`] what comes
-//! out is a function of the step's seed, the copy and the parameters. One workgroup; a lobe costs 24 bytes read, 32 written,
-//! about 60 operations.
+//! Guarantees: lights that are off are not in the list, and shading skips them. With a [`Perturbation`] the result is a
+//! function of the step's seed, the copy and the parameters. The pass is one workgroup. A lobe costs 24 bytes read, 32
+//! bytes written and about 60 operations.
 
 use super::{Axes, LightModel, LightParameters};
 use crate::Tuning;
@@ -10,40 +10,41 @@ use crate::kernel::stage;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::lights_prepare as kernel;
 
-/// How the lights of a copy differ from those that are trained, for consistency under other lighting. Without gradients of
-/// its own: what is moved back is the copy's gradient as if it were the light's.
+/// Perturbation of a copy of the lights, for consistency under other lighting. The perturbation has no gradient of its
+/// own: the copy's gradient is applied to the light as if it were the light's own.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Perturbation {
-    /// Which of several copies in a step.
+    /// Index of the copy within a step.
     pub copy: u32,
-    /// Most that a light moves along each axis, in world units; the published value is a quarter of the unit in which the
-    /// scene spans -1.5 to 1.5.
+    /// Maximum displacement of a light along each axis, in world units. The published value is a quarter of the unit in
+    /// which the scene spans -1.5 to 1.5.
     pub distance: f32,
     /// Probability that a light is off.
     pub off: f32,
-    /// Most that its intensity changes, as a share.
+    /// Maximum relative change of a light's intensity.
     pub intensity: f32,
 }
 
 impl Perturbation {
-    /// The published one, in a scene whose lights started `spacing` apart.
+    /// Returns the published perturbation for lights that started `spacing` apart.
     pub fn published(copy: u32, spacing: f32) -> Perturbation {
         Perturbation { copy, distance: 0.25 * spacing, off: 0.3, intensity: 0.3 }
     }
 }
 
-/// Lights as shading reads them.
+/// Lights in the layout that shading reads.
 #[derive(Clone, Copy, Debug)]
 pub struct Prepared {
-    /// `[lights * (1 + 2 lobes)]` of four floats, see `lights.glsl`.
+    /// Lights as laid out in `lights.glsl`, `[lights * (1 + 2 lobes)]` of four floats.
     pub lights: Buffer,
-    /// How many lights are on, then which.
+    /// Number of lights that are on, followed by their indices.
     pub list: Buffer,
-    /// Their sizes.
+    /// Sizes of the lights.
     pub model: LightModel,
 }
 
-/// Adds the pass; `name` distinguishes several in a graph. `step`: uniform `Step`, whose seed perturbations follow.
+/// Adds the pass; `name` distinguishes several in a graph. `step` is the uniform `Step`, whose seed determines
+/// perturbations.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -59,17 +60,18 @@ pub fn lights_prepare(
     lights_prepare_culled(g, tuning, name, step, model, parameters, perturbation, 0.0)
 }
 
-/// As [`lights_prepare`], for lights that are left out where they are too faint: of all pixels of a workgroup, if the box around
-/// these is farther away than the light reaches.
+/// Adds the pass of [`lights_prepare`], with culling of faint lights. A workgroup skips a light if the box around its
+/// pixels is farther away than the light's reach.
 ///
-/// `missing` is what all of them together may take from a pixel's irradiance, in each channel, before the normalizer: no
-/// direction of a light gets more than the sum of its amplitudes, and each light has an equal share of what may be missing.
-/// Diffuse radiance is then off by `missing * normalizer * albedo / pi` at most; specular radiance by
-/// `missing * normalizer / (2 pi roughness^6)` at most, which only a highlight of that very light comes near. The
-/// gradients are those of what is shown.
+/// `missing` bounds the irradiance that culling may remove from a pixel by all lights together, in each channel, before
+/// the normalizer. The bound assumes that every direction of a light gets the sum of its amplitudes. Each light has an
+/// equal share of `missing`. The error of diffuse radiance is at most `missing * normalizer * albedo / pi`. The error
+/// of specular radiance is at most `missing * normalizer / (2 pi roughness^6)`, which only a highlight of a culled
+/// light approaches. Gradients are those of the culled image.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn lights_prepare_culled(
     g: &mut Graph,
     tuning: Tuning,

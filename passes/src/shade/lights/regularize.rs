@@ -1,13 +1,14 @@
-//! `lights_near`, `lights_regularize`: what is asked of lights for their own sake; `lights_prune`: lights that have become too
-//! faint are switched off.
+//! `lights_near`, `lights_regularize`: regularizers of lights; `lights_prune`: pruning. Pruning switches off lights
+//! that have become too faint.
 //!
-//! Two means (SGS-Intrinsic, as published in code): `1 / max(d², 1e-3)` over the lights, with d the distance to the nearest
-//! point that the view shows, and three times that of all amplitudes. Lights that are off count as zeros, so that the weight
-//! of one light never depends on the others. The gradient of the first goes through the nearest pixel, the lowest of equals.
-//! [`super::lights_prepare_bwd`] adds the gradients.
+//! The regularizers are two means (SGS-Intrinsic, as in the published code): `1 / max(d², 1e-3)` over the lights, with
+//! d the distance to the nearest visible point of the view, and three times the mean of all amplitudes. Lights that are
+//! off count as zeros, so that the weight of one light never depends on the others. The gradient of the first mean goes
+//! through the nearest pixel, the one with the lowest index among equals. [`super::lights_prepare_bwd`] adds the
+//! gradients.
 //!
-//! Promises the same bits from run to run. Cost: 10 operations a pair of pixel and light (49 Mop at 320x240 with 64 lights,
-//! a twentieth of shading), 16 bytes a pixel.
+//! Guarantees: results are bit-identical from run to run. Cost: 10 operations per pair of pixel and light (49 Mop at
+//! 320x240 with 64 lights, a twentieth of shading), 16 bytes per pixel.
 
 use super::{LightParameters, Lights};
 use crate::Tuning;
@@ -15,20 +16,20 @@ use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{lights_near as near, lights_prune as prune, lights_regularize as regularize};
 
-/// What [`super::lights_prepare_bwd`] needs to add the gradients of the regularizers.
+/// Regularizer data that [`super::lights_prepare_bwd`] needs to add gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct LightRegularizers {
-    /// By light: bits of the distance squared, the pixel.
+    /// By light: bits of the squared distance, and the pixel.
     pub nearest: Buffer,
-    /// Of the mean of `1 / max(d², 1e-3)`: 1e-6 as published.
+    /// Weight of the mean of `1 / max(d², 1e-3)`; 1e-6 as published.
     pub weight_near: f32,
-    /// Of three times the mean of the amplitudes: 1e-4 as published.
+    /// Weight of three times the mean of the amplitudes; 1e-4 as published.
     pub weight_brightness: f32,
-    /// The pixels' points.
+    /// Points of the pixels.
     pub points: Buffer,
 }
 
-/// Finds the nearest points and writes the two losses, before their weights, to `losses` (two floats).
+/// Finds the nearest points and writes the two unweighted losses to `losses`. `losses` holds two floats.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -77,8 +78,8 @@ pub fn lights_regularize(
     Ok(LightRegularizers { nearest, weight_near, weight_brightness, points: p.surfaces.points })
 }
 
-/// Sets the gain of a light to 0 if none of its amplitudes is at least `share` (0.05 as published elsewhere) of the largest
-/// amplitude of all lights that are on. One workgroup.
+/// Sets the gain of faint lights to 0. A light is faint if none of its amplitudes is at least `share` (0.05 as
+/// published elsewhere) of the largest amplitude of all lights that are on. The pass is one workgroup.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph, cannot be written, or is too small to be bound.

@@ -1,13 +1,14 @@
-//! `lights_train_traced`, `lights_bwd_traced`, `lights_split_traced`, `lights_seen`: prepared lights that Gaussians may hide,
-//! for training and pictures.
+//! Prepared lights that Gaussians occlude, for training and images. Kernels: `lights_train_traced`,
+//! `lights_bwd_traced`, `lights_split_traced`, `lights_seen`.
 //!
-//! Visibility is a constant: nothing has a gradient through it, also not the lights' places. `lights_trace` leaves a byte for
-//! each pair of pixel and light, an error of 1/510 at most, for as many pixels as there is room for ([`Traced::room`]): half
-//! a million under 64 lights. Where a view fits, rays are traced once for both directions; a larger one is gone through in
-//! stretches, and the way back traces them again, so that memory never grows with pixels times lights.
+//! Visibility is a constant: no gradient passes through it, not even that of light positions. `lights_trace` writes a
+//! byte for each pair of pixel and light, with an error of at most 1/510. The capacity ([`Traced::room`]) limits the
+//! number of pixels: half a million under 64 lights. If a view fits, rays are traced once for the forward and the
+//! backward pass. A larger view is processed in stretches, and the backward pass traces the rays again. Memory
+//! therefore never grows with pixels times lights.
 //!
-//! Cost: a ray for each pair that faces, about half of them: 4.9 M at 320x240 under 64 lights, once or twice; to read
-//! them back is a byte a pair.
+//! Cost: a ray for each pair that faces, about half of them: 4.9 M at 320x240 under 64 lights, once or twice. Reading
+//! the result costs a byte per pair.
 
 use super::Traced;
 use crate::Tuning;
@@ -23,30 +24,30 @@ use sgs_shaders::{
 
 type Built<T> = Result<T, GraphError>;
 
-/// What rays of a view found, kept for what comes after.
+/// Traced visibility of a view, stored for the backward pass.
 #[derive(Clone, Copy, Debug)]
 pub struct Sight {
-    /// A byte a pair, light by light; only where the whole view fits.
+    /// Byte per pair, light by light; only present if the whole view fits.
     pub seen: Option<Buffer>,
-    /// Pixels from one light's to the next one's.
+    /// Number of pixels between the bytes of consecutive lights.
     pub stretch: u32,
 }
 
-/// A stretch of pixels: blocks of the shape's size.
+/// Stretch of pixels: a range of blocks of the shape's size.
 #[derive(Clone, Copy, Debug)]
 struct Stretch {
-    /// First block, and the one behind the last.
+    /// First block, and the end of the range.
     blocks: [u32; 2],
-    /// Pixels from one light's to the next one's.
+    /// Number of pixels between the bytes of consecutive lights.
     stretch: u32,
 }
 
-/// Cuts a view.
+/// Splits a view into stretches that fit the capacity.
 fn stretches(a: &Lights, traced: &Traced) -> Vec<Stretch> {
     let block = u64::from(a.shape.block());
     let all = a.pixels.screen.pixels().div_ceil(block);
     let fit = traced.room / (u64::from(a.prepared.model.lights.max(1)) * block);
-    // Grids are not folded within a stretch.
+    // A stretch is a one-dimensional dispatch, limited to 65535 workgroups.
     let each = fit.clamp(1, all.clamp(1, 65535));
     let cut = |i: u64| Stretch {
         blocks: [i * each, ((i + 1) * each).min(all)].map(|b| b as u32),
@@ -79,12 +80,12 @@ fn lights_trace(g: &mut Graph, a: &Lights, traced: &Traced, s: &Stretch) -> Buil
     Ok(seen)
 }
 
-/// What rays of a stretch found, if it is not there from before.
+/// Returns the visibility of a stretch, traced unless `before` has it.
 fn found(g: &mut Graph, a: &Lights, traced: &Traced, s: &Stretch, before: Option<Buffer>) -> Built<Buffer> {
     before.map_or_else(|| lights_trace(g, a, traced, s), Ok)
 }
 
-/// As [`crate::shade::lights::lights_train`], each light as far as it is seen.
+/// Computes [`crate::shade::lights::lights_train`] with traced visibility.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -118,8 +119,8 @@ pub fn lights_train_traced(g: &mut Graph, a: &Lights, traced: &Traced, direct: B
     Ok((Sums { buffer: sums }, sight))
 }
 
-/// As [`crate::shade::lights::lights_split`], each light as far as it is seen; and writes `visibility`, `[P]`, the mean over
-/// the lights that are on.
+/// Computes [`crate::shade::lights::lights_split`] with traced visibility. Also writes `visibility`, `[P]`, the mean
+/// over the lights that are on.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -157,8 +158,8 @@ pub fn lights_split_traced(
     Ok(())
 }
 
-/// Writes what pixels of a stretch see, mean over the lights that are on: of the bytes of [`Sight`], the first pixel and how
-/// many there are.
+/// Writes the mean visibility of a stretch's pixels over the lights that are on. Takes the bytes of [`Sight`], the
+/// first pixel and the number of pixels.
 fn lights_seen(
     g: &mut Graph,
     t: Tuning,
@@ -178,7 +179,8 @@ fn lights_seen(
         .dispatch(groups(stretch.into(), t.workgroup))
 }
 
-/// As [`crate::shade::lights::lights_bwd`], each light as far as it is seen. `sight`: of the forward pass of the same step.
+/// Computes [`crate::shade::lights::lights_bwd`] with traced visibility. `sight` is that of the forward pass of the
+/// same step.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -222,8 +224,8 @@ pub fn lights_bwd_traced(
     sum_rows(g, t, partials, width, rows)
 }
 
-/// As [`crate::shade::lights::lights_normals_bwd`], each light as far as it is seen; visibility is held where it was found.
-/// `sight`: of the forward pass of the same step.
+/// Computes [`crate::shade::lights::lights_normals_bwd`] with traced visibility. Visibility is held constant. `sight`
+/// is that of the forward pass of the same step.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

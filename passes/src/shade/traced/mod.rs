@@ -1,17 +1,19 @@
-//! `visibility_traced`: how much of a light a point sees, traced through the Gaussians themselves.
+//! `visibility_traced`: visibility of lights, traced through the Gaussians themselves.
 //!
-//! A ray from a surface to a light gets through the product of 1 - alpha over all Gaussians whose density peaks between
-//! the two, alpha taken at the peak and left out below 1/255, as in blending, each over what it is where the ray begins: the
-//! Gaussians of the surface itself hide only by how much denser they become along the ray, so that a surface does not shadow
-//! itself. Rays begin a little above it besides. Nothing is learned, and there is no gradient.
+//! The transmittance of a ray from a surface to a light is the product of 1 - alpha over all Gaussians whose density
+//! peaks between the two. Alpha is taken at the peak and ignored below 1/255, as in blending. Each factor is divided by
+//! its value at the start of the ray. Gaussians of the surface itself therefore occlude only by their increase in
+//! density along the ray, so that a surface does not shadow itself. Rays also start slightly above the surface. Nothing
+//! is learned, and visibility has no gradient.
 //!
-//! The Gaussians' boxes (of the ellipsoids where alpha is 1/255) go into a BVH of eight children a node, built on the host
-//! with every core (obvhs: PLOC with reinsertion; Ylitie et al. 2017), for geometry that does not change. Cost: 80 bytes for a
-//! node visited, 52 for a Gaussian tried, a subgroup's rays together; memory about 60 bytes a Gaussian.
+//! The Gaussians' boxes (of the ellipsoids where alpha is 1/255) form a BVH with eight children per node. The host
+//! builds it on all cores (obvhs: PLOC with reinsertion; Ylitie et al. 2017), for geometry that does not change. Cost:
+//! 80 bytes per visited node and 52 per tested Gaussian, shared by a subgroup's rays. Memory: about 60 bytes per
+//! Gaussian.
 //!
-//! Promises: the same bits from run to run, at most 1e-4 beside the product over all Gaussians. llvmpipe ends an
-//! invocation's loops after 65535 rounds, all lights of [`lights_traced`] together: [`lights_train_traced`] and its like
-//! take a ray an invocation.
+//! Guarantees: results are bit-identical from run to run, and within 1e-4 of the product over all Gaussians. llvmpipe
+//! ends an invocation's loops after 65535 iterations, which covers all lights of [`lights_traced`] together.
+//! [`lights_train_traced`] and its variants trace one ray per invocation.
 
 mod lights;
 
@@ -33,67 +35,68 @@ use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::{lights_traced as lit, visibility_traced as kernel};
 
-/// Below this a Gaussian shows nowhere.
+/// Minimum alpha of a visible Gaussian.
 const ALPHA_MIN: f32 = 1.0 / 255.0;
-/// Half a million pixels under 64 lights.
+/// Default capacity in bytes: half a million pixels under 64 lights.
 const ROOM: u64 = 32 << 20;
-/// Levels that a kernel remembers.
+/// Maximum depth of a tree that kernels can traverse.
 const STACK: usize = 32;
 
-/// A Gaussian as rays see it: rows of the matrix that makes it a unit sphere, mean, opacity.
+/// Gaussian in the layout of ray tracing. Rows of the matrix that transforms the Gaussian to a unit sphere, mean,
+/// opacity.
 type TracedSplat = [f32; 13];
 
-/// Why there is no tree.
+/// Reason why a tree cannot be built.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TracedError {
-    /// The tree is deeper than kernels can go.
+    /// The tree is deeper than kernels can traverse.
     #[error(
         "The tree of {splats} Gaussians for shadows is {depth} levels deep, and {STACK} are the most: too many lie in one place."
     )]
     Depth {
-        /// Gaussians in it.
+        /// Gaussians in the tree.
         splats: usize,
-        /// Its levels.
+        /// Levels of the tree.
         depth: usize,
     },
 }
 
-/// A BVH of Gaussians, on the host.
+/// BVH of Gaussians on the host.
 #[derive(Clone, Debug)]
 pub struct TracedTree {
     nodes: Vec<u32>,
     splats: Vec<TracedSplat>,
 }
 
-/// The tree as inputs of a graph.
+/// BVH of Gaussians as inputs of a graph.
 #[derive(Clone, Copy, Debug)]
 pub struct Traced {
     nodes: Buffer,
     splats: Buffer,
-    /// How far above the surface rays begin.
+    /// Distance above the surface at which rays start.
     pub offset: f32,
-    /// How far before the light rays of [`lights_train_traced`] and its like end, so that what a light is fixed in does not
-    /// hide it.
+    /// Distance before the light at which rays of [`lights_train_traced`] end. Also applies to its variants. A light's
+    /// fixture therefore does not occlude the light.
     pub clearance: f32,
-    /// Most bytes of what [`lights_train_traced`] and its like keep of rays: views that take more are gone through in
-    /// stretches.
+    /// Maximum bytes of visibility that [`lights_train_traced`] stores. Also applies to its variants. Larger views are
+    /// processed in stretches.
     pub room: u64,
 }
 
-/// What graphs need to know of a tree before there is one.
+/// Properties of a tree that graphs need before the tree exists.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TracedShape {
     /// Bytes of nodes and of Gaussians.
     pub sizes: [u64; 2],
-    /// How far above the surface rays begin.
+    /// Distance above the surface at which rays start.
     pub offset: f32,
-    /// As [`Traced::clearance`].
+    /// Distance before the light, as [`Traced::clearance`].
     pub clearance: f32,
-    /// As [`Traced::room`].
+    /// Capacity, as [`Traced::room`].
     pub room: u64,
 }
 
-/// The tree in device memory.
+/// BVH of Gaussians in device memory.
 #[derive(Debug)]
 pub struct TracedMemory {
     nodes: DeviceBuffer,
@@ -101,7 +104,7 @@ pub struct TracedMemory {
 }
 
 impl TracedMemory {
-    /// Puts it there.
+    /// Uploads a tree.
     ///
     /// # Errors
     /// If memory runs out.
@@ -115,10 +118,10 @@ impl TracedMemory {
         Ok(TracedMemory { nodes, splats: put("traced.splats", bytemuck::cast_slice(&tree.splats))? })
     }
 
-    /// Puts it behind its handles.
+    /// Binds the buffers to their handles.
     ///
     /// # Errors
-    /// If the plan was made for another tree.
+    /// If the plan was built for another tree.
     pub fn bind(&self, exec: &mut Executor, traced: &Traced) -> Result<()> {
         exec.bind(traced.nodes, &self.nodes)?;
         exec.bind(traced.splats, &self.splats)
@@ -142,7 +145,7 @@ impl Boundable for Boxed {
 }
 
 impl TracedTree {
-    /// Of all Gaussians that show anywhere; those with numbers that are not finite do not.
+    /// Builds the tree of all visible Gaussians. Gaussians with values that are not finite are invisible.
     ///
     /// # Errors
     /// If the tree becomes too deep.
@@ -167,29 +170,29 @@ impl TracedTree {
         Ok(TracedTree { nodes, splats: tree.primitive_indices.iter().map(|&i| splats[i as usize]).collect() })
     }
 
-    /// Gaussians in the tree.
+    /// Returns the number of Gaussians in the tree.
     pub fn splats(&self) -> usize {
         self.splats.len()
     }
 
-    /// Bytes on the device.
+    /// Returns the bytes on the device.
     pub fn bytes(&self) -> u64 {
         4 * self.nodes.len() as u64 + size_of_val(self.splats.as_slice()) as u64
     }
 
-    /// What graphs need to know of it. `offset`: how far above the surface rays begin; `clearance`: how far before the
-    /// light they end.
+    /// Returns the properties of the tree that graphs need. Rays start at distance `offset` above the surface, and end
+    /// at distance `clearance` before the light.
     pub fn shape(&self, offset: f32, clearance: f32) -> TracedShape {
         let sizes = [4 * self.nodes.len() as u64, size_of_val(self.splats.as_slice()) as u64];
         TracedShape { sizes, offset, clearance, room: ROOM }
     }
 
-    /// Declares the tree as inputs of a graph. `offset`: how far above the surface rays begin.
+    /// Declares the tree as inputs of a graph. Rays start at distance `offset` above the surface.
     pub fn declare(&self, g: &mut Graph, offset: f32) -> Traced {
         Traced::declare(g, &self.shape(offset, 0.0))
     }
 
-    /// What the host must put there once.
+    /// Returns the contents that the host uploads once.
     pub fn contents(&self, traced: &Traced) -> [(Buffer, Vec<u8>); 2] {
         [
             (traced.nodes, bytemuck::cast_slice(&self.nodes).to_vec()),
@@ -198,18 +201,18 @@ impl TracedTree {
     }
 }
 
-/// The box of a Gaussian and what rays need of it; none if it shows nowhere.
+/// Returns the box and record of a Gaussian, or `None` if it is invisible.
 fn splat(data: &GaussianData, i: usize) -> Option<(Boxed, TracedSplat)> {
     let three = |group: Group| Vec3::from_slice(&data.group(group)[3 * i..]);
     let (mean, log_scale) = (three(Group::Means), three(Group::LogScales));
     let logit = data.group(Group::OpacityLogits)[i];
-    // As pictures have it.
+    // Rendering skips these Gaussians, too.
     if !(mean.is_finite() && log_scale.is_finite() && logit.is_finite()) {
         return None;
     }
     let scale = log_scale.clamp(Vec3::splat(-16.0), Vec3::splat(8.0)).exp();
     let q = &data.group(Group::Rotations)[4 * i..4 * i + 4];
-    // As the kernels of splatting take it: zero and what is not finite is the identity.
+    // Matches the splatting kernels: a quaternion that is zero or not finite is the identity.
     let largest = q.iter().fold(0.0_f32, |m, c| m.max(c.abs()));
     let turn = if largest > 0.0 && q.iter().all(|c| c.is_finite()) {
         let s = q.iter().map(|c| c / largest).collect::<Vec<f32>>();
@@ -224,9 +227,9 @@ fn splat(data: &GaussianData, i: usize) -> Option<(Boxed, TracedSplat)> {
     let radius = (2.0 * (opacity / ALPHA_MIN).ln()).max(0.0).sqrt();
     let axes = Mat3::from_cols(turn.x_axis * scale.x, turn.y_axis * scale.y, turn.z_axis * scale.z).transpose();
     let half = radius * Vec3::new(axes.x_axis.length(), axes.y_axis.length(), axes.z_axis.length());
-    // Wider by rounding, of the kernels' as well.
+    // Margin for rounding, including that of the kernels.
     let half = half * 1.0001 + (mean.abs() + half) * 1e-6;
-    // And by up to a hundredth at each side: trees of boxes with one center become chains.
+    // Random widening by up to 1 % per side: boxes with a common center would degenerate the tree to a chain.
     let wider = |axis: u32| 1.0 + 0.01 * uniform_from(random_bits(0, i as u32, axis)) as f32;
     let [low, high] = [0, 3].map(|k| half * Vec3::new(wider(k), wider(k + 1), wider(k + 2)));
     let rows = [turn.x_axis / scale.x, turn.y_axis / scale.y, turn.z_axis / scale.z, mean];
@@ -234,8 +237,8 @@ fn splat(data: &GaussianData, i: usize) -> Option<(Boxed, TracedSplat)> {
     Some((Boxed(Aabb::new(Vec3A::from(mean - low), Vec3A::from(mean + high))), record))
 }
 
-/// Writes `visibility`, `[places * pixels]` floats with the pixels of the largest view: how much of each of `count` places
-/// (`[count * 3]` floats) the pixels of the view see; zero where there is no surface.
+/// Writes how visible each of `count` positions is from the pixels of a view. `visibility` holds `[places * pixels]`
+/// floats, positions are `[count * 3]` floats. `pixels` is that of the largest view. Pixels without a surface are zero.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -270,7 +273,7 @@ pub fn visibility_traced(
         .dispatch(groups(per_place * u64::from(places.1), 1))
 }
 
-/// As [`super::lights::lights`], each light as far as it is seen.
+/// Computes [`super::lights::lights`] with traced visibility.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

@@ -1,9 +1,11 @@
-//! `visibility_adam`: a step of Adam for the field's tables and layers.
+//! `visibility_adam`: an Adam step for the field's tables and layers.
 //!
-//! Promises: an entry whose gradient is exactly zero keeps its numbers and moments; gradients of tables and the bits of what was
-//! touched are zero afterwards, whatever happened; a raised flag moves nothing. What moves is bit for bit what
-//! [`crate::optim::adam()`] with `skip_zero` makes of the same gradients. A copy in 16 bits is what the tables round to. Cost: the bits, 1/8 byte an entry, and 80 bytes for each entry
-//! that was touched; those that were not, most of the finer levels, cost nothing.
+//! Guarantees: an entry whose gradient is exactly zero keeps its values and moments. Table gradients and touched bits
+//! are always zero afterwards. If a flag is set, no parameter changes. Updates are bit-identical to those of
+//! [`crate::optim::adam()`] with `skip_zero` for the same gradients. A 16-bit copy holds the rounded tables.
+//!
+//! Cost: 1/8 byte per entry for the touched bits, and 80 bytes for each touched entry. Untouched entries, most of those
+//! of the finer levels, cost nothing else.
 
 use super::{Field, Gradients};
 use crate::Tuning;
@@ -11,22 +13,22 @@ use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{visibility_adam as tables, visibility_adam_layers as layers, visibility_adam_packed as packed};
 
-/// What drives the field, and what remembers.
+/// Optimizer state of a field.
 #[derive(Clone, Copy, Debug)]
 pub struct Moments {
-    /// `[entries * 2 * 2]` floats: first and second moment of each scalar.
+    /// First and second moment of each table value, `[entries * 2 * 2]` floats.
     pub tables: Buffer,
-    /// `[weights * 2]` floats.
+    /// First and second moment of each weight, `[weights * 2]` floats.
     pub mlp: Buffer,
-    /// Words of which none may be set.
+    /// Flag words; if any is set, the step changes no parameters.
     pub flags: Buffer,
-    /// How many words.
+    /// Number of flag words.
     pub flag_words: u32,
-    /// A counter, increased by the number of gradients that were skipped because they are not finite.
+    /// Counter of skipped gradients, increased by each one that is not finite.
     pub skipped: Buffer,
 }
 
-/// Adds the passes. The learning rate and 1 / (1 - beta^t) are the field's step's.
+/// Adds the passes. The field's step holds the learning rate and 1 / (1 - beta^t).
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

@@ -1,22 +1,24 @@
-//! `visibility_bwd`: gradients of the field's tables and layers, and of the lights' places.
+//! `visibility_bwd`: gradients of the field's tables, layers, and of light positions.
 //!
-//! What the loss asks of a pair of pixel and light is a number: the derivative of the loss by its visibility, plus
-//! the smoothness term's, regularizer · sign(V - V'), where V' is the visibility of point and light moved by a little, and has
-//! no gradient. One draw moves a pixel's point and one a light, so both cost nothing by pair but the evaluation.
+//! The gradient of a pair of pixel and light is a number: the derivative of the loss by its visibility, plus the
+//! smoothness term's regularizer · sign(V - V'). V' is the visibility of the slightly displaced point and light, and
+//! has no gradient. A single draw displaces a pixel's point and another a light, so that the only cost per pair is the
+//! evaluation.
 //!
-//! Steps, by chunk of pixels: `visibility_encode` twice (points, and moved); `visibility_bwd`, which evaluates each pair, goes back
-//! through the layers and sums over the lights what arrives at a pixel's row. Then `visibility_scale`, and by chunk
-//! `visibility_encode_bwd`, from rows to the first layer's weights and the tables; `visibility_reduce` and a sum over workgroups
-//! for the lights.
+//! Passes, by chunk of pixels: `visibility_encode` twice (points and displaced points), then `visibility_bwd`. The
+//! latter evaluates each pair, propagates back through the layers, and sums the gradient of a pixel's row over the
+//! lights. Then follow `visibility_scale` and, by chunk, `visibility_encode_bwd`, which propagates from rows to the
+//! first layer's weights and the tables. Last are `visibility_reduce` and, for the lights, a sum over workgroups.
 //!
-//! Promises: the same bits every time. Weights are summed by workgroup and then over workgroups in order; tables as whole
-//! numbers of 64 bits, in units of a power of two that follows from the step's own largest gradient, so that nothing
-//! saturates and a gradient 2^-15 of the largest still has 24 bits at two million pixels. That takes 32-bit atomics only; see ADR 0017.
-//! Gradients of lights' places are exact: direction and distance both move with the light, in or on the box alike, but not
-//! where it is held at the faces.
+//! Guarantees: results are bit-identical from run to run. Weights are summed by workgroup and then over workgroups in
+//! order. Table gradients are summed as 64-bit integers. Their unit is a power of two that follows from the step's own
+//! largest gradient. Sums therefore cannot overflow, and a gradient 2^-15 of the largest still has 24 bits at two
+//! million pixels. This requires 32-bit atomics only; see ADR 0017. Gradients of light positions are exact: direction
+//! and distance both follow the light, except along axes where its position is clamped to the box.
 //!
-//! Cost a pair: 3 x 1024 multiply-adds for value and way back, 1024 more with the smoothness term, and about 500 for the rest.
-//! A pixel: 384 gathers of 8 bytes (4 with tables of 16 bits), 5 x 1024 multiply-adds, 256 to 512 atomics. Memory: 128 bytes a pixel, and 256 for each of a chunk.
+//! Cost per pair: 3 x 1024 multiply-adds for value and gradient, 1024 more with the smoothness term, and about 500 for
+//! the rest. Per pixel: 384 gathers of 8 bytes (4 with 16-bit tables), 5 x 1024 multiply-adds, 256 to 512 atomics.
+//! Memory: 128 bytes per pixel, and 256 for each pixel of a chunk.
 
 use super::{Field, View, visibility_encode};
 use crate::Tuning;
@@ -28,25 +30,27 @@ use sgs_shaders::{
     visibility_scale as scale,
 };
 
-/// Pixels whose rows are in memory together, but for the gradients.
+/// Maximum number of pixels of a chunk, whose rows are in memory together. Gradients of rows are in memory for all
+/// pixels.
 const CHUNK: u32 = 1 << 19;
 
-/// Sums that a workgroup of `visibility_bwd` leaves.
+/// Sums that a workgroup of `visibility_bwd` writes.
 const SUMS: u64 = (FIELD_WIDTH * (FIELD_WIDTH + 5)) as u64;
 
 /// Bytes of a pixel's row.
 const ROW: u64 = 4 * FIELD_WIDTH as u64;
 
-/// What is asked of the field.
+/// Options of the field's backward pass.
 #[derive(Clone, Copy, Debug)]
 pub struct BackwardOptions {
-    /// Whether there is the smoothness term.
+    /// Whether to add the smoothness term.
     pub regularized: bool,
-    /// Whether lights' places have gradients.
+    /// Whether to compute gradients of light positions.
     pub places: bool,
-    /// One pair of so many counts, for as many: 1 is all of them. Which ones follows from the step's seed.
+    /// Evaluates one in `sample` pairs, with `sample` times its weight. 1 evaluates all pairs. The step's seed selects
+    /// the pairs.
     pub sample: u32,
-    /// Whether gradients of lights' places are added to what is there, rather than written.
+    /// Whether to add gradients of light positions instead of overwriting them.
     pub add_places: bool,
 }
 
@@ -56,52 +60,56 @@ impl Default for BackwardOptions {
     }
 }
 
-/// Lights whose radiance is the same everywhere, and what the loss asks of the pixels.
+/// Lights of constant radiance, and the gradient of the pixels' radiance.
 #[derive(Clone, Copy, Debug)]
 pub struct Constant {
-    /// `[lights * 3]` floats: radiance that a pixel has of a light that it sees.
+    /// Radiance that an unoccluded light gives a pixel, `[lights * 3]` floats.
     pub radiance: Buffer,
-    /// `[pixels * 3]` floats: gradient of the loss by the pixels' radiance.
+    /// Gradient of the loss by the pixels' radiance, `[pixels * 3]` floats.
     pub radiance_gradient: Buffer,
 }
 
-/// Where gradients go.
+/// Destinations of the gradients.
 #[derive(Clone, Copy, Debug)]
 pub struct Gradients {
-    /// `[weights]` floats, like [`Field::mlp`]; overwritten.
+    /// Gradients of [`Field::mlp`], `[weights]` floats; overwritten.
     pub mlp: Buffer,
-    /// `[lights * 3]` floats; overwritten.
+    /// Gradients of light positions, `[lights * 3]` floats. Overwritten, or added to with
+    /// [`BackwardOptions::add_places`].
     pub lights: Buffer,
-    /// `[entries * 4]` words: two features, lower and upper half of a whole number each. All zero before;
-    /// [`super::visibility_adam`] leaves it so.
+    /// Gradients of tables, `[entries * 4]` words. Each of the two features has the lower and upper half of an integer.
+    /// All must be zero before the pass; [`super::visibility_adam`] resets them to zero.
     pub tables: Buffer,
-    /// A bit an entry: which were touched. Likewise.
+    /// Bit per entry that is set if the entry was touched. All must be zero before the pass; [`super::visibility_adam`]
+    /// resets them to zero.
     pub touched: Buffer,
-    /// 2 floats: by what table gradients were multiplied, and its inverse.
+    /// Scale of the table gradients and its inverse, 2 floats.
     pub scale: Buffer,
 }
 
-/// Workgroups of one subgroup for `count` pixels, each of which goes through `rounds` loops for every four of them.
+/// Returns the number of single-subgroup workgroups for `count` pixels. Each batch of four pixels per 32 lanes takes
+/// `rounds` loop iterations.
 fn subgroups(tuning: Tuning, count: u32, rounds: u64) -> u32 {
     let batch = 4 * tuning.subgroup_size.div_ceil(32).max(1);
     let batches = u64::from(count.div_ceil(batch).max(1));
     let least = (batches * rounds).div_ceil(u64::from(tuning.rounds) / 4 * 3);
-    // An even number, so that slices of sums begin where buffers may be bound.
+    // An even number, so that slices of sums start at an offset that buffers can be bound at.
     (least.max(u64::from(tuning.workers)).min(batches) as u32).next_multiple_of(2)
 }
 
-/// Adds the passes for lights of constant radiance. `most`: lights that there can be; the step's `lights` says how many
-/// there are.
+/// Adds the passes for lights of constant radiance. `most` is the maximum number of lights; the step's `lights` is the
+/// actual number.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn visibility_bwd(
     g: &mut Graph,
     tuning: Tuning,
     field: &Field,
     view: &View,
     most: u32,
-    asked: &Constant,
+    requested: &Constant,
     options: &BackwardOptions,
     into: &Gradients,
 ) -> Result<(), GraphError> {
@@ -122,8 +130,8 @@ pub fn visibility_bwd(
             jitter_sums: plan.jitter.into(),
             extent: plan.extent.into(),
             light_positions: view.lights.into(),
-            light_radiance: asked.radiance.into(),
-            radiance_gradient: asked.radiance_gradient.into(),
+            light_radiance: requested.radiance.into(),
+            radiance_gradient: requested.radiance_gradient.into(),
         };
         let specs = pairs::Specs {
             subgroup: tuning.subgroup_size,
@@ -140,16 +148,16 @@ pub fn visibility_bwd(
     plan.finish(g, field, view, into)
 }
 
-/// What the passes of one backward pass leave for each other.
+/// Buffers that the passes of one backward pass exchange.
 pub(super) struct Plan {
     tuning: Tuning,
     levels: u32,
     pixels: u32,
     lights: u32,
     options: BackwardOptions,
-    /// Sides of a subgroup: each leaves sums of its own.
+    /// Groups of 32 lanes in a subgroup, each of which writes its own sums.
     sides: u32,
-    /// Workgroups of a whole chunk.
+    /// Workgroups of a whole chunk, for pairs and for points.
     groups: [u32; 2],
     gradients: Buffer,
     sums: Buffer,
@@ -178,8 +186,8 @@ impl Plan {
         let pixels = view.pixels.max(1);
         let chunk = pixels.min(CHUNK);
         let sides = tuning.subgroup_size.div_ceil(32).max(1);
-        // Two loops over the lights, one within the other, which share the counter, with two turns and the lobes in each; levels,
-        // features and corners.
+        // Iterations per batch. Pairs: two nested loops over the lights, which share the counter, with two iterations
+        // and the lobes in each. Points: levels, features and corners.
         let by_batch = [(4 + u64::from(lobes)) * u64::from(lights) + 8, 16 + 4 + 8 * 9 + 8];
         let groups = by_batch.map(|rounds| subgroups(tuning, chunk, rounds));
         let chunks = u64::from(pixels.div_ceil(CHUNK));
@@ -206,18 +214,19 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Sums of the smoothness term, with its weight, by workgroup and side; and how many. None without the term.
+    /// Returns the weighted sums of the smoothness term, and their number. Each group of 32 lanes of a workgroup has
+    /// one sum. Returns `None` without the term.
     pub(super) fn jitter(&self) -> Option<(Buffer, u32)> {
         self.options.regularized.then_some((self.jitter, self.groups[0] * self.sides))
     }
 
-    /// First pixel and number of pixels of each chunk.
+    /// Returns the first pixel and the number of pixels of each chunk.
     pub(super) fn chunks(&self) -> impl Iterator<Item = (u32, u32)> + use<> {
         let pixels = self.pixels;
         (0..pixels.div_ceil(CHUNK)).map(move |i| (i * CHUNK, CHUNK.min(pixels - i * CHUNK)))
     }
 
-    /// Rows of a chunk's points, and of these moved.
+    /// Encodes a chunk's points and its displaced points to rows.
     pub(super) fn rows(
         &self,
         g: &mut Graph,
@@ -245,7 +254,7 @@ impl Plan {
         }
     }
 
-    /// From rows to the tables, and everything's sums over workgroups.
+    /// Adds the passes from rows to the tables, and all sums over workgroups.
     pub(super) fn finish(&self, g: &mut Graph, field: &Field, view: &View, into: &Gradients) -> Result<(), GraphError> {
         let (tuning, levels) = (self.tuning, self.levels);
         let bindings = scale::Bindings {
@@ -299,7 +308,7 @@ impl Plan {
         let name = "visibility_reduce_places";
         let pass = stage(g, name, &semantic_reduce::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push));
         let pass = pass.bind("partials", self.places);
-        // What is replaced is not read.
+        // An overwritten buffer is not read.
         let pass = match self.options.add_places {
             true => pass.bind("accumulated", into.lights),
             false => pass.bind_discard("accumulated", into.lights),

@@ -1,7 +1,8 @@
-//! The visibility field's shape and start: a hash grid of features and a small network.
+//! Shape and initial values of the visibility field: a hash grid and a small network.
 //!
-//! Mueller et al. 2022 for the grid; SGS-Intrinsic, stage II, for sizes and network. Promises: sizes are a function of the
-//! configuration alone, the start of the seed alone. Leaves evaluation to [`super`], files to the tools.
+//! The grid follows Mueller et al. 2022; sizes and network follow SGS-Intrinsic, stage II. Guarantees: sizes are a
+//! function of the configuration alone, initial values of the seed alone. [`super`] evaluates the field, and the tools
+//! handle files.
 
 use crate::reference::rng::{random_bits, uniform_from};
 use sgs_shaders::structs::FieldLevel;
@@ -12,75 +13,77 @@ pub const FIELD_WIDTH: usize = 32;
 /// Features of an entry.
 pub const FIELD_FEATURES: usize = 2;
 
-/// Most levels that kernels take.
+/// Maximum number of levels in the kernels.
 pub const FIELD_LEVELS: u32 = 16;
 
-/// Why there can be no such field.
+/// Reason why a field's configuration is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FieldError {
-    /// Levels.
+    /// The number of levels is out of range.
     #[error("A visibility field has 1 to 16 levels, not {0}.")]
     Levels(u32),
-    /// Of fewer levels than there are, or of too many.
+    /// The total number of levels is smaller than the number of levels, or too large.
     #[error("A visibility field with {0} levels cannot be the first ones of {1}: that is {0} to 16.")]
     Of(u32, u32),
-    /// Size of the tables.
+    /// The size of the tables is out of range.
     #[error("A level's table has 2^8 to 2^22 entries, not 2^{0}.")]
     Table(u32),
-    /// Resolutions.
+    /// The resolutions are out of range.
     #[error(
         "A visibility field's resolutions are between 2 and 65536, the finest not below the coarsest; not {0} to {1}."
     )]
     Resolutions(u32, u32),
 }
 
-/// The shape of a visibility field.
+/// Shape of a visibility field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FieldConfig {
     /// Levels of the grid, coarsest first.
     pub levels: u32,
-    /// Of so many from the coarsest to the finest: more than there are where the finest have been left out.
+    /// Number of levels from the coarsest to the finest resolution. Larger than `levels` if the finest levels have been
+    /// dropped.
     pub of: u32,
-    /// A level has at most 2 to this many entries.
+    /// Base-2 logarithm of the maximum number of entries of a level.
     pub log2_table: u32,
-    /// Grid points along an axis, coarsest level.
+    /// Grid points along an axis of the coarsest level.
     pub coarsest: u32,
-    /// The same, finest level.
+    /// Grid points along an axis of the finest level.
     pub finest: u32,
 }
 
 impl Default for FieldConfig {
-    /// As in SGS-Intrinsic: 16 levels of at most 2^19 entries, 32 to 4096 points an axis.
+    /// Returns the shape of SGS-Intrinsic. 16 levels of at most 2^19 entries, with 32 to 4096 points per axis.
     fn default() -> Self {
         FieldConfig::new(16, 19, 32, 4096)
     }
 }
 
 impl FieldConfig {
-    /// Levels from `coarsest` to `finest` grid points along an axis, each with at most 2 to the `log2_table` entries.
+    /// Returns a configuration of `levels` levels. Levels have `coarsest` to `finest` grid points along an axis, and at
+    /// most 2 to the `log2_table` entries each.
     pub const fn new(levels: u32, log2_table: u32, coarsest: u32, finest: u32) -> FieldConfig {
         FieldConfig { levels, of: levels, log2_table, coarsest, finest }
     }
 
-    /// The same without its finest levels, of which so many stay, at least one.
+    /// Returns the configuration with only its coarsest `levels` levels, at least one.
     pub fn first_levels(&self, levels: u32) -> FieldConfig {
         FieldConfig { levels: levels.clamp(1, self.levels), ..*self }
     }
 
-    /// What is left of tables and layers for [`FieldConfig::first_levels`], where there are `each` numbers for an entry's feature and
-    /// for a weight. As if the features of levels that are gone were zero.
+    /// Returns the tables and layers that remain for [`FieldConfig::first_levels`]. The inputs hold `each` numbers per
+    /// feature of an entry and per weight. The result behaves as if the features of the dropped levels were zero.
     pub fn numbers_of_first_levels(&self, levels: u32, each: usize, [tables, layers]: [&[f32]; 2]) -> [Vec<f32>; 2] {
         let left = self.first_levels(levels);
         let kept = left.entries() as usize * FIELD_FEATURES * each;
         let features = FIELD_FEATURES * left.levels as usize * each;
         let (row, first) = (self.inputs() * each, self.inputs() * FIELD_WIDTH * each);
-        // Behind its features a row has what it takes of direction and distance.
+        // In a row, the weights of direction and distance follow those of the features.
         let rows = layers[..first].chunks(row).flat_map(|r| r[..features].iter().chain(&r[row - 4 * each..]));
         let layers = rows.chain(&layers[first..]).copied().collect();
         [tables[..kept].to_vec(), layers]
     }
 
-    /// The first reason why there can be no such field.
+    /// Checks the configuration, and returns the first violation.
     ///
     /// # Errors
     /// If a size is out of range.
@@ -100,8 +103,8 @@ impl FieldConfig {
         Ok(())
     }
 
-    /// The levels, coarsest first, as kernels read them. Resolutions grow by a constant factor; a level that has no more
-    /// grid points than a table may have entries is stored as it is, rounded up to 8 entries.
+    /// Returns the levels, coarsest first, in the layout of the kernels. Resolutions grow by a constant factor. A level
+    /// with no more grid points than the maximum number of entries is stored densely, rounded up to 8 entries.
     pub fn table_levels(&self) -> Vec<FieldLevel> {
         let steps = f64::from((self.of - 1).max(1));
         let growth = (f64::from(self.finest) / f64::from(self.coarsest)).ln() / steps;
@@ -109,7 +112,7 @@ impl FieldConfig {
         let mut offset = 0;
         let level = |i: u32| {
             let scale = f64::from(self.coarsest) * (f64::from(i) * growth).exp() - 1.0;
-            // The last one would be rounded up for a rounding error.
+            // Without the tolerance, a rounding error could round the last resolution up.
             let resolution = (scale - 1e-6).ceil() as u64 + 1;
             let plain = resolution.pow(3).next_multiple_of(8);
             let hashed = plain > largest;
@@ -125,12 +128,12 @@ impl FieldConfig {
         (0..self.levels).map(level).collect()
     }
 
-    /// Entries of all tables together.
+    /// Returns the number of entries of all tables.
     pub fn entries(&self) -> u32 {
         self.level_entries().iter().sum()
     }
 
-    /// Entries of each level's table.
+    /// Returns the number of entries of each level's table.
     pub fn level_entries(&self) -> Vec<u32> {
         let size = |l: &FieldLevel| match l.mask {
             0 => l.resolution.pow(3).next_multiple_of(8),
@@ -139,23 +142,25 @@ impl FieldConfig {
         self.table_levels().iter().map(size).collect()
     }
 
-    /// Numbers that the first layer takes: features, direction, distance.
+    /// Returns the inputs of the first layer: features, direction, distance.
     pub fn inputs(&self) -> usize {
         FIELD_FEATURES * self.levels as usize + 4
     }
 
-    /// Weights of the network: rows of the first layer, rows of the second, the last.
+    /// Returns the number of weights of the network. The weights are rows of the first layer, rows of the second layer,
+    /// and the last layer.
     pub fn weights(&self) -> usize {
         FIELD_WIDTH * self.inputs() + FIELD_WIDTH * FIELD_WIDTH + FIELD_WIDTH
     }
 
-    /// The tables' start, uniform within 1e-4 of zero.
+    /// Returns initial tables, uniform within 1e-4 of zero.
     pub fn initial_tables(&self, seed: u32) -> Vec<f32> {
         let uniform = |i: u32| (1e-4 * (2.0 * uniform_from(random_bits(seed, 1, i)) - 1.0)) as f32;
         (0..self.entries() * FIELD_FEATURES as u32).map(uniform).collect()
     }
 
-    /// The network's start, uniform within the root of 6 over a layer's inputs (He et al. 2015).
+    /// Returns initial weights (He et al. 2015). Weights are uniform within the root of 6 over a layer's number of
+    /// inputs.
     pub fn initial_weights(&self, seed: u32) -> Vec<f32> {
         let second = FIELD_WIDTH * self.inputs();
         let weight = |i: usize| {
@@ -174,7 +179,7 @@ mod tests {
     use crate::reference::visibility::Field;
 
     #[test]
-    fn the_default_is_the_published_size() {
+    fn default_has_the_published_size() {
         let config = FieldConfig::default();
         config.check().unwrap();
         assert_eq!((config.entries(), config.inputs(), config.weights()), (7_177_968, 36, 36 * 32 + 32 * 32 + 32));
@@ -188,14 +193,14 @@ mod tests {
     }
 
     #[test]
-    fn one_level_is_the_coarsest() {
+    fn single_level_has_the_coarsest_resolution() {
         let config = FieldConfig::new(1, 12, 8, 8);
         config.check().unwrap();
         assert_eq!((config.entries(), config.table_levels()[0].resolution), (512, 8));
     }
 
     #[test]
-    fn sizes_out_of_range_are_refused() {
+    fn out_of_range_sizes_are_rejected() {
         let c = FieldConfig::default();
         assert_eq!(FieldConfig { levels: 17, ..c }.check(), Err(FieldError::Levels(17)));
         assert_eq!(FieldConfig { levels: 0, ..c }.check(), Err(FieldError::Levels(0)));
@@ -207,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn the_start_is_within_its_bounds_and_its_seed() {
+    fn initial_values_are_bounded_and_seeded() {
         let config = FieldConfig::new(4, 10, 4, 64);
         let (tables, weights) = (config.initial_tables(3), config.initial_weights(3));
         assert_eq!((tables.len(), weights.len()), (2 * config.entries() as usize, config.weights()));
@@ -221,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn first_levels_are_those_of_the_whole() {
+    fn first_levels_equal_the_whole_field_with_zero_features() {
         let whole = FieldConfig::new(5, 9, 4, 60);
         let mut rng = Pcg::new(4);
         let tables: Vec<f32> = (0..2 * whole.entries()).map(|_| rng.normal() as f32).collect();
@@ -233,7 +238,7 @@ mod tests {
             assert!(few.level_entries() == whole.level_entries()[..levels as usize] && few.levels == levels);
             let [some, rows] = whole.numbers_of_first_levels(levels, 1, [&tables, &layers]);
             assert_eq!((some.len(), rows.len()), (2 * few.entries() as usize, few.weights()));
-            // Nothing else happens than with features of zero.
+            // Dropping levels is equivalent to features of zero.
             let mut dark = tables.clone();
             dark[some.len()..].fill(0.0);
             let (a, b) = (Field::new(&few, &some, &rows, low, high), Field::new(&whole, &dark, &layers, low, high));
@@ -243,7 +248,7 @@ mod tests {
                 let (x, y) = (a.visibility(p, q), b.visibility(p, q));
                 assert!((x - y).abs() < 1e-12, "{levels} levels: {x}, {y}");
             }
-            // Pairs stay together.
+            // Several numbers per weight stay together.
             let twice = |v: &[f32]| v.iter().flat_map(|x| [*x, -*x]).collect::<Vec<f32>>();
             let pairs = whole.numbers_of_first_levels(levels, 2, [&twice(&tables), &twice(&layers)]);
             assert_eq!(pairs, [twice(&some), twice(&rows)]);

@@ -1,9 +1,9 @@
-//! `lights_field`, `lights_train_field`, `lights_bwd_field` and `visibility_lights_bwd`: prepared lights that are seen as the field says, and what the
-//! field learns from them.
+//! Lights with learned visibility: forward passes and gradients. Kernels: `lights_field`, `lights_train_field`,
+//! `lights_bwd_field` and `visibility_lights_bwd`, which trains the field.
 //!
-//! As [`crate::shade::lights`], a pixel a lane. Light that a pair would have is multiplied by its visibility; what the loss asks of that is
-//! the gradient of the pixel's radiance times the light it would have, worked out again where it is needed. Regularization is over
-//! the lights that are on.
+//! The passes follow [`crate::shade::lights`], with one pixel per lane. The unoccluded light of a pair is multiplied by
+//! its visibility. The gradient of visibility is the gradient of the pixel's radiance times the unoccluded light, which
+//! is recomputed where needed. Regularization covers the lights that are on.
 
 use super::bwd::Plan;
 use super::{BackwardOptions, Field, Gradients, View, field_spread, forward};
@@ -19,7 +19,7 @@ use sgs_shaders::{
     lights_train_field as train, lights_train_field_halves as train_halves, visibility_lights_bwd as pairs,
 };
 
-/// Writes `direct`, `[P * 3]` floats: linear radiance towards the camera. Of `a.shape` only what lanes fetch for one another matters.
+/// Writes `direct`, `[P * 3]` floats: linear radiance towards the camera. Ignores `per_lane` of `a.shape`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -52,7 +52,7 @@ pub fn lights_field(
         .dispatch(groups(p.screen.pixels(), shape.block()))
 }
 
-/// As [`lights_field`], and writes the diffuse part to `diffuse`, `[P * 3]`; the rest is specular.
+/// Writes `direct` like [`lights_field`], and its diffuse term. `diffuse` is `[P * 3]`. The remainder is specular.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -87,7 +87,8 @@ pub fn lights_split_field(
         .dispatch(groups(p.screen.pixels(), shape.block()))
 }
 
-/// As [`lights_field`], and leaves what [`crate::shade::lights::lights_materials_bwd`] needs.
+/// Writes `direct` like [`lights_field`], and stores sums for the backward pass.
+/// [`crate::shade::lights::lights_materials_bwd`] reads the sums.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -123,8 +124,8 @@ pub fn lights_train_field(
     Ok(Sums { buffer: sums })
 }
 
-/// As [`crate::shade::lights::lights_bwd`], for lights that are seen as the field says. Visibility is taken as it is: what moves a
-/// light through it comes from [`visibility_lights_bwd`].
+/// Computes [`crate::shade::lights::lights_bwd`] with learned visibility. Visibility counts as a constant:
+/// [`visibility_lights_bwd`] computes the light gradients that pass through it.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -138,7 +139,7 @@ pub fn lights_bwd_field(
     let (p, model) = (&a.pixels, a.prepared.model);
     let shape = Shape { per_lane: 1, ..a.shape };
     let width = model.lights * 8 * (1 + model.lobes);
-    // A block's point goes through the levels.
+    // Encoding a block's point iterates over the levels.
     let (blocks, workgroups) = cut(tuning, &shape, &a.prepared, p, 2 * field.config.levels + 8);
     let partials = g.transient("lights_bwd.partials", 4 * u64::from(width) * u64::from(workgroups));
     g.fill("lights_bwd.clear", partials, 0)?;
@@ -166,7 +167,8 @@ pub fn lights_bwd_field(
     sum_rows(g, tuning, partials, width, workgroups)
 }
 
-/// As [`crate::shade::lights::lights_normals_bwd`], for lights that are seen as the field says, which does not depend on normals.
+/// Computes [`crate::shade::lights::lights_normals_bwd`] with learned visibility. Visibility does not depend on
+/// normals.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -201,8 +203,8 @@ pub fn lights_normals_bwd_field(
         .dispatch(groups(p.screen.pixels(), shape.block()))
 }
 
-/// As [`super::visibility_bwd`] under prepared lights. Gradients of lights' places are those that come through the field. Returns
-/// sums of the smoothness term with its weight, and how many there are.
+/// Computes [`super::visibility_bwd`] under prepared lights. Gradients of light positions are only those that pass
+/// through the field. Returns the weighted partial sums of the smoothness term, and their number.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

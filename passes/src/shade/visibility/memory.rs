@@ -1,4 +1,4 @@
-//! The visibility field in device memory.
+//! Visibility field in device memory.
 
 use super::{Field, FieldConfig, FieldError, Gradients, Moments};
 use half::f16;
@@ -7,7 +7,7 @@ use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::{FieldLevel, FieldStep};
 
-/// A field's numbers, and what training needs beside them.
+/// Parameters of a visibility field, and the buffers that training adds.
 #[derive(Debug)]
 pub struct VisibilityField {
     config: FieldConfig,
@@ -22,23 +22,23 @@ pub struct VisibilityField {
 struct Training {
     table_moments: DeviceBuffer,
     mlp_moments: DeviceBuffer,
-    /// Whole numbers, zero between steps; see [`Gradients`].
+    /// Integers, zero between steps; see [`Gradients`].
     table_gradients: DeviceBuffer,
     touched: DeviceBuffer,
 }
 
-/// Its buffers in one graph.
+/// Buffers of a visibility field in one graph.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldHandles {
-    /// The field; its step is a uniform that the host writes before each replay.
+    /// Field, whose step is a uniform that the host writes before each replay.
     pub field: Field,
-    /// When training: moments of tables and layers, gradients of tables, bits of what was touched.
+    /// Moments of tables and layers, gradients of tables, touched bits. Only present in training.
     pub training: Option<[Buffer; 4]>,
 }
 
 impl FieldHandles {
-    /// For [`super::visibility_bwd`], with gradients of `lights` lights: those of layers, of lights and the scale live within a
-    /// replay. None without training.
+    /// Returns the gradients for [`super::visibility_bwd`] with `lights` lights. Gradients of layers and lights, and
+    /// the scale, live within a replay. Returns `None` without training.
     pub fn gradients(&self, g: &mut Graph, lights: u32) -> Option<Gradients> {
         let [.., tables, touched] = self.training?;
         Some(Gradients {
@@ -50,25 +50,25 @@ impl FieldHandles {
         })
     }
 
-    /// For [`super::visibility_adam`]. None without training.
+    /// Returns the moments for [`super::visibility_adam`], or `None` without training.
     pub fn moments(&self, flags: Buffer, flag_words: u32, skipped: Buffer) -> Option<Moments> {
         let [tables, mlp, ..] = self.training?;
         Some(Moments { tables, mlp, flags, flag_words, skipped })
     }
 }
 
-/// Bytes of tables, layers, and words of bits.
+/// Returns the bytes of tables, layers, and touched bits.
 fn sizes(config: &FieldConfig) -> [u64; 3] {
     let entries = u64::from(config.entries());
     [8 * entries, 4 * config.weights() as u64, 4 * entries.div_ceil(32)]
 }
 
-/// Bytes of the tables' copy in 16 bits.
+/// Returns the bytes of the tables' 16-bit copy.
 fn packed_bytes(config: &FieldConfig) -> u64 {
     4 * u64::from(config.entries())
 }
 
-/// Tables as words of two halves, rounded as kernels round them.
+/// Packs tables into words of two halves, with the kernels' rounding.
 pub fn packed_tables(tables: &[f32]) -> Vec<u32> {
     let most = f16::MAX.to_f32();
     let bits = |x: f32| u32::from(f16::from_f32(x.clamp(-most, most)).to_bits());
@@ -76,9 +76,9 @@ pub fn packed_tables(tables: &[f32]) -> Vec<u32> {
 }
 
 impl VisibilityField {
-    /// Makes it with a random start ([`FieldConfig::initial_tables`], [`FieldConfig::initial_weights`]); `training` adds moments
-    /// and gradients, `table_bits` of 16 ([`crate::Accuracy::table_bits`]) a copy of the tables. The configuration must pass
-    /// [`FieldConfig::check`].
+    /// Allocates a field with random initial values. The values are [`FieldConfig::initial_tables`] and
+    /// [`FieldConfig::initial_weights`]. `training` adds moments and gradients. `table_bits` of 16
+    /// ([`crate::Accuracy::table_bits`]) adds a copy of the tables. The configuration must pass [`FieldConfig::check`].
     ///
     /// # Errors
     /// If memory runs out.
@@ -118,8 +118,9 @@ impl VisibilityField {
         Ok(field)
     }
 
-    /// The same field without its finest levels, where the coarsest `levels` stay with their moments
-    /// ([`FieldConfig::numbers_of_first_levels`]). Nothing may be in flight. What it had in memory is given back first.
+    /// Returns the field without its finest levels. The coarsest `levels` keep their values and moments
+    /// ([`FieldConfig::numbers_of_first_levels`]). No work may be in flight. The old buffers are released before the
+    /// new ones are allocated.
     ///
     /// # Errors
     /// If the device fails.
@@ -140,15 +141,15 @@ impl VisibilityField {
         Ok(left)
     }
 
-    /// Its shape.
+    /// Returns the shape of the field.
     pub fn config(&self) -> &FieldConfig {
         &self.config
     }
 
-    /// Replaces the numbers and starts the optimizer afresh.
+    /// Replaces the parameters and resets the optimizer.
     ///
     /// # Errors
-    /// If the device fails, or there are more than fit.
+    /// If the device fails, or if the entries exceed the capacity.
     pub fn upload(&self, device: &Device, tables: &[f32], mlp: &[f32]) -> Result<()> {
         device.upload(&self.tables, 0, bytemuck::cast_slice(tables))?;
         device.upload(&self.mlp, 0, bytemuck::cast_slice(mlp))?;
@@ -162,7 +163,7 @@ impl VisibilityField {
         Ok(())
     }
 
-    /// Tables and layers as they are.
+    /// Downloads the tables and layers.
     ///
     /// # Errors
     /// If the device fails.
@@ -171,7 +172,7 @@ impl VisibilityField {
         Ok([all(&self.tables)?, all(&self.mlp)?])
     }
 
-    /// Adam's moments of tables and layers, pairs, for checkpoints; empty without training.
+    /// Downloads Adam's moments of tables and layers, in pairs, for checkpoints. Both are empty without training.
     ///
     /// # Errors
     /// If the device fails.
@@ -183,20 +184,20 @@ impl VisibilityField {
         }
     }
 
-    /// Puts back what [`VisibilityField::download_moments`] gave.
+    /// Restores the moments that [`VisibilityField::download_moments`] returned.
     ///
     /// # Errors
-    /// If the device fails, or there are more than fit.
+    /// If the device fails, or if the entries exceed the capacity.
     pub fn upload_moments(&self, device: &Device, [tables, mlp]: [&[f32]; 2]) -> Result<()> {
         let Some(t) = &self.training else { return Ok(()) };
         device.upload(&t.table_moments, 0, bytemuck::cast_slice(tables))?;
         device.upload(&t.mlp_moments, 0, bytemuck::cast_slice(mlp))
     }
 
-    /// Bytes of device memory for such a field.
+    /// Returns the device memory in bytes of a field with this configuration.
     ///
     /// # Errors
-    /// If there can be no such field.
+    /// If the configuration is invalid.
     pub fn bytes(config: &FieldConfig, training: bool, table_bits: u32) -> std::result::Result<u64, FieldError> {
         config.check()?;
         let [tables, mlp, bits] = sizes(config);
@@ -238,10 +239,10 @@ impl VisibilityField {
         FieldHandles { field, training: training.then(|| beside(g)) }
     }
 
-    /// Puts the buffers behind their handles.
+    /// Binds the buffers to their handles.
     ///
     /// # Errors
-    /// If the plan was made for larger ones.
+    /// If the plan declares larger buffers.
     pub fn bind(&self, exec: &mut Executor, handles: &FieldHandles) -> Result<()> {
         exec.bind(handles.field.levels, &self.levels)?;
         exec.bind(handles.field.tables, &self.tables)?;
@@ -264,7 +265,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn memory_of_the_published_size() {
+    fn memory_matches_the_published_size() {
         let megabytes = |training, bits| VisibilityField::bytes(&FieldConfig::default(), training, bits).unwrap() >> 20;
         assert_eq!((megabytes(false, 32), megabytes(true, 32), megabytes(true, 16)), (54, 274, 302));
     }

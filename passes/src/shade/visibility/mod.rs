@@ -1,17 +1,20 @@
-//! `visibility_encode` and `visibility`: a learned field of how much of a light a point sees.
+//! `visibility_encode` and `visibility`: learned visibility of lights from points.
 //!
-//! SGS-Intrinsic, stage II: features of a hash grid at the point, direction from the light, distance, through layers of 32,
-//! 32 and 1; positions are those of the box, clamped to it. The first layer is split: its product with the features is
-//! made once a pixel, so a pair of pixel and light costs 4 x 32 products there instead of 36 x 32. Direction and distance are not
-//! split any further: differences of positions are exact where points and lights are close, differences of products are not.
+//! SGS-Intrinsic, stage II: the features of a hash grid at the point, the direction from the light and the distance
+//! pass through layers of 32, 32 and 1 neurons. Positions are relative to the box, and clamped to it. The first layer
+//! is split: its product with the features is computed once per pixel. A pair of pixel and light therefore costs 4 x 32
+//! products there instead of 36 x 32. Direction and distance are not split further: differences of positions are exact
+//! where points and lights are close, differences of products are not.
 //!
-//! Nothing of size pixels times lights is stored. What the first layer makes of a point can be (`visibility_encode`, 128
-//! bytes a pixel): whoever goes through the lights in another order, or twice, then need not look into the tables again.
+//! No buffer has the size of pixels times lights. The first layer's output for a point can be stored
+//! (`visibility_encode`, 128 bytes per pixel). Passes that iterate over the lights in another order, or twice, then
+//! need not look up the tables again.
 //!
-//! Tables may be looked up in 16 bits ([`crate::Accuracy::table_bits`]): a copy of them, rounded to nearest, that whoever moves them
-//! keeps. Gradients are those at the rounded numbers, passed on as if nothing had been rounded; tables and moments keep 32 bits.
+//! Tables may be looked up in 16 bits ([`crate::Accuracy::table_bits`]). The lookup reads a copy, rounded to nearest,
+//! which is updated together with the tables. Gradients are evaluated at the rounded numbers and passed on unchanged
+//! (straight-through). Tables and moments keep 32 bits.
 //!
-//! Cost: 128 gathers of 8 bytes (4 with tables of 16 bits) and 1024 multiply-adds a pixel; 1184 multiply-adds a pair.
+//! Cost: 128 gathers of 8 bytes (4 with 16-bit tables) and 1024 multiply-adds per pixel; 1184 multiply-adds per pair.
 
 mod adam;
 mod bwd;
@@ -33,61 +36,63 @@ use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{Kernel, visibility as kernel, visibility_encode as encode_kernel, visibility_halves as halves};
 
-/// A field in a graph.
+/// Visibility field in a graph.
 #[derive(Clone, Copy, Debug)]
 pub struct Field {
-    /// Its shape.
+    /// Shape of the field.
     pub config: FieldConfig,
     /// Uniform `FieldStep`: box, jitter, sizes, seed, learning rate.
     pub step: Buffer,
     /// `[levels]` of `FieldLevel`: [`FieldConfig::table_levels`].
     pub levels: Buffer,
-    /// `[entries * 2]` floats.
+    /// Tables, `[entries * 2]` floats.
     pub tables: Buffer,
-    /// `[entries]` words of two halves: what is looked up instead of the tables, if that has 16 bits.
+    /// 16-bit copy of the tables, `[entries]` words of two halves. If present, lookups read the copy instead of the
+    /// tables.
     pub packed: Option<Buffer>,
-    /// `[weights]` floats: rows of the first layer (features, direction, distance), of the second, the last.
+    /// Weights of the network, `[weights]` floats. Rows of the first layer (features, direction, distance), rows of the
+    /// second layer, and the last layer.
     pub mlp: Buffer,
 }
 
 impl Field {
-    /// What lookups read.
+    /// Returns the buffer that lookups read.
     fn lookup(&self) -> Buffer {
         self.packed.unwrap_or(self.tables)
     }
 
-    /// Bits of a number there.
+    /// Returns the bits of a number in that buffer.
     fn table_bits(&self) -> u32 {
         if self.packed.is_some() { 16 } else { 32 }
     }
 }
 
-/// What is looked at from where.
+/// Points and lights to be evaluated.
 #[derive(Clone, Copy, Debug)]
 pub struct View {
-    /// Most pixels that there can be; the step's `pixels` says how many there are.
+    /// Maximum number of pixels; the step's `pixels` is the actual number.
     pub pixels: u32,
-    /// `[pixels * 3]` floats, world.
+    /// World-space points, `[pixels * 3]` floats.
     pub points: Buffer,
-    /// `[pixels]` floats; pixels below 1e-3 are not shaded.
+    /// Coverage, `[pixels]` floats; pixels below 1e-3 are not shaded.
     pub coverage: Buffer,
-    /// `[lights * 3]` floats, world.
+    /// World-space positions of the lights, `[lights * 3]` floats.
     pub lights: Buffer,
 }
 
-/// Whether subgroups work on their pixels together.
+/// Returns whether subgroups process their pixels together.
 fn field_spread(tuning: Tuning) -> bool {
     tuning.subgroup_size == 8
 }
 
-/// Invocations of a workgroup and a subgroup, and whether these work on their pixels together.
+/// Returns the workgroup and subgroup sizes, and whether subgroups cooperate.
 fn shape(tuning: Tuning) -> ([u32; 2], bool) {
     let spread = field_spread(tuning);
     ([if spread { 8 } else { tuning.workgroup.min(128) }, tuning.subgroup_size], spread)
 }
 
-/// A kernel that looks into the field, forward, and its constants: as they are for the portable kernel, or for one on matrices, which
-/// bear its name with an ending and differ in the constants below.
+/// Selects the forward kernel that evaluates the field, and its constants. The portable kernel takes the constants
+/// unchanged. Kernels on matrices share its name with a suffix, and differ in the constants below.
 fn forward(
     tuning: Tuning,
     [portable, halves]: [&'static Kernel; 2],
@@ -97,7 +102,7 @@ fn forward(
     let chosen = tuning.field_matrices().and_then(|m| Some((m, if m.units { on_units()? } else { halves })));
     let Some((matrices, kernel)) = chosen else { return (portable, specs.into_iter().collect()) };
     let changed = |(name, bits): (&'static str, u32)| match name {
-        // A workgroup is a subgroup, whose pixels are multiplied together, neurons by neurons of its own.
+        // A workgroup is one subgroup, which multiplies its pixels together in groups of neurons.
         "WORKGROUP" => (name, tuning.subgroup_size),
         "FIELD_SPREAD" => (name, 0),
         _ => (name, bits),
@@ -106,9 +111,9 @@ fn forward(
     (kernel, specs.into_iter().map(changed).filter(known).chain(matrices.specs()).collect())
 }
 
-/// Adds the pass that writes how much of the lights each pixel sees: `into`, `[pixels]` floats in 0 to 1, 0 where nothing is
-/// shaded. The mean over the step's `lights`, or of light `one` alone. `split`: whether the first layer's share of the point
-/// is made once a pixel; if not, once a pair (only there for comparison).
+/// Adds the pass that writes visibility to `into`, `[pixels]` floats in 0 to 1. Unshaded pixels are 0. The value is the
+/// mean over the step's `lights`, or that of light `one` alone. With `split`, the first layer's product with the
+/// point's features is computed once per pixel, otherwise once per pair (for comparison only).
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -136,11 +141,11 @@ pub fn visibility(
     let one = one.unwrap_or(u32::MAX);
     let (levels, table_bits) = (field.config.levels, field.table_bits());
     let specs = kernel::Specs { workgroup, subgroup, field_spread, levels, split, one, table_bits };
-    // What is there for comparison is the portable kernel.
+    // The unsplit variant, used for comparison, exists only as a portable kernel.
     let tuning = if split { tuning } else { Tuning { matrices: None, ..tuning } };
     let (chosen, specs) = forward(tuning, [&kernel::KERNEL, &halves::KERNEL], specs.entries());
     let name = if split { chosen.name } else { "visibility_plain" };
-    // Ordinary instructions on pieces know no subgroups: tests try any size of these.
+    // Emulated matrix kernels do not depend on the subgroup size, and tests run them at any size.
     let matrices = tuning.field_matrices();
     let pass = stage(g, name, chosen, bindings.entries(), specs, &[]);
     let emulated = matrices.is_some_and(|m| !m.units);
@@ -148,11 +153,13 @@ pub fn visibility(
     pass.dispatch(groups(u64::from(view.pixels), if matrices.is_some() { subgroup } else { workgroup }))
 }
 
-/// Adds the pass that writes what the first layer makes of the points of `count` pixels from `first` on: `into`, rows of 32
-/// floats, whether or not something is shaded there. `jitter`: of points moved a little, for the smoothness term.
+/// Adds the pass that writes the first layer's output for points of pixels. Encodes `count` pixels from `first` on.
+/// `into` holds rows of 32 floats, written for shaded and unshaded pixels alike. With `jitter`, points are displaced
+/// slightly for the smoothness term.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
+#[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn visibility_encode(
     g: &mut Graph,
     tuning: Tuning,

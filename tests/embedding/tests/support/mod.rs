@@ -1,4 +1,4 @@
-//! The C interface in tests: sized structs, checked contexts, expected results.
+//! C interface in tests: sized structs, checked contexts, expected results.
 
 #![allow(dead_code, reason = "not every test needs all of it")]
 
@@ -9,7 +9,7 @@ use std::path::Path;
 use std::ptr::{null, null_mut};
 
 pub fn zeroed<T: Copy>() -> T {
-    // SAFETY: every struct of the header is valid with all bits zero, and says so.
+    // SAFETY: every struct of the header is valid with all bits zero, as the header documents.
     unsafe { std::mem::zeroed() }
 }
 
@@ -29,7 +29,7 @@ impl Context {
         let device = std::env::var("SGS_TEST_DEVICE").ok().map(|d| CString::new(d).unwrap());
         let info = sized!(SgsDeviceInfo { validation: 1, device: device.as_ref().map_or(null(), |d| d.as_ptr()) });
         let (mut context, mut why) = (null_mut(), [0; 500]);
-        // SAFETY: all pointers are real.
+        // SAFETY: all pointers are valid.
         let result = unsafe { sgs_context_open(&info, &mut context, why.as_mut_ptr(), why.len()) };
         // SAFETY: the text ends with a zero.
         assert_eq!(result, SgsResult::SGS_OK, "{:?}", unsafe { CStr::from_ptr(why.as_ptr()) });
@@ -38,7 +38,7 @@ impl Context {
 
     pub fn error(&self) -> String {
         let mut text = [0 as c_char; 2000];
-        // SAFETY: all pointers are real.
+        // SAFETY: all pointers are valid.
         unsafe {
             assert_eq!(sgs_last_error(self.0, text.as_mut_ptr(), text.len(), null_mut()), SgsResult::SGS_OK);
             CStr::from_ptr(text.as_ptr()).to_str().unwrap().to_owned()
@@ -59,14 +59,14 @@ impl Context {
 
     pub fn info(&self) -> SgsContextInfo {
         let mut info = sized!(SgsContextInfo {});
-        // SAFETY: all pointers are real.
+        // SAFETY: all pointers are valid.
         self.ok(unsafe { sgs_context_get(self.0, &mut info) });
         info
     }
 
     pub fn load(&self, path: &Path) -> SgsScene {
         let (path, mut scene) = (text(path), 0);
-        // SAFETY: all pointers are real.
+        // SAFETY: all pointers are valid.
         self.ok(unsafe { sgs_scene_load(self.0, path.as_ptr(), &mut scene) });
         assert_ne!(scene, 0);
         scene
@@ -78,7 +78,7 @@ impl Drop for Context {
         if !std::thread::panicking() {
             assert_eq!(self.info().validation_messages, 0);
         }
-        // SAFETY: the context is ours; a second time it is null.
+        // SAFETY: the test owns the context; at the second call it is null.
         unsafe {
             assert_eq!(sgs_context_destroy(&mut self.0), SgsResult::SGS_OK);
             assert!(self.0.is_null());

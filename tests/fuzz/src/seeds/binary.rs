@@ -1,11 +1,11 @@
-//! Binary files, small.
+//! Small binary files.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use std::io::Cursor;
 
-/// Bytes that are all about the same.
+/// Returns bytes in which all values are about equally frequent.
 fn pattern(count: usize) -> Vec<u8> {
     (0..count).map(|i| (i * 37 % 251) as u8).collect()
 }
@@ -13,11 +13,11 @@ fn pattern(count: usize) -> Vec<u8> {
 fn encoded(width: u32, height: u32, color: ExtendedColorType) -> Vec<u8> {
     let mut out = Vec::new();
     let bytes = pattern((u64::from(width) * u64::from(height) * u64::from(color.bits_per_pixel()) / 8) as usize);
-    PngEncoder::new(&mut out).write_image(&bytes, width, height, color).expect("a picture is written");
+    PngEncoder::new(&mut out).write_image(&bytes, width, height, color).expect("an image is written");
     out
 }
 
-/// A color image.
+/// Returns a color image.
 pub(crate) fn png(width: u32, height: u32) -> Vec<u8> {
     encoded(width, height, ExtendedColorType::Rgb8)
 }
@@ -42,7 +42,7 @@ pub(super) fn jpeg(width: u32, height: u32) -> Vec<u8> {
     let mut out = Vec::new();
     let bytes = pattern((width * height * 3) as usize);
     let encoder = JpegEncoder::new_with_quality(&mut out, 60);
-    encoder.write_image(&bytes, width, height, ExtendedColorType::Rgb8).expect("a picture is written");
+    encoder.write_image(&bytes, width, height, ExtendedColorType::Rgb8).expect("an image is written");
     out
 }
 
@@ -50,11 +50,11 @@ pub(super) fn jpeg_gray(width: u32, height: u32) -> Vec<u8> {
     let mut out = Vec::new();
     let encoder = JpegEncoder::new_with_quality(&mut out, 90);
     let bytes = pattern((width * height) as usize);
-    encoder.write_image(&bytes, width, height, ExtendedColorType::L8).expect("a picture is written");
+    encoder.write_image(&bytes, width, height, ExtendedColorType::L8).expect("an image is written");
     out
 }
 
-/// Channels of numbers around one half.
+/// Returns an image with these channels; values lie between 0.1 and 1.1.
 pub(super) fn exr(width: usize, height: usize, names: &[&str], compressed: bool) -> Vec<u8> {
     let encoding =
         if compressed { exr::prelude::Encoding::SMALL_LOSSLESS } else { exr::prelude::Encoding::UNCOMPRESSED };
@@ -82,12 +82,12 @@ pub(super) fn exr_as(
     out.into_inner()
 }
 
-/// Surroundings.
+/// Returns an environment map.
 pub(crate) fn exr_sky() -> Vec<u8> {
     exr(8, 4, &["R", "G", "B"], true)
 }
 
-/// An array of such numbers, `size` bytes each.
+/// Returns a NumPy array of this type, with `size` bytes per element.
 pub(super) fn npy(kind: &str, shape: &[usize], size: usize) -> Vec<u8> {
     let axes: String = shape.iter().map(|n| format!("{n}, ")).collect();
     let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({axes}), }}");
@@ -111,7 +111,7 @@ pub(super) fn npy(kind: &str, shape: &[usize], size: usize) -> Vec<u8> {
     out
 }
 
-/// Little-endian words one after another.
+/// Writer of little-endian values.
 struct Words(Vec<u8>);
 
 impl Words {
@@ -156,7 +156,9 @@ pub(super) fn colmap_points() -> Vec<u8> {
     point(w, 2, &[-0.1, 0.5, 1.0]).u64(0).0
 }
 
-/// A PLY file of Gaussians with everything in it, in either order of bytes.
+/// Returns a binary PLY file of two Gaussians, in either byte order.
+///
+/// `names`: properties in addition to the standard ones.
 pub(super) fn splats(degree: usize, big: bool, names: &[&str]) -> Vec<u8> {
     let mut all: Vec<String> = "x y z nx ny nz f_dc_0 f_dc_1 f_dc_2".split(' ').map(String::from).collect();
     all.extend((0..[0, 9, 24, 45][degree]).map(|i| format!("f_rest_{i}")));

@@ -1,7 +1,10 @@
-//! What the corpus begins with. `sgs-fuzz seeds` writes it; what campaigns have found is beside it and stays.
+//! Initial inputs of the corpora, written by `sgs-fuzz --seeds`.
+//!
+//! Inputs that campaigns have found stay.
 
 use super::binary::{self, exr, npy, splats};
 use super::text::*;
+use crate::corpus;
 use exr::prelude::{Blocks, Compression, Encoding, LineOrder, Vec2};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
@@ -13,22 +16,22 @@ use std::path::Path;
 
 type Files = Vec<(&'static str, &'static str, Vec<u8>)>;
 
-/// Writes the files that the corpus begins with below a folder.
+/// Adds the initial inputs to the corpora in a directory.
 ///
 /// # Errors
-/// If one cannot be written.
-pub fn write_seeds(corpus: &Path) -> std::io::Result<()> {
+/// If a file cannot be read or written.
+pub fn write_seeds(folder: &Path) -> std::io::Result<()> {
     let mut files = texts();
-    files.extend(pictures());
+    files.extend(images());
     files.extend(models());
     files.extend(tensors());
     files.extend(said());
+    std::fs::create_dir_all(folder)?;
+    let mut targets: BTreeMap<&str, Vec<(String, Vec<u8>)>> = BTreeMap::new();
     for (target, name, bytes) in files {
-        let folder = corpus.join(target);
-        std::fs::create_dir_all(&folder)?;
-        std::fs::write(folder.join(name), bytes)?;
+        targets.entry(target).or_default().push((name.to_owned(), bytes));
     }
-    Ok(())
+    targets.into_iter().try_for_each(|(target, inputs)| corpus::add(&corpus::packed(folder, target), inputs))
 }
 
 fn texts() -> Files {
@@ -72,7 +75,7 @@ fn texts() -> Files {
         ("training", "whole.json", TRAINING),
         ("profile", "passes.json", PROFILE),
         ("run_log", "two_stages.jsonl", LOG),
-        ("page_request", "page.txt", "GET /live?pictures=3 HTTP/1.1\r\nHost: 127.0.0.1:8117\r\nAccept: */*\r\n\r\n"),
+        ("page_request", "page.txt", "GET /live?images=3 HTTP/1.1\r\nHost: 127.0.0.1:8117\r\nAccept: */*\r\n\r\n"),
         (
             "page_request",
             "body.txt",
@@ -85,7 +88,7 @@ fn texts() -> Files {
     all.iter().map(|(target, name, text)| (*target, *name, text.as_bytes().to_vec())).collect()
 }
 
-fn pictures() -> Files {
+fn images() -> Files {
     let tiled = Encoding {
         compression: Compression::PIZ,
         blocks: Blocks::Tiles(Vec2(4, 4)),
@@ -148,7 +151,7 @@ fn models() -> Files {
         ("colmap_images_bin", "two.bin", binary::colmap_images()),
         ("colmap_points_bin", "two.bin", binary::colmap_points()),
     ];
-    // What this project writes.
+    // Files that this project writes.
     let folder = crate::Place::new();
     let ply = folder.put("own.ply", &splats(1, false, &own));
     let read = Splats::read_ply(&ply).expect("splats are whole");
@@ -162,7 +165,9 @@ fn models() -> Files {
     files
 }
 
-/// A safetensors file: floats, and so many words that are one.
+/// Returns a safetensors file of constant floats and 32-bit words.
+///
+/// Every word is 1.
 fn tensor_file(tensors: &[(&str, Vec<usize>, f32)], words: &[(&str, usize)], meta: &[(&str, &str)]) -> Vec<u8> {
     let floats = tensors.iter().map(|(name, shape, v)| (*name, shape.clone(), v.to_bits(), Dtype::F32));
     let all: Vec<_> = floats.chain(words.iter().map(|(name, count)| (*name, vec![*count], 1, Dtype::U32))).collect();
@@ -188,7 +193,7 @@ fn tensors() -> Files {
     let made = VisibilityFile { config, low: [-1.0; 3], high: [1.0; 3], tables, mlp };
     made.save(&field).expect("a field is written");
     let read = |path| std::fs::read(path).expect("it is there");
-    // AlexNet's shapes without numbers, which zeros stand for; the last head is missing.
+    // AlexNet's shapes without data, which the target's repair fills with zeros; the last head is missing.
     let alex = [("0", [64, 3, 11, 11]), ("3", [192, 64, 5, 5]), ("6", [384, 192, 3, 3])];
     let mut header = serde_json::json!({"__metadata__": {"format": "sgs-lpips-1", "net": "alex"}});
     let mut at = 0;
@@ -218,8 +223,8 @@ fn tensors() -> Files {
     }
     state.push(("statistics", vec![2, 4], 0.0));
     let state = tensor_file(&state, &[], &meta);
-    let decisions = "[{\"step\":0,\"what\":\"lights\",\"on\":true,\"reason\":\"there are lamps\",\"setting\":\"intrinsic.lights.count\"},\
-                     {\"step\":20,\"what\":\"pace\",\"on\":false,\"reason\":\"8 steps\",\"measured\":0.01,\"asked\":0.02,\"setting\":\"x\"}]";
+    let decisions = "[{\"step\":0,\"what\":\"lights\",\"on\":true,\"reason\":\"lights gain 0.5 dB\",\"setting\":\"intrinsic.lights.count\"},\
+                     {\"step\":20,\"what\":\"update_interval\",\"on\":false,\"reason\":\"8 steps\",\"measured\":0.01,\"requested\":0.02,\"setting\":\"x\"}]";
     let meta = [
         ("format", "sgs-intrinsic-1"),
         ("step", "40"),
@@ -266,7 +271,7 @@ fn message(text: &serde_json::Value, arrays: &[(&str, Kind, &[usize])]) -> Vec<u
     Message { text: text.clone(), arrays: arrays.collect::<BTreeMap<_, _>>() }.encode().expect("a message is written")
 }
 
-/// What well-behaved providers say.
+/// Returns messages of well-behaved providers.
 fn said() -> Files {
     use serde_json::json;
     let hello = json!({"kind": "hello", "version": 1, "name": "a stand-in", "offers": {

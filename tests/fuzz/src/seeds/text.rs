@@ -1,4 +1,4 @@
-//! Files of text.
+//! Text files.
 
 pub(crate) const TRANSFORMS: &str = r#"{"w": 8, "h": 6, "fl_x": 7.5, "fl_y": 7, "cx": 4, "cy": 3, "camera_model": "OPENCV",
 "k1": 0.01, "k2": -0.002, "p1": 0.001, "p2": 0,
@@ -28,7 +28,7 @@ pub(crate) const FIPT_TRANSFORMS: &str = r#"{"camera_angle_x": 1.1, "frames": [
 {"transform_matrix": [[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]}]}
 "#;
 
-/// A transforms file of a photograph whose size is its own.
+/// Returns a transforms file whose first frame takes its size from the photograph.
 pub(crate) fn unsized_transforms(file: &str) -> String {
     let pose = "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]";
     format!(
@@ -56,7 +56,7 @@ pub(crate) const COLMAP_IMAGES: &str =
 pub(crate) const COLMAP_POINTS: &str =
     "# Points\n1 0.1 0.2 0.3 255 0 10 0.5 1 0 2 1\n2 -0.1 0.5 1e-3 1 2 3 0.25 1 1\n3 0 0 1 0 0 0 1\n";
 
-/// Splats as text; materials and normals among them.
+/// Splats in ASCII PLY, with normals and materials.
 pub(crate) const SPLATS_ASCII: &str = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
 property float nx\nproperty float ny\nproperty float nz\nproperty float f_dc_0\nproperty float f_dc_1\nproperty float f_dc_2\n\
 property float opacity\nproperty float scale_0\nproperty float scale_1\nproperty float scale_2\nproperty float rot_0\n\
@@ -106,7 +106,7 @@ scale = 0.5
 steps = 300
 background = [0.1, 0.2, 0.3]
 [geometry.rates]
-scales = 0.005
+factor = 0.5
 [geometry.densify]
 until = 0.5
 [intrinsic.visibility]

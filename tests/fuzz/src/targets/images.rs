@@ -7,7 +7,9 @@ use crate::seeds;
 use sgs_scene::{NpyArray, read_exr, read_ids};
 use std::path::Path;
 
-/// A scene whose first photograph is this; its camera takes its size from it.
+/// Reads a scene whose first photograph has these bytes.
+///
+/// The camera takes its size from the photograph.
 fn photograph(name: &'static str, file: &str, bytes: &[u8]) -> String {
     let place = Place::of(name, |place| {
         place.put("split.json", br#"{"train": ["000"], "test": ["other"]}"#);
@@ -30,7 +32,7 @@ pub(crate) fn photograph_exr(bytes: &[u8]) -> String {
     photograph("photograph_exr", "000.exr", bytes)
 }
 
-/// A scene in which these bytes are every map that a view may have.
+/// Reads a scene that uses these bytes for every map of a view.
 fn maps(name: &'static str, extension: &str, bytes: &[u8]) -> (String, std::rc::Rc<Place>) {
     let place = Place::of(name, seeds::scene);
     let folders: &[&str] = match extension {
@@ -44,7 +46,7 @@ fn maps(name: &'static str, extension: &str, bytes: &[u8]) -> (String, std::rc::
     (look::scene(&place.path("")), place)
 }
 
-/// A scene of InteriorVerse in which these bytes are what lies beside a view.
+/// Reads a scene of InteriorVerse that uses these bytes for all files of a view.
 fn beside(bytes: &[u8]) -> String {
     let place = Place::of("map_exr_beside", seeds::interiorverse);
     for kind in ["albedo", "normal", "depth", "material", "mask"] {
@@ -81,7 +83,7 @@ pub(crate) fn map_npy(bytes: &[u8]) -> String {
         })
     };
     let words = words + &array(&place.path("priors/albedo/000.npy"));
-    // The same as embeddings of classes.
+    // The same bytes as text embeddings of the classes.
     let texts = Place::of("map_npy_texts", seeds::scene);
     texts.put("priors/semantic/text_embeddings.npy", bytes);
     words + &look::scene(&texts.path(""))

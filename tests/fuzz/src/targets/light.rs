@@ -1,4 +1,4 @@
-//! Lamps, surroundings, and edits of them.
+//! Lights, environment maps and edits of them.
 
 use super::said;
 use crate::place::Place;
@@ -7,7 +7,7 @@ use sgs_relight::{Edit, fuzzed};
 use sgs_run::{LightFile, read_exchange, read_light, read_lights};
 use sgs_scene::read_environment;
 
-/// What holds for all lamps that are read.
+/// Checks the invariants of all lights that are read.
 fn sound(lights: &LightFile) -> String {
     let (model, positions, lobes, gains) = lights.raw();
     assert_eq!((positions.len(), gains.len()), (3 * model.lights as usize, model.lights as usize), "lights fit");
@@ -20,7 +20,7 @@ pub(crate) fn lights(bytes: &[u8]) -> String {
     said(read_lights(&place.put("lights.json", bytes)), |lights| sound(&lights))
 }
 
-/// Lamps beside a PLY file.
+/// Reads lights next to a PLY file.
 pub(crate) fn lights_beside(bytes: &[u8]) -> String {
     let place = Place::of("lights_beside", |place| {
         place.put("scene.ply", seeds::SPLATS_ASCII.as_bytes());
@@ -51,7 +51,7 @@ pub(crate) fn environment(bytes: &[u8]) -> String {
         })
 }
 
-/// An edit, as a file and as text, and what it makes of three lamps and of an environment map.
+/// Reads an edit as a file and as text, and applies it to three lights.
 pub(crate) fn edit(bytes: &[u8]) -> String {
     let place = Place::of("edit", |place| {
         place.put("lights.json", seeds::LIGHTS.as_bytes());

@@ -1,14 +1,14 @@
-//! A scene, opened and looked at: everything that it is asked for while training and measuring.
+//! Opens a scene and reads everything that training and evaluation read.
 
 use sgs_scene::{GroundTruth, GroundTruthKind, LoadOptions, Noise, Result, Scene, SceneOptions};
 use std::path::Path;
 
-/// Views of a scene that are looked at.
+/// Number of views that are read.
 const VIEWS: usize = 3;
 
 /// Opens a scene and reads what it has.
 pub(crate) fn scene(root: &Path) -> String {
-    // A given number of points: damaged cameras alone should not take up memory.
+    // The number of points is fixed, so that damaged cameras alone do not use up memory.
     let options = SceneOptions { random_points: 100, ..SceneOptions::default() };
     match Scene::open(root, &options) {
         Ok(scene) => all(&scene),
@@ -16,7 +16,7 @@ pub(crate) fn scene(root: &Path) -> String {
     }
 }
 
-/// Everything about a scene; what came of each, in words.
+/// Reads everything of a scene and returns a text of the results.
 fn all(scene: &Scene) -> String {
     let mut words = format!("{:?} {} {}", scene.layout, scene.points.len().min(9), scene.warnings.join(" "));
     let mut note = |result: Result<String>| {

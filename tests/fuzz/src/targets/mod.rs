@@ -1,4 +1,4 @@
-//! What brings bytes to readers, by what they read.
+//! Targets, grouped by the files that they read.
 
 pub(crate) mod images;
 pub(crate) mod light;
@@ -11,7 +11,7 @@ pub(crate) mod tensors;
 
 use std::fmt::Display;
 
-/// What a reader came to, in words.
+/// Returns the text of a reader's result: of its value or its error.
 fn said<T, E: Display>(result: Result<T, E>, read: impl FnOnce(T) -> String) -> String {
     match result {
         Ok(value) => read(value),

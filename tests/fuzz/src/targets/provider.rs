@@ -1,21 +1,21 @@
-//! What providers say: single messages, whole answers of a process, command lines.
+//! Provider output: single messages, whole replies of a process, command lines.
 
 use super::said;
 use crate::place::Place;
-use sgs_provider::{Message, Picture, Provider, ProviderOptions};
+use sgs_provider::{Message, Provider, ProviderImage, ProviderOptions};
 use sgs_scene::Image;
 
-/// A single payload.
+/// Decodes a single payload.
 pub(crate) fn message(bytes: &[u8]) -> String {
     said(Message::decode(bytes), |message| {
-        // Kinds of numbers that are not known are left out, so that what is left may be said again.
+        // Decoding drops arrays of unknown types, so that the rest can be encoded again.
         let again = message.encode().and_then(|bytes| Message::decode(&bytes));
         assert_eq!(again.map(|m| m.arrays).ok().as_ref(), Some(&message.arrays), "arrays come back");
         format!("{} {:?}", message.arrays.len().min(3), message.text["kind"].as_str())
     })
 }
 
-/// A process that says these bytes, whatever it is asked; the first one chooses the question.
+/// Runs a process that prints these bytes; the first byte selects the request.
 pub(crate) fn talk(bytes: &[u8]) -> String {
     let Some((choice, stream)) = bytes.split_first() else { return String::new() };
     let place = Place::of("provider_talk", |_| ());
@@ -32,11 +32,11 @@ pub(crate) fn talk(bytes: &[u8]) -> String {
         Err(error) => return error.to_string(),
     };
     let image = Image::new(12, 9, 3);
-    let rendered = Picture::srgb(&image);
+    let rendered = ProviderImage::srgb(&image);
     let frames = [rendered.clone(), rendered.clone(), rendered.clone()];
     let fits = |image: &Image| image.check().expect("answers have the size of the question");
     let mut words = provider.about().list();
-    // Twice, so that what follows an answer is heard.
+    // Two requests, so that data after the first reply is read.
     for _ in 0..2 {
         words += &match choice % 7 {
             0 => said(provider.masks(&frames, Some([3.0, 2.0])), |masks| {
@@ -69,7 +69,7 @@ pub(crate) fn talk(bytes: &[u8]) -> String {
     words
 }
 
-/// A command line; the program that it names does not exist.
+/// Starts a provider from a command line whose program does not exist.
 pub(crate) fn command(bytes: &[u8]) -> String {
     let text = String::from_utf8_lossy(bytes);
     let mut options = ProviderOptions::new(&format!("/none/of/these/{text}"));

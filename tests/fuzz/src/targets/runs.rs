@@ -1,4 +1,4 @@
-//! Files of runs, settings, and numbers of the command line.
+//! Files of runs, settings, and sizes on the command line.
 
 use super::said;
 use crate::place::Place;
@@ -9,14 +9,14 @@ use sgs_run::{RunDirectory, RunError, StageKind};
 use sgs_study::{Goal, Measures, State};
 use std::io::Write;
 
-/// Settings as the command line and programs give them.
+/// Parses settings as the command line and programs pass them.
 pub(crate) fn settings(bytes: &[u8]) -> String {
     let text = String::from_utf8_lossy(bytes);
     let table = match text.parse::<toml::Table>() {
         Ok(table) => table,
         Err(error) => return error.message().to_owned(),
     };
-    // What is put over other settings is first a table of any kind.
+    // An overlay on other settings is first a table of any content.
     let mut over = Settings::default().to_table().expect("settings are a table");
     overlay(&mut over, table.clone());
     let over = said(Settings::from_table(over).and_then(|s| s.check()), |()| "over".into());
@@ -46,9 +46,9 @@ pub(crate) fn settings_of_run(bytes: &[u8]) -> String {
     })
 }
 
-/// How far a run is, by its files.
+/// Returns the progress of a run, as its files show.
 fn state(run: &RunDirectory) -> String {
-    let requested = run.settings().unwrap_or_default();
+    let requested = run.settings().expect("the seed settings are valid");
     let of = |materials| State::of(run.root(), &requested, &Goal { materials, lpips: None });
     let measures = Measures::read(run).and_then(|m| serde_json::to_string(&m).ok()).unwrap_or_default();
     format!("{:?} {:?} {measures}", of(false), of(true))
@@ -95,7 +95,7 @@ pub(crate) fn log(bytes: &[u8]) -> String {
     words + &retained(run.open_log(StageKind::Intrinsic, 3)) + &curves.matches("<svg").count().min(5).to_string()
 }
 
-/// Sizes of memory on the command line.
+/// Parses a memory size of the command line.
 pub(crate) fn bytes(bytes: &[u8]) -> String {
     said(parse_bytes(&String::from_utf8_lossy(bytes)), |n| {
         assert!((1..=i64::MAX as u64).contains(&n), "sizes are sizes");
@@ -103,7 +103,7 @@ pub(crate) fn bytes(bytes: &[u8]) -> String {
     })
 }
 
-/// Requests for the page of a training.
+/// Responds to requests for the page of a training.
 pub(crate) fn request(bytes: &[u8]) -> String {
     let pages = |path: &str, query: &str| {
         (path == "/live").then(|| serve::Content { kind: "text/plain", body: format!("{} bytes", query.len()) })

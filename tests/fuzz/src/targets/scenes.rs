@@ -1,4 +1,6 @@
-//! Files that describe scenes: cameras, splits, names. Each lies in a scene that is whole but for it.
+//! Files that describe scenes: cameras, splits, names.
+//!
+//! Each file is placed in an otherwise valid scene.
 
 use super::look;
 use super::said;
@@ -6,7 +8,7 @@ use crate::place::Place;
 use crate::seeds::{self, COLMAP, TEXT};
 use sgs_scene::Camera;
 
-/// A whole scene with one file changed.
+/// Reads a valid scene with one file replaced.
 fn within(name: &'static str, fill: fn(&Place), file: &str, bytes: &[u8]) -> String {
     let place = Place::of(name, fill);
     place.put(file, bytes);
@@ -36,7 +38,7 @@ pub(crate) fn labels(bytes: &[u8]) -> String {
     look::scene(&place.path(""))
 }
 
-/// Cameras without images.
+/// Reads cameras without images.
 pub(crate) fn cameras(bytes: &[u8]) -> String {
     let place = Place::of("cameras", |place| {
         place.put("000.png", &seeds::png(8, 6));
@@ -44,7 +46,7 @@ pub(crate) fn cameras(bytes: &[u8]) -> String {
     let path = place.put("cameras.json", bytes);
     said(Camera::read_transforms(&path), |cameras| {
         assert!(cameras.iter().all(|c| c.problem().is_none()), "cameras can be");
-        // What was read can be written and read again.
+        // Cameras that are read can be written and read again.
         let again = place.path("again.json");
         Camera::write_transforms(&again, &cameras).expect("cameras are written");
         let same = Camera::read_transforms(&again).map(|read| read.len());

@@ -5,7 +5,7 @@ use crate::place::Place;
 use sgs_run::{read_exchange, read_light, read_splats};
 use sgs_scene::{PointCloud, Splats};
 
-/// What holds for all splats that are read.
+/// Checks the invariants of all splats that are read.
 fn sound(splats: &Splats) -> String {
     splats.check().expect("splats fit each other");
     let all = splats.means.as_flattened().iter().chain(splats.log_scales.as_flattened()).chain(&splats.opacity_logits);
@@ -25,7 +25,7 @@ pub(crate) fn splats(bytes: &[u8]) -> String {
     let place = Place::of("splats_ply", |_| ());
     let path = place.put("scene.ply", bytes);
     said(Splats::read_ply_dialect(&path), |(splats, dialect)| {
-        // What was read can be written and read again.
+        // Splats that are read can be written and read again.
         let again = place.path("again.ply");
         let back = splats.write_ply(&again).and_then(|()| Splats::read_ply(&again));
         assert_eq!(back.map(|s| s.len()).ok(), Some(splats.len()), "splats come back");

@@ -1,4 +1,4 @@
-//! Files of tensors: what runs keep of their training, and weights of measures.
+//! Files of tensors: training state of runs, and weights of metrics.
 
 use super::said;
 use crate::place::Place;
@@ -35,7 +35,7 @@ pub(crate) fn lpips(bytes: &[u8]) -> String {
     said(Lpips::load(&place.put("lpips.safetensors", bytes), LpipsRange::Plain), |_| "read".into())
 }
 
-/// The state of training, as far as it is read before a device has a part in it.
+/// Reads the state of a training, without the steps that need a device.
 pub(crate) fn checkpoint(bytes: &[u8]) -> String {
     let place = Place::of("checkpoint", |_| ());
     let path = place.put("geometry.safetensors", bytes);
@@ -43,7 +43,7 @@ pub(crate) fn checkpoint(bytes: &[u8]) -> String {
     words(0, false, false) + &words(0, false, true) + &words(1, true, false)
 }
 
-/// The state of a training of materials, likewise.
+/// Reads the state of intrinsic training, without the steps that need a device.
 pub(crate) fn intrinsic_checkpoint(bytes: &[u8]) -> String {
     let place = Place::of("intrinsic_checkpoint", |_| ());
     said(fuzzed::intrinsic_checkpoint(&place.put("intrinsic.safetensors", bytes)), |said| said)

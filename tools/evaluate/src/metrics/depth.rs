@@ -4,7 +4,8 @@ use sgs_scene::Image;
 
 use super::{MetricError, check, pairs};
 
-/// Mean of `|d − truth| / truth` over the pixels that count, have a positive true depth and a finite `d`.
+/// Returns the mean of `|d − truth| / truth`. Counts pixels that the mask includes, with a finite `d` and a true depth
+/// that is positive and finite.
 ///
 /// A pixel where nothing was rendered has the depth 0 and counts as an error of 1.
 pub fn depth_rel(depth: &Image, truth: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {

@@ -1,23 +1,24 @@
-//! FLIP: how different two pictures look to somebody who flips between them on a screen.
+//! FLIP: perceived difference of two images that alternate on a screen.
 //!
-//! Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images", for display-referred pictures. No weights are
-//! learned. The screen is the one of the paper: 0.7 m away, 0.7 m and 3840 pixels wide.
+//! Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images", for display-referred images. The
+//! metric has no learned weights. The viewing conditions are those of the paper: a screen 0.7 m away, 0.7 m and 3840
+//! pixels wide.
 
 use sgs_scene::{Image, srgb_to_linear};
 
 use super::{MetricError, check};
 
-/// Pixels a degree: distance times pixels a meter times a degree.
+/// Pixels per degree. Distance in meters times pixels per meter times one degree in radians.
 const PIXELS_A_DEGREE: f64 = 0.7 * (3840.0 / 0.7) * (std::f64::consts::PI / 180.0);
 
-/// Contrast sensitivity to lightness, red-green and blue-yellow, as sums of Gaussians `a sqrt(pi / b) exp(-pi^2 x^2 / b)` of
-/// degrees (section 4.1.1, table 1).
+/// Contrast sensitivity to lightness, red-green and blue-yellow. Sums of Gaussians `a sqrt(pi / b) exp(-pi^2 x^2 / b)`,
+/// with x in degrees (section 4.1.1, table 1).
 const SENSITIVITY: [[(f64, f64); 2]; 3] =
     [[(1.0, 0.0047), (0.0, 1e-5)], [(1.0, 0.0053), (0.0, 1e-5)], [(34.1, 0.04), (13.5, 0.025)]];
 
-/// Of color differences (section 4.1.3).
+/// Exponent of color differences (section 4.1.3).
 const COLOR_EXPONENT: f64 = 0.7;
-/// Differences up to this share of the largest one get [`NEAR_RANGE`] of the scale.
+/// Share of the largest difference that maps to [`NEAR_RANGE`] of the scale.
 const NEAR: f64 = 0.4;
 const NEAR_RANGE: f64 = 0.95;
 
@@ -25,15 +26,16 @@ const NEAR_RANGE: f64 = 0.95;
 const FEATURE_WIDTH: f64 = 0.082;
 const FEATURE_EXPONENT: f64 = 0.5;
 
-/// Linear sRGB to XYZ, from the primaries and the white point D65.
+/// Matrix from linear sRGB to XYZ, for the primaries and the white point D65.
 const TO_XYZ: [[f64; 3]; 3] = [
     [10_135_552.0 / 24_577_794.0, 8_788_810.0 / 24_577_794.0, 4_435_075.0 / 24_577_794.0],
     [2_613_072.0 / 12_288_897.0, 8_788_810.0 / 12_288_897.0, 887_015.0 / 12_288_897.0],
     [1_425_312.0 / 73_733_382.0, 8_788_810.0 / 73_733_382.0, 70_074_185.0 / 73_733_382.0],
 ];
 
-/// FLIP of display-referred pictures of three channels in `[0, 1]`, the mean over the pixels that count: 0 equal, 1 as
-/// different as can be. Values outside are clipped. Pixels that do not count agree as far as others see them.
+/// Returns the mean FLIP over the pixels that count. 0 for equal images, 1 for the largest difference. Images are
+/// display-referred with three channels; values outside [0, 1] are clipped. Masked pixels of `a` are replaced by those
+/// of `b`, so that they do not affect their neighbors.
 pub fn flip(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
     check("flip", a, b, mask)?;
     if a.channels != 3 {
@@ -67,7 +69,7 @@ fn to_xyz(rgb: [f64; 3]) -> [f64; 3] {
     TO_XYZ.map(|row| row.iter().zip(rgb).map(|(m, v)| m * v).sum())
 }
 
-/// Lightness and two colors, linear in light (YCxCz).
+/// Converts to lightness and two opponent colors, linear in light (YCxCz).
 fn opponent(image: &Image) -> Planes {
     let w = white();
     let mut out = [0, 1, 2].map(|_| Vec::with_capacity(image.pixels()));
@@ -82,7 +84,7 @@ fn opponent(image: &Image) -> Planes {
     out
 }
 
-/// Back to linear light, clipped to what a screen shows.
+/// Converts back to linear light, clipped to [0, 1].
 fn shown([y, cx, cz]: [f64; 3], inverse: &glam::DMat3) -> [f64; 3] {
     let w = white();
     let y = (y + 16.0) / 116.0;
@@ -90,7 +92,7 @@ fn shown([y, cx, cz]: [f64; 3], inverse: &glam::DMat3) -> [f64; 3] {
     (*inverse * xyz).to_array().map(|v| v.clamp(0.0, 1.0))
 }
 
-/// CIELab with colors that fade where it is dark (Hunt).
+/// Converts to CIELab with chroma that fades with lightness (Hunt effect).
 fn lab(rgb: [f64; 3]) -> [f64; 3] {
     let delta: f64 = 6.0 / 29.0;
     let root = |t: f64| if t > delta.powi(3) { t.cbrt() } else { t / (3.0 * delta * delta) + 4.0 / 29.0 };
@@ -100,12 +102,12 @@ fn lab(rgb: [f64; 3]) -> [f64; 3] {
     [l, 0.01 * l * 500.0 * (x - y), 0.01 * l * 200.0 * (y - z)]
 }
 
-/// Distance of colors that stays right where they are far apart (HyAB).
+/// Returns the HyAB distance of colors, which remains valid for large differences.
 fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (a[0] - b[0]).abs() + (a[1] - b[1]).hypot(a[2] - b[2])
 }
 
-/// How different colors look after the eye has blurred them, 0 to 1.
+/// Returns the difference of colors as seen by the eye, 0 to 1. Colors are filtered by contrast sensitivity first.
 fn color_difference(a: &Planes, b: &Planes, size: [usize; 2]) -> Vec<f64> {
     let inverse = glam::DMat3::from_cols_array_2d(&TO_XYZ).transpose().inverse();
     let seen = |planes: &Planes| -> Vec<[f64; 3]> {
@@ -121,7 +123,7 @@ fn color_difference(a: &Planes, b: &Planes, size: [usize; 2]) -> Vec<f64> {
     seen(a).iter().zip(seen(b)).map(|(a, b)| scaled(distance(*a, b))).collect()
 }
 
-/// As the contrast sensitivity of the eye lets it through.
+/// Filters a plane by contrast sensitivity.
 fn blur(plane: &[f64], size: [usize; 2], gaussians: &[(f64, f64)]) -> Vec<f64> {
     let pi = std::f64::consts::PI;
     let widest = SENSITIVITY.iter().flatten().map(|(_, b)| *b).fold(0.0, f64::max);
@@ -139,7 +141,7 @@ fn blur(plane: &[f64], size: [usize; 2], gaussians: &[(f64, f64)]) -> Vec<f64> {
     out
 }
 
-/// How differently strong edges and points are, 0 to 1.
+/// Returns the difference of edge and point strength, 0 to 1.
 fn feature_difference(a: &[f64], b: &[f64], size: [usize; 2]) -> Vec<f64> {
     let sigma = 0.5 * FEATURE_WIDTH * PIXELS_A_DEGREE;
     let radius = (3.0 * sigma).ceil() as i64;
@@ -163,7 +165,7 @@ fn feature_difference(a: &[f64], b: &[f64], size: [usize; 2]) -> Vec<f64> {
     difference(&edge).iter().zip(difference(&point)).map(larger).collect()
 }
 
-/// Weights above zero sum to 1, those below to -1.
+/// Scales a kernel. Its positive weights then sum to 1 and its negative weights to -1.
 fn balanced(mut kernel: Vec<f64>) -> Vec<f64> {
     let sum = |sign: f64| kernel.iter().map(|k| (k * sign).max(0.0)).sum::<f64>().max(1e-300);
     let (above, below) = (sum(1.0), sum(-1.0));
@@ -171,7 +173,8 @@ fn balanced(mut kernel: Vec<f64>) -> Vec<f64> {
     kernel
 }
 
-/// Columns by one kernel and rows by another; the border continues outside. The kernels are of one odd length.
+/// Convolves rows with `across` and columns with `down`. Border pixels are repeated outside. Both kernels have the same
+/// odd length.
 fn convolve(plane: &[f64], [width, height]: [usize; 2], across: &[f64], down: &[f64]) -> Vec<f64> {
     let radius = across.len() / 2;
     let place = |i: usize, k: usize, n: usize| (i + k).saturating_sub(radius).min(n - 1);
@@ -200,9 +203,9 @@ mod tests {
     }
 
     #[test]
-    fn the_scale_goes_from_zero_to_one() {
+    fn scale_ranges_from_zero_to_one() {
         assert_eq!(flip(&flat([0.3, 0.5, 0.7]), &flat([0.3, 0.5, 0.7]), None), Ok(0.0));
-        // Green against blue is what the scale ends at.
+        // Green against blue is the largest difference of the scale.
         let most = flip(&flat([0.0, 1.0, 0.0]), &flat([0.0, 0.0, 1.0]), None).unwrap();
         assert!((most - 1.0).abs() < 1e-6, "{most}");
         let near = flip(&flat([0.5; 3]), &flat([0.52; 3]), None).unwrap();
@@ -229,7 +232,7 @@ mod tests {
     fn kernels_are_balanced() {
         let k = balanced(vec![-2.0, 1.0, 0.0, 3.0, -6.0]);
         assert_eq!(k, [-0.25, 0.25, 0.0, 0.75, -0.75]);
-        // Nothing outside is darker than the border.
+        // A constant plane stays constant: the border is not darkened.
         let one = convolve(&[1.0; 6], [3, 2], &[0.25, 0.5, 0.25], &[0.25, 0.5, 0.25]);
         assert!(one.iter().all(|v| (v - 1.0).abs() < 1e-12));
     }

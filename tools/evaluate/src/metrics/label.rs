@@ -1,12 +1,13 @@
-//! Whether pixels have the right class.
+//! Accuracy of classes.
 
 use sgs_scene::{Image, RegionMap};
 
 use super::MetricError;
 
-/// The share of pixels with the true class, over the pixels that count and have one: class 0 is none.
+/// Returns the share of pixels with the true class. Counts pixels that the mask includes and that have a class; class 0
+/// is none.
 ///
-/// `labels` are row-major; a label that is no class, as where nothing was rendered, is wrong.
+/// `labels` are row-major. A label that is no class counts as wrong, as where nothing was rendered.
 pub fn label_accuracy(
     labels: &[u32],
     size: [u32; 2],
@@ -41,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pixels_with_a_class_are_counted() {
+    fn only_pixels_with_a_class_count() {
         let truth = RegionMap { width: 3, height: 2, ids: vec![1, 2, 0, 3, 3, 1] };
         let labels = [1, 1, 7, 3, u32::MAX, 1];
         assert_eq!(label_accuracy(&labels, [3, 2], &truth, None), Ok(0.6));

@@ -1,8 +1,8 @@
-//! How good a picture is: pure functions of images in memory.
+//! Image metrics: pure functions of images in memory.
 //!
-//! Images are compared as they come: the caller encodes, masks and scales as the measure asks for. A mask has one channel
-//! and counts a pixel where it exceeds one half. Every function refuses images of different sizes, and measures in which
-//! no pixel counts, instead of returning a number that means nothing.
+//! Images are compared as they are: the caller encodes, masks and scales them as the metric requires. A mask has one
+//! channel and includes a pixel whose value exceeds one half. Every function refuses images of different sizes. It also
+//! refuses a mask without pixels instead of returning a meaningless number.
 
 mod depth;
 mod flip;
@@ -24,23 +24,23 @@ pub use ssim::ssim;
 
 use sgs_scene::Image;
 
-/// Why a measure has no value.
+/// Reason why a metric has no value.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MetricError {
-    /// The images are not of one size.
+    /// The images differ in size.
     #[error("{measure} compares {a:?} with {b:?} (width, height, channels); the sizes must agree")]
     Size {
-        /// The measure.
+        /// Name of the metric.
         measure: &'static str,
         /// Width, height and channels of the first image.
         a: (u32, u32, u32),
         /// Width, height and channels of the second image or of the mask.
         b: (u32, u32, u32),
     },
-    /// The images are too small for the measure.
+    /// The images are too small for the metric.
     #[error("{measure} needs images of at least {least} × {least} pixels, but these have {} × {}", size.0, size.1)]
     Small {
-        /// The measure.
+        /// Name of the metric.
         measure: &'static str,
         /// Width and height.
         size: (u32, u32),
@@ -50,15 +50,15 @@ pub enum MetricError {
     /// A file of weights cannot be used.
     #[error("\"{path}\": {reason}.", path = path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: std::path::PathBuf,
-        /// What is wrong.
+        /// Reason.
         reason: String,
     },
     /// No pixel counts.
     #[error("{measure} has no pixel to measure: the images are empty, or the mask or the valid values exclude all")]
     Empty {
-        /// The measure.
+        /// Name of the metric.
         measure: &'static str,
     },
 }
@@ -84,7 +84,7 @@ fn check(measure: &'static str, a: &Image, b: &Image, mask: Option<&Image>) -> R
     }
 }
 
-/// The pixels that count, in pairs. The images were checked.
+/// Returns the pixels that count, in pairs. [`check`] has accepted the images.
 fn pairs<'a>(a: &'a Image, b: &'a Image, mask: Option<&'a Image>) -> impl Iterator<Item = (&'a [f32], &'a [f32])> {
     let channels = a.channels.max(1) as usize;
     let counts = move |i: usize| mask.is_none_or(|mask| mask.data.get(i).is_some_and(|&m| m > 0.5));
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_must_agree() {
+    fn different_sizes_are_refused() {
         let a = Image::new(4, 2, 3);
         let mask = Image::new(4, 2, 1);
         assert_eq!(check("psnr", &a, &a, Some(&mask)), Ok(()));

@@ -1,27 +1,28 @@
-//! Angles between normals.
+//! Angular error of normals.
 
 use sgs_scene::Image;
 
 use super::{MetricError, check, pairs};
 
-/// The angle that a pixel without a rendered normal is charged, degrees.
+/// Angle of a pixel without a rendered normal, in degrees.
 const HOLE_DEG: f64 = 90.0;
 
-/// The error of rendered normals.
+/// Error of rendered normals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct NormalError {
-    /// Mean angle in degrees over the pixels whose true normal is known. A pixel without a rendered normal counts as 90°.
+    /// Mean angle in degrees over the pixels whose true normal is known. A pixel without a rendered normal counts as
+    /// 90°.
     pub mae_deg: f64,
-    /// Share of the pixels whose true normal is known that have a rendered normal, 0 to 1.
+    /// Share of pixels with a rendered normal, 0 to 1. Of the pixels whose true normal is known.
     pub coverage: f64,
 }
 
-/// Compares rendered normals with true ones, over the pixels that count and whose true vector is neither zero nor not a
-/// number.
+/// Compares rendered normals with true ones. Counts pixels that the mask includes and whose true vector is neither zero
+/// nor NaN.
 ///
-/// The vectors need not have unit length. A rendered vector that is zero or not a number is a hole: it is charged 90° and
-/// lowers the coverage. The angle is `atan2(‖a×b‖, a·b)`, which is exact near 0° and 180°, where the arc cosine of a rounded
-/// product is not.
+/// Vectors need not have unit length. A rendered vector that is zero or NaN is a hole: it counts as 90° and lowers the
+/// coverage. The angle is `atan2(‖a×b‖, a·b)`, which is exact near 0° and 180°. The arc cosine of a rounded product is
+/// not.
 ///
 /// # Errors
 /// If the sizes differ, or no true normal counts.
@@ -48,7 +49,7 @@ pub fn normal_error(rendered: &Image, truth: &Image, mask: Option<&Image>) -> Re
     Ok(NormalError { mae_deg: sum / count as f64, coverage: covered as f64 / count as f64 })
 }
 
-/// The mean angle of [`normal_error`].
+/// Returns the mean angle of [`normal_error`].
 ///
 /// # Errors
 /// As [`normal_error`].
@@ -60,14 +61,14 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// The vector of a pixel; `None` where it has no direction.
+/// Returns the vector of a pixel; `None` where it has no direction.
 fn directed(v: &[f32]) -> Option<[f64; 3]> {
     let v = [0, 1, 2].map(|k| f64::from(v[k]));
     let square = dot(v, v);
     (square > 0.0 && square.is_finite()).then_some(v)
 }
 
-/// The angle in radians; `None` where a vector has no direction.
+/// Returns the angle in radians; `None` where a vector has no direction.
 fn angle(a: &[f32], b: &[f32]) -> Option<f64> {
     let (a, b) = (directed(a)?, directed(b)?);
     let cross = [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
@@ -83,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn known_angles() {
+    fn known_angles_are_exact() {
         let up = image(&[0.0, 0.0, 2.0]);
         for (other, degrees) in [
             ([0.0, 0.0, 5.0], 0.0),
@@ -97,7 +98,7 @@ mod tests {
         }
     }
 
-    /// Parallel vectors of any length are no angle apart, opposite ones half a turn: an arc cosine is off by 1e-8, or no number.
+    /// The angle of parallel vectors is 0, of opposite ones 180°. An arc cosine would be off by 1e-8, or NaN.
     #[test]
     fn parallel_vectors_have_no_angle() {
         for i in 1..1000 {
@@ -109,9 +110,9 @@ mod tests {
         }
     }
 
-    /// Rendered: right, a hole, not a number, and a vector whose truth is unknown.
+    /// Rendered: a correct normal, a hole, a NaN, and a vector whose truth is unknown.
     #[test]
-    fn holes_are_charged_ninety_degrees() {
+    fn holes_count_as_ninety_degrees() {
         let rendered = image(&[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, f32::NAN, 0.0, 1.0, 1.0, 0.0, 0.0]);
         let truth = image(&[0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
         let found = normal_error(&rendered, &truth, None).unwrap();
@@ -120,7 +121,7 @@ mod tests {
         let mask = |data: [f32; 4]| Image::from_data(4, 1, 1, data.to_vec()).unwrap();
         let found = normal_error(&rendered, &truth, Some(&mask([1.0, 1.0, 0.0, 1.0]))).unwrap();
         assert_eq!(found, NormalError { mae_deg: 45.0, coverage: 0.5 });
-        // Nothing was rendered at all.
+        // No normal was rendered.
         let found = normal_error(&rendered, &truth, Some(&mask([0.0, 1.0, 1.0, 0.0]))).unwrap();
         assert_eq!(found, NormalError { mae_deg: 90.0, coverage: 0.0 });
         let unknown = normal_error(&rendered, &truth, Some(&mask([0.0, 0.0, 0.0, 1.0])));

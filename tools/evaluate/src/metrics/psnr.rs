@@ -1,23 +1,23 @@
-//! Squared error, and the ratio that is made of it.
+//! Mean squared error and PSNR.
 
 use sgs_scene::Image;
 
 use super::{GainFit, MetricError, check, pairs};
 
-/// Mean squared difference over all channels of the pixels that count.
+/// Returns the mean squared difference over all channels of the pixels that count.
 pub fn mse(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
     gained(a, b, mask, &[], "mse")
 }
 
-/// Peak signal-to-noise ratio in dB for a peak of 1, of the joint mean squared error of all channels; infinite for equal
-/// images.
+/// Returns the peak signal-to-noise ratio in dB for a peak of 1. Uses the mean squared error of all channels together.
+/// Infinite for equal images.
 pub fn psnr(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
     gained(a, b, mask, &[], "psnr").map(decibels)
 }
 
-/// [`psnr`] after each channel of `a` was multiplied by the gain that brings it closest to `b` in the least-squares sense.
+/// Returns [`psnr`] after a least-squares gain for each channel of `a`. The gain brings the channel closest to `b`.
 ///
-/// A channel of `a` that is zero everywhere keeps the gain 1. Gained values are not clipped.
+/// A channel of `a` that is zero everywhere keeps the gain 1. Scaled values are not clipped.
 pub fn psnr_scaled(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
     let mut fit = GainFit::new(a.channels as usize);
     fit.add_images(a, b, mask)?;
@@ -29,7 +29,7 @@ fn decibels(mse: f64) -> f64 {
     -10.0 * mse.log10()
 }
 
-/// Mean squared difference after multiplying the channels of `a`; without gains, as it is.
+/// Returns the mean squared difference after scaling the channels of `a`. Missing gains are 1.
 fn gained(
     a: &Image,
     b: &Image,
@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tenth_off_is_twenty_decibels() {
+    fn difference_of_a_tenth_is_twenty_decibels() {
         let a = image(3, &[0.5, 0.5, 0.5, 0.25, 0.25, 0.25]);
         let b = image(3, &[0.6, 0.4, 0.6, 0.15, 0.35, 0.15]);
         assert!((psnr(&a, &b, None).unwrap() - 20.0).abs() < 1e-5);
@@ -66,9 +66,9 @@ mod tests {
         assert_eq!(psnr(&a, &a, None).unwrap(), f64::INFINITY);
     }
 
-    /// The mean over channels comes before the logarithm.
+    /// The mean over channels is taken before the logarithm.
     #[test]
-    fn the_error_is_joint() {
+    fn error_is_joint_over_channels() {
         let a = image(3, &[0.1, 0.01, 0.0]);
         let b = image(3, &[0.0, 0.0, 0.0]);
         let expected = -10.0 * ((0.01_f64 + 0.0001) / 3.0).log10();
@@ -86,17 +86,17 @@ mod tests {
     }
 
     #[test]
-    fn a_gain_for_each_channel_is_found() {
+    fn gain_is_fitted_per_channel() {
         let a = image(3, &[0.2, 0.4, 0.0, 0.1, 0.3, 0.0]);
         let b = image(3, &[0.4, 0.2, 0.1, 0.2, 0.15, 0.1]);
-        // Only the empty channel, off by 0.1, remains.
+        // Only the error of the empty channel, 0.1, remains.
         let expected = -10.0 * (0.01_f64 / 3.0).log10();
         assert!((psnr_scaled(&a, &b, None).unwrap() - expected).abs() < 1e-4);
         assert!(psnr(&a, &b, None).unwrap() < expected - 3.0);
     }
 
     #[test]
-    fn the_gain_is_the_best_one() {
+    fn fitted_gain_is_optimal() {
         let a = image(1, &[0.2, 0.5, 0.9, 0.4]);
         let b = image(1, &[0.3, 0.4, 0.7, 0.5]);
         let best = psnr_scaled(&a, &b, None).unwrap();

@@ -1,4 +1,4 @@
-//! Structural similarity, in the form that all Gaussian-splatting papers report.
+//! Structural similarity, as reported in papers on Gaussian splatting.
 
 use sgs_scene::Image;
 
@@ -10,8 +10,9 @@ const SIGMA: f64 = 1.5;
 const C1: f64 = 1e-4;
 const C2: f64 = 9e-4;
 
-/// Structural similarity of images in `[0, 1]`: Gaussian window of 11×11 pixels with σ 1.5, zeros outside of the image,
-/// the mean over all channels and over the pixels that count. Pixels that do not count agree as far as windows see them.
+/// Returns the mean structural similarity of images in `[0, 1]`. The window is a Gaussian of 11×11 pixels with σ 1.5,
+/// with zeros outside the image. The mean covers all channels of the pixels that count. Masked pixels of `a` are
+/// replaced by those of `b`, so that they do not affect their neighbors.
 pub fn ssim(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
     check("ssim", a, b, mask)?;
     let (width, height) = (a.width as usize, a.height as usize);
@@ -45,7 +46,7 @@ pub fn ssim(a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricErr
     Ok(sum / (counted * channels) as f64)
 }
 
-/// The window along one axis; the two-dimensional one is its product with itself.
+/// Returns the window along one axis. The two-dimensional window is its product with itself.
 fn window() -> [f64; 2 * RADIUS + 1] {
     let mut weights = [0.0; 2 * RADIUS + 1];
     for (i, weight) in weights.iter_mut().enumerate() {
@@ -56,7 +57,7 @@ fn window() -> [f64; 2 * RADIUS + 1] {
     weights.map(|weight| weight / total)
 }
 
-/// Convolution along both axes, with zeros outside.
+/// Convolves along both axes, with zeros outside.
 fn blur(values: &[f64], width: usize, height: usize, window: &[f64]) -> Vec<f64> {
     let mut along = vec![0.0; values.len()];
     for (row, out) in values.chunks_exact(width).zip(along.chunks_exact_mut(width)) {
@@ -92,7 +93,7 @@ mod tests {
         image
     }
 
-    /// The definition, pixel by pixel and window by window.
+    /// Reference: the definition, pixel by pixel and window by window.
     fn definition(a: &Image, b: &Image) -> f64 {
         let mut kernel = [[0.0; 11]; 11];
         let mut total = 0.0;
@@ -130,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn agrees_with_the_definition() {
+    fn matches_the_definition() {
         for (w, h, c) in [(17, 13, 3), (4, 3, 1), (1, 1, 3), (12, 1, 2)] {
             let (a, b) = (pattern(w, h, c, 1), pattern(w, h, c, 2));
             let (fast, slow) = (ssim(&a, &b, None).unwrap(), definition(&a, &b));
@@ -146,9 +147,9 @@ mod tests {
         assert!(ssim(&a, &Image::new(20, 19, 3), None).is_err());
     }
 
-    /// Zeros outside of the image let the same difference weigh less at the border than in the middle.
+    /// Zeros outside the image reduce the weight of a difference at the border.
     #[test]
-    fn the_border_is_padded_with_zeros() {
+    fn border_is_padded_with_zeros() {
         let flat = |v: f32| Image { data: vec![v; 400], ..Image::new(20, 20, 1) };
         let value = ssim(&flat(0.2), &flat(0.8), None).unwrap();
         let center = (2.0 * 0.16 + 1e-4) / (0.04 + 0.64 + 1e-4);
@@ -156,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_count_is_not_seen() {
+    fn masked_pixels_do_not_affect_the_result() {
         let (mut a, b) = (pattern(20, 16, 3, 1), pattern(20, 16, 3, 2));
         let counts = |p: usize| p % 20 < 12;
         let mask = Image::from_data(20, 16, 1, (0..320).map(|p| f32::from(u8::from(counts(p)))).collect()).unwrap();

@@ -1,7 +1,7 @@
-//! Priors on disk from a provider's answers: the photographs of a scene in, `priors/` out.
+//! Generation of the priors of a scene: photographs in, `priors/` out.
 //!
-//! Photographs are sent as they are stored, with their distortion, since that is how priors are stored too. Files are
-//! written whole or not at all; what exists is kept, so an interrupted run is gone on with by running it again.
+//! Photographs are sent as stored, with their distortion, because priors are stored the same way. Each file is written
+//! completely or not at all. Existing files stay, so a second run continues an interrupted one.
 
 mod regions;
 mod view;
@@ -10,21 +10,21 @@ mod write;
 use crate::error::ProviderError;
 use crate::offer::Encoding;
 use crate::provider::Provider;
-use crate::question::Picture;
+use crate::question::ProviderImage;
 use sgs_scene::{Image, NormalFrame, Scene, SceneError, linear_to_srgb};
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// The most images that class names are asked from.
+/// Largest number of images in a question for class names.
 const SEEN: usize = 8;
 
-/// The kinds of priors, by the names of their folders.
+/// Kind of prior, named by its folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Prior {
     /// Unit normals.
     Normal,
-    /// Feature maps, and the classes' names and embeddings.
+    /// Feature maps, and the names and embeddings of classes.
     Semantic,
     /// Region numbers.
     Masks,
@@ -41,7 +41,7 @@ impl Prior {
     pub const ALL: [Prior; 6] =
         [Prior::Normal, Prior::Semantic, Prior::Masks, Prior::Albedo, Prior::Roughness, Prior::Metallic];
 
-    /// The name of its folder.
+    /// Returns the name of the folder.
     pub fn name(self) -> &'static str {
         match self {
             Prior::Normal => "normal",
@@ -53,7 +53,7 @@ impl Prior {
         }
     }
 
-    /// The questions of which at least one must be offered.
+    /// Returns the questions of which a provider must offer at least one.
     fn questions(self) -> &'static [&'static str] {
         match self {
             Prior::Normal => &["normals"],
@@ -63,7 +63,7 @@ impl Prior {
         }
     }
 
-    /// Whether a provider can make it.
+    /// Returns true if a provider offers this prior.
     pub fn is_offered(self, provider: &Provider) -> bool {
         match self {
             Prior::Albedo | Prior::Roughness | Prior::Metallic => {
@@ -92,68 +92,71 @@ impl FromStr for Prior {
     }
 }
 
-/// What to make.
+/// Options of prior generation.
 #[derive(Clone, Debug, Default)]
 pub struct FillOptions {
-    /// These kinds; empty for all that the provider offers.
+    /// Requested kinds. Empty selects all kinds that the provider offers.
     pub only: Vec<Prior>,
-    /// For these views, by their index in the scene.
+    /// Requested views, by their index in the scene.
     pub views: Vec<usize>,
-    /// Whether files that exist are made anew.
+    /// Overwrites existing files.
     pub force: bool,
-    /// Names of classes; empty to keep those there are, or ask the provider.
+    /// Names of classes. Empty uses existing names, or asks the provider.
     pub labels: Vec<String>,
 }
 
-/// What was done.
+/// Result of prior generation.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Filled {
-    /// Files written.
+    /// Written files.
     pub written: Vec<PathBuf>,
-    /// Files that were there and were kept.
+    /// Number of existing files that were not overwritten.
     pub kept: usize,
-    /// Whether all was done, and nobody interrupted.
+    /// True if all views are done and the run was not interrupted.
     pub complete: bool,
-    /// What the user should know, one sentence each.
+    /// Warnings for the user, one sentence each.
     pub warnings: Vec<String>,
 }
 
-/// Why priors could not be made.
+/// Failure of prior generation.
 #[derive(Debug, thiserror::Error)]
 pub enum FillError {
-    /// The provider failed.
+    /// Failure of the provider.
     #[error(transparent)]
     Provider(#[from] ProviderError),
-    /// A photograph cannot be read, or a file not be written.
+    /// Photograph that cannot be read, or file that cannot be written.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// A folder cannot be made or a file not be moved.
+    /// File operation that failed under `priors/`.
     #[error("cannot write {}: {cause}", path.display())]
     Write {
-        /// The file or folder.
+        /// File or folder.
         path: PathBuf,
-        /// The system's answer.
+        /// Reason reported by the system.
         cause: std::io::Error,
     },
-    /// The provider does not do what was asked for.
+    /// Requested prior that the provider does not offer.
     #[error("the provider \"{name}\" cannot make the prior \"{prior}\"; it offers {offers}")]
     NotOffered {
-        /// The provider's name.
+        /// Name of the provider.
         name: String,
-        /// What was asked for.
+        /// Requested prior.
         prior: Prior,
-        /// What it offers.
+        /// Offered questions.
         offers: String,
     },
-    /// What is there and what came do not fit together.
+    /// Conflict between existing files, the provider and the requested priors.
     #[error("{0}")]
     Unfit(String),
 }
 
-/// Makes priors of a scene. `progress` hears how many views are done; `go_on` is asked before each.
+/// Generates priors of a scene.
+///
+/// `progress` receives the number of finished and of all views. `go_on` is called before each view; `false` interrupts
+/// the run.
 ///
 /// # Errors
-/// The first failure; files written until then stay.
+/// The first failure. Files written before it stay.
 pub fn fill(
     scene: &Scene,
     provider: &mut Provider,
@@ -193,7 +196,7 @@ pub fn fill(
     Ok(filled)
 }
 
-/// Names and embeddings of the classes.
+/// Writes the names and embeddings of classes.
 fn classes(
     scene: &Scene,
     provider: &mut Provider,
@@ -216,8 +219,8 @@ fn classes(
         let step = options.views.len().div_ceil(SEEN).max(1);
         let images: Vec<Image> =
             options.views.iter().step_by(step).map(|&i| plain(scene, i)).collect::<Result<_, _>>()?;
-        let pictures: Vec<Picture> = images.iter().map(Picture::srgb).collect();
-        provider.classes(&pictures)?
+        let renderings: Vec<ProviderImage> = images.iter().map(ProviderImage::srgb).collect();
+        provider.classes(&renderings)?
     } else {
         writer.warn("nobody names the classes, so priors/semantic has no embeddings yet; give names with --labels");
         return Ok(());
@@ -226,7 +229,7 @@ fn classes(
     writer.classes(&names, channels, &embeddings)
 }
 
-/// A photograph as anybody would look at it: sRGB-encoded.
+/// Returns a photograph in sRGB encoding.
 fn plain(scene: &Scene, index: usize) -> Result<Image, SceneError> {
     let mut stored = scene.view(index)?.load_stored(&scene.load_options())?;
     if stored.linear {

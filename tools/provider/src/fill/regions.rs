@@ -1,23 +1,25 @@
-//! Region numbers of single images made different between images.
+//! Renumbering of regions of single images, unique across images.
 //!
-//! On disk the same number is the same region in every view. A network that looks at one image cannot know that, so its
-//! regions get numbers that no other view has: nothing false is said then.
+//! On disk, equal numbers mean the same region in every view. A network that processes one image at a time cannot match
+//! regions across views. Its regions therefore get numbers that no other view has, which avoids false matches.
 
 use std::collections::HashMap;
 
-/// Hands out numbers that are free.
+/// Allocator of unused region numbers.
 #[derive(Debug)]
 pub(super) struct Numbers {
     last: u32,
 }
 
 impl Numbers {
-    /// Above everything that is in use.
+    /// Creates an allocator of numbers above `used`.
     pub(super) fn above(used: u16) -> Numbers {
         Numbers { last: u32::from(used) }
     }
 
-    /// New numbers for an image's regions, in the order in which they appear; `None` if there are none left.
+    /// Assigns new numbers to an image's regions, in order of appearance.
+    ///
+    /// Returns `None` if no numbers are left.
     pub(super) fn renumber(&mut self, ids: &mut [u16]) -> Option<()> {
         let mut new: HashMap<u16, u16> = HashMap::new();
         for id in ids.iter_mut().filter(|id| **id != 0) {
@@ -41,7 +43,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_never_meet() {
+    fn region_numbers_are_unique_across_images() {
         let mut numbers = Numbers::above(10);
         let mut a = [0, 7, 7, 900, 0, 7];
         let mut b = [7, 0, 1];

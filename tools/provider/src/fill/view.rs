@@ -1,11 +1,11 @@
-//! The questions about one view.
+//! Questions about one view.
 
 use super::write::Writer;
-use super::{Encoding, FillError, NormalFrame, Picture, Prior, Provider, Scene};
+use super::{Encoding, FillError, NormalFrame, Prior, Provider, ProviderImage, Scene};
 use glam::{DMat3, DVec3};
 use sgs_scene::{Image, View};
 
-/// Asks for what one view lacks.
+/// Asks for the missing priors of one view.
 pub(super) fn fill(
     scene: &Scene,
     index: usize,
@@ -17,7 +17,7 @@ pub(super) fn fill(
     let name = view.camera.name.as_str();
     let mut lacks = Vec::new();
     for &kind in kinds {
-        // A provider of embeddings alone makes no maps.
+        // A provider of text embeddings alone makes no feature maps.
         let makes = kind != Prior::Semantic || provider.offers("semantics");
         if makes && writer.lacks(kind, name) {
             lacks.push(kind);
@@ -27,25 +27,25 @@ pub(super) fn fill(
         return Ok(());
     }
     let stored = view.load_stored(&scene.load_options())?;
-    let picture = Picture {
+    let rendered = ProviderImage {
         image: &stored.image,
         encoding: if stored.linear { Encoding::Linear } else { Encoding::Srgb },
         view: Some(name),
-        // The camera of a distorted photograph is no pinhole.
+        // The camera of a distorted photograph is not a pinhole camera.
         camera: view.distortion.is_none().then_some(&view.stored_camera),
     };
     if lacks.contains(&Prior::Normal) {
-        let found = provider.normals(&picture)?;
+        let found = provider.normals(&rendered)?;
         let frame = writer.frame(found.frame)?;
         writer.normal(name, &turned(found.image, found.frame, frame, view))?;
     }
     if lacks.contains(&Prior::Semantic) {
-        let found = provider.semantics(&picture)?;
+        let found = provider.semantics(&rendered)?;
         writer.features(name, &found)?;
     }
     if lacks.contains(&Prior::Masks) {
         let same = provider.about().offers.get("regions").is_some_and(|o| o.same_ids);
-        let found = provider.regions(&picture)?;
+        let found = provider.regions(&rendered)?;
         writer.regions(name, found, same)?;
     }
     let maps: Vec<&str> = lacks
@@ -54,13 +54,13 @@ pub(super) fn fill(
         .map(|k| k.name())
         .collect();
     if !maps.is_empty() {
-        let found = provider.materials(&picture, &maps)?;
+        let found = provider.materials(&rendered, &maps)?;
         writer.materials(name, &found)?;
     }
     Ok(())
 }
 
-/// Normals of one frame in another.
+/// Rotates normals from one frame to another.
 fn turned(mut image: Image, from: NormalFrame, to: NormalFrame, view: &View) -> Image {
     if from != to {
         let rotation = view.camera.rotation;

@@ -1,4 +1,4 @@
-//! The files of `priors/`.
+//! Files of `priors/`.
 
 use super::regions::Numbers;
 use super::{FillError, FillOptions, Filled, NormalFrame, Prior, Scene};
@@ -8,24 +8,24 @@ use sgs_scene::{Image, atomic_write, read_ids, write_exr, write_ids, write_npy_f
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-/// The extensions that a prior of each kind may have, as the scene crate looks for them.
+/// File extensions of priors, as recognized by the scene crate.
 const EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
 
-/// Writes the priors of a scene.
+/// Writer of a scene's priors.
 pub(super) struct Writer<'a> {
     root: PathBuf,
     force: bool,
     settings: Map<String, Value>,
     frame: Option<NormalFrame>,
     numbers: Option<Numbers>,
-    /// Views whose masks are made anew, so that their old numbers are free.
-    anew: Vec<String>,
+    /// Views whose masks are overwritten, so that their old numbers become free.
+    renewed: Vec<String>,
     channels: Option<usize>,
     filled: &'a mut Filled,
 }
 
 impl<'a> Writer<'a> {
-    /// Looks at what there is.
+    /// Inspects the existing files.
     pub(super) fn open(scene: &Scene, options: &FillOptions, filled: &'a mut Filled) -> Result<Writer<'a>, FillError> {
         let root = scene.root.join("priors");
         let path = root.join("priors.json");
@@ -36,19 +36,19 @@ impl<'a> Writer<'a> {
             Err(cause) => return Err(FillError::Write { path, cause }),
         };
         let frame = settings.get("normal").and_then(|n| serde_json::from_value(n["frame"].clone()).ok());
-        let anew = match options.force {
+        let renewed = match options.force {
             true => options.views.iter().filter_map(|&i| Some(scene.views.get(i)?.camera.name.clone())).collect(),
             false => Vec::new(),
         };
-        Ok(Writer { root, force: options.force, settings, frame, numbers: None, anew, channels: None, filled })
+        Ok(Writer { root, force: options.force, settings, frame, numbers: None, renewed, channels: None, filled })
     }
 
-    /// Something the user should know.
+    /// Adds a warning for the user.
     pub(super) fn warn(&mut self, sentence: &str) {
         self.filled.warnings.push(sentence.to_owned());
     }
 
-    /// Whether a file is to be made; one that is kept is counted.
+    /// Returns true if a file must be made. Counts a file that stays.
     pub(super) fn lacks(&mut self, prior: Prior, view: &str) -> bool {
         let folder = self.root.join(prior.name());
         let there = EXTENSIONS.iter().any(|e| folder.join(format!("{view}.{e}")).is_file());
@@ -56,8 +56,10 @@ impl<'a> Writer<'a> {
         !there || self.force
     }
 
-    /// The frame of the normals on disk: that of the files there are, else the provider's. It is written down before the
-    /// first file, so that no normals are ever without one.
+    /// Returns the frame of the normals on disk.
+    ///
+    /// Existing files decide; otherwise it is the provider's frame. The frame is written before the first file, so
+    /// normals never lack it.
     pub(super) fn frame(&mut self, offered: NormalFrame) -> Result<NormalFrame, FillError> {
         let frame = match self.frame {
             Some(frame) => frame,
@@ -74,7 +76,7 @@ impl<'a> Writer<'a> {
         Ok(frame)
     }
 
-    /// Writes normals as they are, zero where there are none.
+    /// Writes normals unchanged. Zero marks unknown pixels.
     pub(super) fn normal(&mut self, view: &str, image: &Image) -> Result<(), FillError> {
         self.place(Prior::Normal, view, "exr", |path| Ok(write_exr(path, image, &["R", "G", "B"])?))
     }
@@ -91,7 +93,7 @@ impl<'a> Writer<'a> {
         self.place(Prior::Semantic, view, "npy", |path| Ok(write_npy_f16(path, &features.shape, &features.data)?))
     }
 
-    /// Writes regions.
+    /// Writes regions. Renumbers them unless `same` is set.
     pub(super) fn regions(&mut self, view: &str, mut found: Regions, same: bool) -> Result<(), FillError> {
         if !same {
             if self.numbers.is_none() {
@@ -107,7 +109,9 @@ impl<'a> Writer<'a> {
         self.place(Prior::Masks, view, "png", |path| Ok(write_ids(path, found.size[0], found.size[1], &found.ids)?))
     }
 
-    /// Writes materials: linear albedo as EXR, all else as PNG. Transparent pixels say that nothing is known.
+    /// Writes materials: linear albedo as EXR, other maps as PNG.
+    ///
+    /// Transparent pixels of a PNG are unknown.
     pub(super) fn materials(&mut self, view: &str, found: &Materials) -> Result<(), FillError> {
         if let Some(image) = &found.albedo {
             if found.albedo_is_linear {
@@ -124,7 +128,7 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    /// Whether names and embeddings of classes are to be made.
+    /// Returns true if names and embeddings of classes must be made.
     pub(super) fn wants_classes(&mut self, options: &FillOptions) -> bool {
         let there = self.semantic("text_embeddings.npy").is_file() && self.semantic("labels.json").is_file();
         let wanted = !there || self.force || !options.labels.is_empty();
@@ -132,7 +136,7 @@ impl<'a> Writer<'a> {
         wanted
     }
 
-    /// The names of the classes that are there.
+    /// Returns the names of the existing classes.
     pub(super) fn labels(&self) -> Result<Option<Vec<String>>, FillError> {
         let path = self.semantic("labels.json");
         let Ok(text) = std::fs::read_to_string(&path) else { return Ok(None) };
@@ -145,7 +149,7 @@ impl<'a> Writer<'a> {
     /// Writes names and embeddings of classes.
     pub(super) fn classes(&mut self, names: &[String], channels: usize, embeddings: &[f32]) -> Result<(), FillError> {
         make(&self.root.join("semantic"))?;
-        // The names go first: embeddings without names cannot be read, names without embeddings do no harm.
+        // Names are written first: embeddings without names are unreadable, names without embeddings are harmless.
         let embedded = self.semantic("text_embeddings.npy");
         if embedded.is_file() {
             std::fs::remove_file(&embedded).map_err(|cause| FillError::Write { path: embedded.clone(), cause })?;
@@ -163,7 +167,7 @@ impl<'a> Writer<'a> {
         self.root.join("semantic").join(name)
     }
 
-    /// How many numbers the embeddings on disk have.
+    /// Returns the number of channels of the embeddings on disk.
     fn embedding_channels(&mut self) -> Option<usize> {
         if self.channels.is_none() {
             let found = sgs_scene::NpyArray::read(&self.semantic("text_embeddings.npy")).ok();
@@ -172,20 +176,20 @@ impl<'a> Writer<'a> {
         self.channels
     }
 
-    /// The highest region number that stays in use.
+    /// Returns the highest region number that stays in use.
     fn highest(&self) -> Result<u16, FillError> {
         let mut highest = 0;
         for entry in std::fs::read_dir(self.root.join("masks")).into_iter().flatten().flatten() {
             let path = entry.path();
             let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
-            if path.extension().is_some_and(|e| e == "png") && !self.anew.contains(&stem) {
+            if path.extension().is_some_and(|e| e == "png") && !self.renewed.contains(&stem) {
                 highest = highest.max(read_ids(&path)?.2.into_iter().max().unwrap_or(0));
             }
         }
         Ok(highest)
     }
 
-    /// Writes one file, and takes away those of other extensions that would be found in its place.
+    /// Writes one file and removes files of the same prior with other extensions.
     fn place(
         &mut self,
         prior: Prior,
@@ -212,7 +216,7 @@ fn make(folder: &Path) -> Result<(), FillError> {
     std::fs::create_dir_all(folder).map_err(|cause| FillError::Write { path: folder.to_owned(), cause })
 }
 
-/// The image with an alpha channel where some of its pixels are not numbers.
+/// Adds an alpha channel if some pixels are not finite.
 fn with_alpha(image: &Image) -> Image {
     if image.data.iter().all(|v| v.is_finite()) {
         return image.clone();

@@ -1,8 +1,8 @@
-//! A pinhole camera in a known place.
+//! Pinhole camera with a known pose.
 //!
-//! Axes are OpenCV's: x right, y down, z forward. The pose is stored world-to-camera. The center of pixel `(i, j)` lies
-//! at `(i + 0.5, j + 0.5)`, the origin is the image's upper left corner, and the principal point is wherever the
-//! calibration says. Lens distortion is no part of a camera: images are freed from it on load ([`Distortion`]).
+//! Axes follow OpenCV: x right, y down, z forward. The pose is stored world-to-camera. The image origin is the upper
+//! left corner, and the center of pixel `(i, j)` is at `(i + 0.5, j + 0.5)`. The principal point may be anywhere.
+//! Cameras have no lens distortion: images are undistorted on load ([`Distortion`]).
 
 mod distortion;
 
@@ -10,20 +10,20 @@ use glam::{DMat3, DMat4, DVec2, DVec3};
 
 pub use distortion::Distortion;
 
-/// The largest image side that is believed; anything above is a damaged file, not a photograph.
+/// Largest accepted image side in pixels; larger values indicate a damaged file.
 pub const MAX_IMAGE_SIDE: u32 = 65_536;
 
-/// The farthest that a camera may stand from the origin, and the most pixels that a focal length and a principal point may have; squares
-/// of such numbers still fit a 32-bit float.
+/// Largest accepted absolute value of a camera's numbers. Bounds the distance of a camera from the origin in scene
+/// units, and focal lengths and principal points in pixels. Squares of such numbers still fit a 32-bit float.
 pub const MAX_CAMERA_NUMBER: f64 = 1e15;
 
-/// [`Camera::near`] of a scene that is computed in its own unit.
+/// Default [`Camera::near`] in scene units.
 pub const NEAR: f64 = 0.01;
 
-/// A pinhole camera with its pose.
+/// Pinhole camera with its pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Camera {
-    /// The stem of the image's file name; priors, ground truth and splits find the view by it.
+    /// Stem of the image's file name; identifies the view in priors, ground truth and splits.
     pub name: String,
     /// Image width in pixels.
     pub width: u32,
@@ -41,48 +41,50 @@ pub struct Camera {
     pub rotation: DMat3,
     /// World-to-camera translation.
     pub translation: DVec3,
-    /// Depth below which nothing is drawn, in the scene's units.
+    /// Near plane: the depth in scene units below which nothing is rendered.
     pub near: f64,
 }
 
 impl Camera {
-    /// The camera center in the world.
+    /// Returns the camera center in world space.
     pub fn position(&self) -> DVec3 {
         -(self.rotation.transpose() * self.translation)
     }
 
-    /// The viewing direction in the world, a unit vector.
+    /// Returns the viewing direction in world space as a unit vector.
     pub fn forward(&self) -> DVec3 {
         self.rotation.transpose() * DVec3::Z
     }
 
-    /// The pose as one matrix.
+    /// Returns the world-to-camera pose as one matrix.
     pub fn world_to_camera(&self) -> DMat4 {
         let mut matrix = DMat4::from_mat3(self.rotation);
         matrix.w_axis = self.translation.extend(1.0);
         matrix
     }
 
-    /// The same camera for its image resized to `width`×`height`: the field of view stays, each axis scales by itself.
+    /// Returns the camera for the image resized to `width`×`height`. The field of view is unchanged; each axis scales
+    /// separately.
     pub fn scaled(&self, width: u32, height: u32) -> Self {
         let sx = f64::from(width) / f64::from(self.width.max(1));
         let sy = f64::from(height) / f64::from(self.height.max(1));
         Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy, ..self.clone() }
     }
 
-    /// Where a point of the world falls on the image, in pixels; `None` when it is not in front of the camera.
+    /// Projects a world point to pixel coordinates. Returns `None` if the point is not in front of the camera.
     pub fn project(&self, point: DVec3) -> Option<DVec2> {
         let p = self.rotation * point + self.translation;
         (p.z > 0.0).then(|| DVec2::new(self.fx * p.x / p.z + self.cx, self.fy * p.y / p.z + self.cy))
     }
 
-    /// The point of the world seen at `pixel` (continuous coordinates) at camera depth `depth`.
+    /// Returns the world point at `pixel` and camera depth `depth`. `pixel` is in continuous coordinates.
     pub fn unproject(&self, pixel: DVec2, depth: f64) -> DVec3 {
         let ray = DVec3::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy, 1.0);
         self.rotation.transpose() * (ray * depth - self.translation)
     }
 
-    /// What makes the camera impossible, as the end of a sentence about it, or `None` when nothing does.
+    /// Describes why the camera is invalid, or returns `None` if it is valid. The text is the end of a sentence about
+    /// the camera.
     pub fn problem(&self) -> Option<String> {
         let Self { width, height, fx, fy, cx, cy, .. } = *self;
         if width == 0 || height == 0 {
@@ -137,7 +139,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_camera_center_maps_to_the_origin() {
+    fn camera_center_maps_to_the_origin() {
         let camera = camera();
         let center = camera.rotation * camera.position() + camera.translation;
         assert!(center.length() < 1e-12);
@@ -171,7 +173,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn impossible_cameras_are_described() {
+    fn invalid_cameras_are_described() {
         let describe = |change: fn(&mut Camera)| {
             let mut camera = camera();
             change(&mut camera);

@@ -1,14 +1,14 @@
-//! The bytes of a glTF file: its container, its buffers, and numbers in them. Nothing is reserved that the bytes at hand do
-//! not fill.
+//! Bytes of a glTF file: its container, its buffers and accessors. Allocations are bounded by the bytes that are
+//! present.
 
 use super::document::{Accessor, Buffer, Document};
 use crate::error::io_error;
 use std::path::Path;
 
-/// What is wrong, in words.
+/// Result whose error is a description of the problem.
 type Found<T> = std::result::Result<T, String>;
 
-/// The JSON and the binary chunk of a file.
+/// Splits a file into its JSON and its binary chunk.
 pub(super) fn chunks(bytes: &[u8]) -> Found<(&[u8], Option<&[u8]>)> {
     if !bytes.starts_with(b"glTF") {
         return Ok((bytes, None));
@@ -35,7 +35,7 @@ pub(super) fn chunks(bytes: &[u8]) -> Found<(&[u8], Option<&[u8]>)> {
     Ok((json, binary))
 }
 
-/// The bytes of every buffer that `wanted` names; the others stay empty.
+/// Loads the bytes of every buffer of the document.
 pub(super) fn buffers(path: &Path, document: &Document, binary: Option<&[u8]>) -> Found<Vec<Vec<u8>>> {
     let one = |(i, buffer): (usize, &Buffer)| {
         let bytes = match &buffer.uri {
@@ -83,12 +83,12 @@ fn base64(text: &str) -> Option<Vec<u8>> {
     Some(out)
 }
 
-/// How many components a type has.
+/// Returns the number of components of an accessor type.
 fn width(kind: &str) -> Option<usize> {
     ["SCALAR", "VEC2", "VEC3", "VEC4"].iter().position(|k| *k == kind).map(|at| at + 1)
 }
 
-/// All numbers of an accessor, element by element.
+/// Returns all numbers of an accessor, element by element.
 pub(super) fn numbers(document: &Document, buffers: &[Vec<u8>], accessor: &Accessor, wide: usize) -> Found<Vec<f32>> {
     if width(&accessor.kind) != Some(wide) {
         return Err(format!("it is {}, but must have {wide} components", accessor.kind));
@@ -112,7 +112,7 @@ pub(super) fn numbers(document: &Document, buffers: &[Vec<u8>], accessor: &Acces
     let last = accessor.count.checked_sub(1).ok_or("it is empty")?;
     let need =
         last.checked_mul(stride).and_then(|n| n.checked_add(element)).and_then(|n| n.checked_add(accessor.byte_offset));
-    // A stride of less than an element would let few bytes stand for many.
+    // A stride smaller than an element would let few bytes describe many elements.
     if stride < element || need.is_none_or(|need| need > bytes.len()) {
         return Err(format!("its {} elements leave the buffer view of {} bytes", accessor.count, bytes.len()));
     }
@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn base64_is_that_of_everybody() {
+    fn base64_matches_the_standard() {
         assert_eq!(base64("TWFu").unwrap(), b"Man");
         assert_eq!(base64("TWE=").unwrap(), b"Ma");
         assert_eq!(base64("TQ==").unwrap(), b"M");
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn containers_are_whole_or_refused() {
+    fn containers_are_complete_or_rejected() {
         assert_eq!(chunks(b"{}").unwrap(), (&b"{}"[..], None));
         let glb = b"glTF\x02\0\0\0\x20\0\0\0\x04\0\0\0JSON{}  \0\0\0\0BIN\0";
         assert_eq!(chunks(glb).unwrap(), (&b"{}  "[..], Some(&[][..])));

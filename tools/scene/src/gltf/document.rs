@@ -1,4 +1,4 @@
-//! The part of glTF's JSON that is read.
+//! Subset of glTF's JSON that is read.
 
 use serde::Deserialize;
 use serde_json::Value;
@@ -101,7 +101,7 @@ pub(super) struct Node {
     pub(super) extensions: BTreeMap<String, Value>,
 }
 
-/// The extension of splats in a primitive.
+/// The splat extension of a primitive.
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 pub(super) struct Splatting {
@@ -113,7 +113,7 @@ pub(super) struct Splatting {
     pub(super) extensions: BTreeMap<String, Value>,
 }
 
-/// The extension of lights of a document.
+/// The light extension of a document.
 #[derive(Deserialize)]
 pub(super) struct Lights {
     #[serde(default)]
@@ -140,7 +140,7 @@ fn one() -> f32 {
     1.0
 }
 
-/// The extension of lights of a node.
+/// The light extension of a node.
 #[derive(Deserialize)]
 pub(super) struct NodeLight {
     pub(super) light: usize,

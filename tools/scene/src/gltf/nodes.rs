@@ -1,17 +1,17 @@
-//! Where the nodes of a glTF file put what they carry.
+//! Transforms of the nodes of a glTF file.
 
 use super::Placement;
 use super::document::{Document, Node};
 use glam::{DMat4, DQuat, DVec3};
 
-/// What is wrong, in words.
+/// Result whose error is a description of the problem.
 type Found<T> = std::result::Result<T, String>;
 
-/// Every node of the scene, once, with its matrix.
+/// Returns every node of the scene once, with its world matrix.
 pub(super) fn all(document: &Document) -> Found<Vec<(usize, DMat4)>> {
     let mut open: Vec<(usize, DMat4)> = match document.scenes.get(document.scene.unwrap_or(0)) {
         Some(scene) => scene.nodes.iter().map(|n| (*n, DMat4::IDENTITY)).collect(),
-        // A library without scenes: what is nobody's child.
+        // A document without scenes: start from all nodes that have no parent.
         None => {
             let mut child = vec![false; document.nodes.len()];
             let children = document.nodes.iter().flat_map(|n| &n.children);
@@ -45,7 +45,7 @@ fn local(node: &Node) -> DMat4 {
     }
 }
 
-/// A matrix as scale, rotation and translation.
+/// Decomposes a matrix into uniform scale, rotation and translation.
 pub(super) fn placement(matrix: &DMat4) -> Found<Placement> {
     if *matrix == DMat4::IDENTITY {
         return Ok(Placement::NONE);
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn matrices_are_taken_apart_or_refused() {
+    fn matrices_are_decomposed_or_rejected() {
         assert_eq!(placement(&DMat4::IDENTITY).unwrap(), Placement::NONE);
         let q = DQuat::from_xyzw(0.5, -0.5, 0.5, 0.5);
         let m = DMat4::from_scale_rotation_translation(DVec3::splat(3.0), q, DVec3::new(1.0, 2.0, 3.0));

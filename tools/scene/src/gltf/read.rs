@@ -1,4 +1,4 @@
-//! Splats and lights from a glTF file of this or another program.
+//! Reader of splats and lights from glTF files of this or another program.
 
 use super::document::{Document, Light, Lights, NodeLight, Primitive, Splatting};
 use super::{
@@ -11,17 +11,19 @@ use glam::DMat4;
 use serde_json::Value;
 use std::path::Path;
 
-/// What is wrong, in words.
+/// Result whose error is a description of the problem.
 type Found<T> = std::result::Result<T, String>;
 
-/// Fewer bytes no splat takes, however it is quantized.
+/// Smallest number of bytes per splat under any quantization.
 const LEAST_BYTES: usize = 20;
 
 impl GltfScene {
-    /// Reads `.gltf` or `.glb`: all primitives with `KHR_gaussian_splatting` and all point lights of the scene.
+    /// Reads a `.gltf` or `.glb` file. Reads all primitives with `KHR_gaussian_splatting` and all point lights of the
+    /// scene.
     ///
     /// # Errors
-    /// If the file is damaged, needs an extension that is not read, holds no splats, or puts them where they cannot be.
+    /// Fails if the file is damaged, requires an unsupported extension, holds no splats, or places them with an
+    /// unsupported transform.
     pub fn read(path: &Path) -> Result<GltfScene> {
         let bytes = std::fs::read(path).map_err(io_error("read", path))?;
         read(path, &bytes).map_err(|problem| SceneError::points(path, "", problem))
@@ -72,7 +74,7 @@ fn read(path: &Path, bytes: &[u8]) -> Found<GltfScene> {
     Ok(scene)
 }
 
-/// Refuses splats that are not read; notes what is read as something else.
+/// Rejects unsupported splats and records approximations in `left_out`.
 fn note(extension: &Value, primitive: &Primitive, left_out: &mut Vec<String>) -> Found<()> {
     let splatting = Splatting::deserialize_from(extension)?;
     if primitive.mode != 0 {
@@ -96,7 +98,7 @@ impl Splatting {
     }
 }
 
-/// The attributes of a primitive.
+/// Attributes of a primitive.
 struct Attributes<'a> {
     document: &'a Document,
     buffers: &'a [Vec<u8>],
@@ -109,7 +111,7 @@ impl Attributes<'_> {
         Ok(self.document.accessors.get(*at).ok_or_else(|| format!("there is no accessor {at}"))?.count)
     }
 
-    /// An attribute that may be absent; every splat has one.
+    /// Reads an optional attribute; returns an error unless every splat has a value.
     fn optional(&self, name: &str, wide: usize) -> Found<Option<Vec<f32>>> {
         let Some(at) = self.primitive.attributes.get(name) else { return Ok(None) };
         let accessor = self.document.accessors.get(*at).ok_or_else(|| format!("there is no accessor {at}"))?;
@@ -124,7 +126,8 @@ impl Attributes<'_> {
         self.optional(name, wide)?.ok_or_else(|| format!("it has no {name}, which splats need"))
     }
 
-    /// What all read, but stored numbers where they say the same.
+    /// Prefers stored raw values that match the standard attribute. `value` maps a raw value to the standard one, and
+    /// `back` maps the standard value to a raw one.
     fn stored(
         &self,
         shown: Vec<f32>,
@@ -200,7 +203,7 @@ impl Attributes<'_> {
         })
     }
 
-    /// A band of harmonics, splat by splat.
+    /// Reads a band of spherical harmonics, splat by splat.
     fn band(&self, band: usize) -> Found<Vec<f32>> {
         let wide = 2 * band + 1;
         let coefficients = (0..wide).map(|c| self.need(&sh_name(band, c), 3)).collect::<Found<Vec<_>>>()?;
@@ -246,7 +249,7 @@ fn point(light: &Light, matrix: &DMat4) -> Found<PointLight> {
 }
 
 impl GltfScene {
-    /// The only splats there are, if nothing moves them.
+    /// Returns the splats if the file has one set and its transform is the identity.
     pub fn in_place(&self) -> Option<&Splats> {
         match &self.parts[..] {
             [(splats, place)] if *place == Placement::NONE => Some(splats),

@@ -1,4 +1,4 @@
-//! Splats and lights to a glTF file.
+//! Writer of splats and lights to glTF files.
 
 use super::{LIGHTS, METALLIC_RANGE, PointLight, SPLATTING, logistic, material, sh_name, unit};
 use crate::atomic::atomic_write;
@@ -11,20 +11,21 @@ use std::path::Path;
 
 const FLOAT: u32 = 5126;
 
-/// A function that gives the numbers of a splat, from its index.
+/// Function that appends the numbers of the splat with the given index.
 type Numbers<'a> = Box<dyn Fn(usize, &mut Vec<f32>) + 'a>;
 
-/// An attribute of all splats.
+/// Attribute of all splats.
 struct Attribute<'a> {
     name: String,
     wide: usize,
     numbers: Numbers<'a>,
 }
 
-/// Writes splats and lights as `.glb`, or as `.gltf` with a `.bin` of the same name beside it.
+/// Writes splats and lights as `.glb`, or as `.gltf` with a `.bin` file. The `.bin` file has the same stem and
+/// directory.
 ///
 /// # Errors
-/// If there are no splats, which glTF cannot say, if a `.glb` would exceed its 4 GiB, or if it cannot be written.
+/// Fails if there are no splats, which glTF cannot express, if a `.glb` would exceed 4 GiB, or if writing fails.
 pub fn write_gltf(path: &Path, splats: &Splats, lights: &[PointLight], light_extras: Option<&Value>) -> Result<()> {
     splats.check()?;
     if splats.is_empty() {
@@ -81,7 +82,7 @@ fn attributes<'a>(s: &'a Splats) -> Vec<Attribute<'a>> {
     let mut put = |name: String, wide: usize, numbers: Numbers<'a>| all.push(Attribute { name, wide, numbers });
     let own = |name: &str| format!("{SPLATTING}:{name}");
     put("POSITION".into(), 3, Box::new(|i, out| out.extend(s.means[i])));
-    // For who knows no splats: points in the color of the first band; glTF has linear colors.
+    // Viewers without splat support show points in the color of band 0; glTF colors are linear.
     let color = |v: f32| srgb_to_linear((0.5 + SH_C0 * v).clamp(0.0, 1.0));
     put(
         "COLOR_0".into(),

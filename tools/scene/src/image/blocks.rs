@@ -1,5 +1,7 @@
-//! How long the blocks of an EXR file say that they are. Their decoder takes memory for that before it reads them, up to what the pixels
-//! of a block would be; and tiles may be larger than any picture, which a damaged file makes use of.
+//! Check of the block lengths stated in an EXR file.
+//!
+//! The decoder allocates memory for the stated length before it reads a block, up to the size of the block's pixels.
+//! Tiles may be larger than the image, so a damaged file can request excessive memory.
 
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Result as IoResult, Seek, SeekFrom};
@@ -11,10 +13,11 @@ use ::exr::meta::{BlockDescription, MetaData};
 use super::exr::unreadable;
 use crate::error::{Result, SceneError, io_error};
 
-/// Bytes of a block that are nothing to speak of.
+/// Block size in bytes up to which blocks are not checked.
 const FREE: u64 = 16 << 20;
 
-/// Whether a file's blocks are looked at: their pixels may be more than such a file stands for.
+/// Returns whether a file's blocks need the check. They do if the pixels of a block exceed `held`, the most that the
+/// file can hold.
 pub(super) fn applies(header: &Header, held: u64) -> bool {
     let pixels = match header.blocks {
         BlockDescription::Tiles(tiles) => (tiles.tile_size.0 as u64).saturating_mul(tiles.tile_size.1 as u64),
@@ -25,14 +28,14 @@ pub(super) fn applies(header: &Header, held: u64) -> bool {
     pixels.saturating_mul(header.channels.bytes_per_pixel as u64) > held.max(FREE)
 }
 
-/// Refuses a file in which a block says that it is longer than the file.
+/// Returns an error if a block states a length that exceeds the file.
 pub(super) fn check(path: &Path) -> Result<()> {
     let cannot = |e| io_error("read", path)(e);
     let file = File::open(path).map_err(cannot)?;
     let length = file.metadata().map_err(cannot)?.len();
     let mut reader = BufReader::new(file);
     let meta = MetaData::read_from_buffered(&mut reader, false).map_err(|e| unreadable(path, &e))?;
-    // Where each block begins stands behind the headers.
+    // The table of block offsets follows the headers.
     let blocks = meta.headers.iter().fold(0_u64, |sum, h| sum.saturating_add(h.chunk_count as u64));
     let at = reader.stream_position().map_err(cannot)?;
     let mut table = Vec::new();
@@ -58,7 +61,8 @@ pub(super) fn check(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// How long a block says that it is; none if it is of deep data, of which little is read at a time, or of no layer.
+/// Returns the stated length of a block. Returns `None` for deep data, of which the decoder reads little at a time, and
+/// for blocks of unknown layers.
 fn stated(reader: &mut (impl Read + Seek), offset: u64, meta: &MetaData) -> IoResult<Option<u64>> {
     reader.seek(SeekFrom::Start(offset))?;
     let mut number = || -> IoResult<i32> {
@@ -68,7 +72,7 @@ fn stated(reader: &mut (impl Read + Seek), offset: u64, meta: &MetaData) -> IoRe
     let part = if meta.requirements.is_multilayer() { number()? } else { 0 };
     let header = usize::try_from(part).ok().and_then(|part| meta.headers.get(part)).filter(|h| !h.deep);
     let Some(header) = header else { return Ok(None) };
-    // Two coordinates and two levels of a tile, or a line.
+    // Tiles have two coordinates and two levels; scan-line blocks have one coordinate.
     for _ in 0..if matches!(header.blocks, BlockDescription::Tiles(_)) { 4 } else { 1 } {
         number()?;
     }
@@ -84,7 +88,8 @@ mod tests {
     use ::exr::meta::header::LayerAttributes;
     use ::exr::prelude::{Compression, SmallVec, Vec2, WritableImage};
 
-    /// Eight by six pixels of one channel, in tiles that are larger, or in lines; and where its only block says how long it is.
+    /// Writes an 8×6 image with one channel, in larger tiles or in scan lines. Returns the file position of the length
+    /// of its only block.
     fn write(path: &Path, blocks: Blocks, compression: Compression) -> usize {
         let values = (0..48).map(|i| i as f32).collect();
         let mut channels = SmallVec::new();
@@ -102,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_larger_than_the_picture_are_read_and_longer_than_the_file_refused() {
+    fn oversized_tiles_are_read_and_overlong_blocks_rejected() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tiles.exr");
         let huge = Blocks::Tiles(Vec2(1 << 14, 1 << 14));
@@ -118,10 +123,10 @@ mod tests {
                 let damaged = [&whole[..at], &stated.to_le_bytes()[..], &whole[at + 4..]].concat();
                 std::fs::write(&path, damaged).unwrap();
                 let error = read_exr(&path).unwrap_err().to_string();
-                // Elsewhere the decoder says it, which takes little memory for it.
+                // In the other cases the decoder reports the error and needs little memory to do so.
                 assert!(error.contains(if blocks == huge { said } else { "EXR" }), "{blocks:?} {stated}: {error}");
             }
-            // Cut off within the table of blocks, within a block's beginning, and within the block.
+            // Truncate within the block table, within a block's header, and within the block.
             for end in [at - 20, at - 1, at + 3, length - 1] {
                 std::fs::write(&path, &whole[..end]).unwrap();
                 assert!(read_exr(&path).is_err(), "{blocks:?} cut off at {end} of {length}");

@@ -1,5 +1,7 @@
-//! What the blocks of an EXR file say of themselves that is compressed by DWA. Each begins with the sizes of its parts, and these are
-//! what its decoder takes memory for: a damaged block may ask for more than there is, which ends the process.
+//! Check of the sizes stated in DWA-compressed blocks of an EXR file.
+//!
+//! Each block begins with the sizes of its parts, and the decoder allocates memory for them. A damaged block may
+//! request more than is available, which would end the process.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -12,25 +14,26 @@ use ::exr::meta::header::Header;
 use super::exr::unreadable;
 use crate::error::{Result, SceneError, io_error};
 
-/// Bytes of a size, little-endian.
+/// Bytes of one stated size, little-endian.
 const WIDE: usize = 8;
-/// Which of the eleven sizes count what comes out: bytes left as they are, bytes of runs before and after, and the numbers of
-/// 16-bit coefficients. The others are of what is in the file, which the decoder holds against the block.
+/// Indices of the sizes, of eleven, that count decoder output. They count uncompressed bytes, run-length-encoded bytes
+/// before and after expansion, and the numbers of 16-bit coefficients. The other sizes count bytes in the file, and the
+/// decoder checks them against the block.
 const COUNTS: [usize; 5] = [1, 6, 7, 8, 9];
-/// Coefficients of a block of eight by eight are as many as its pixels.
+/// Side of a coefficient block; an 8×8 block has as many coefficients as pixels.
 const EDGE: usize = 8;
 
-/// Whether a file's blocks are looked at.
+/// Returns whether a file's blocks need the check.
 pub(super) fn applies(header: &Header) -> bool {
     matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_))
 }
 
-/// Goes through the file, and refuses it where a block says that more comes out of it than its pixels can be.
+/// Returns an error if a block states more output than its pixels allow.
 pub(super) fn check(path: &Path) -> Result<()> {
     let file = File::open(path).map_err(io_error("read", path))?;
     let reader = ::exr::block::read(BufReader::new(file), false).map_err(|e| unreadable(path, &e))?;
     let headers: Vec<Header> = reader.headers().to_vec();
-    // From where the decoder takes them, which need not be one behind the other.
+    // Chunks are visited at the offsets that the decoder uses; they need not be contiguous.
     for chunk in reader.filter_chunks(false, |_, _, _| true).map_err(|e| unreadable(path, &e))? {
         let chunk = chunk.map_err(|e| unreadable(path, &e))?;
         let Some(header) = headers.get(chunk.layer_index).filter(|h| applies(h)) else { continue };
@@ -43,7 +46,7 @@ pub(super) fn check(path: &Path) -> Result<()> {
             .get_block_data_indices(&chunk.compressed_block)
             .and_then(|tile| header.get_absolute_block_pixel_coordinates(tile))
             .map_err(|e| unreadable(path, &e))?;
-        // One that would not get smaller is there as it is.
+        // Incompressible blocks are stored uncompressed.
         if held.len() == place.size.area().saturating_mul(header.channels.bytes_per_pixel) {
             continue;
         }
@@ -57,12 +60,14 @@ pub(super) fn check(path: &Path) -> Result<()> {
     Ok(())
 }
 
-/// The most that a block of so many bytes may count: runs that are none make it longer, by a byte in 127.
+/// Returns the largest valid count of a block with `bytes` bytes of pixels. Incompressible data grows by one byte in
+/// 127 under run-length encoding.
 fn most(bytes: usize) -> u64 {
     (bytes as u64).saturating_mul(2).saturating_add(64)
 }
 
-/// The largest count at the beginning of a block; 0 where it is shorter than that, which the decoder says.
+/// Returns the largest count at the beginning of a block. Returns 0 for blocks that are too short; the decoder reports
+/// those.
 fn most_counted(held: &[u8]) -> u64 {
     let sizes = held.as_chunks::<WIDE>().0;
     COUNTS.iter().filter_map(|&i| sizes.get(i)).map(|&size| u64::from_le_bytes(size)).max().unwrap_or(0)
@@ -80,7 +85,8 @@ mod tests {
     const SIZE: (usize, usize) = (70, 50);
     const TILES: Blocks = Blocks::Tiles(Vec2(64, 64));
 
-    /// Smooth colors, which are compressed with loss, coverage in runs, and a channel that is left as it is.
+    /// Writes an image with channels for each compression scheme. Colors are compressed with loss, coverage is
+    /// run-length-encoded, and depth stays uncompressed.
     fn write(path: &Path, compression: Compression, blocks: Blocks) -> Vec<f32> {
         let value = |i: usize, c: usize| {
             let (x, y) = ((i % SIZE.0) as f32, (i / SIZE.0) as f32);
@@ -99,7 +105,7 @@ mod tests {
         (0..SIZE.0 * SIZE.1).flat_map(|i| [0, 1, 2, 3, 5].map(|c| value(i, c))).collect()
     }
 
-    /// Where the blocks that are compressed begin in the file.
+    /// Returns the file offsets of the compressed blocks.
     fn blocks(path: &Path) -> Vec<usize> {
         let bytes = std::fs::read(path).unwrap();
         let reader = ::exr::block::read(BufReader::new(File::open(path).unwrap()), false).unwrap();
@@ -112,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_whole_is_read() {
+    fn intact_dwa_files_are_read() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.exr");
         let kinds = [(Compression::DWAA(None), Blocks::ScanLines), (Compression::DWAB(Some(10.0)), TILES)];
@@ -127,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_that_promise_too_much_are_refused_in_a_sentence() {
+    fn blocks_with_excessive_counts_are_rejected() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.exr");
         for kind in [Blocks::ScanLines, TILES] {

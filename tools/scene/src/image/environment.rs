@@ -1,15 +1,15 @@
-//! Environments in files: maps of latitude and longitude, linear RGB, twice as wide as high.
+//! Environment maps in files.
 //!
-//! The middle of the map looks along -z, up is +y, and a quarter to the right is +x. Reading refuses what an environment
-//! cannot be, and takes values as they are: nothing is scaled or clamped but what is negative, of which there may be
-//! traces in files that were resampled.
+//! Maps are equirectangular (latitude-longitude), in linear RGB, and twice as wide as high. The center of the map is in
+//! direction -z, and up is +y. A quarter of the width to the right of the center is +x. Values are neither scaled nor
+//! clamped, except that negative values become 0, because resampled files may have small negative values.
 
 use std::path::Path;
 
 use super::{Image, read_exr, write_exr};
 use crate::error::{Result, SceneError};
 
-/// Reads a map; three channels, none negative.
+/// Reads an environment map with three non-negative channels.
 pub fn read_environment(path: &Path) -> Result<Image> {
     let file = read_exr(path)?;
     let (image, names) = (file.image, file.names);
@@ -31,7 +31,7 @@ pub fn read_environment(path: &Path) -> Result<Image> {
     Image::from_data(image.width, image.height, 3, data)
 }
 
-/// Writes a map of three channels.
+/// Writes an environment map with three channels.
 pub fn write_environment(path: &Path, image: &Image) -> Result<()> {
     if image.width != 2 * image.height {
         let problem = format!("an environment is twice as wide as high, not {}×{}", image.width, image.height);
@@ -45,7 +45,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn maps_round_trip_and_what_is_no_map_is_refused() {
+    fn maps_round_trip_and_invalid_maps_are_rejected() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("environment.exr");
         let mut image = Image::from_data(8, 4, 3, (0..96).map(|i| i as f32 * 0.25).collect()).unwrap();
@@ -61,7 +61,7 @@ mod tests {
         assert!(refused(&Image::new(8, 4, 3), &["X", "Y", "Z"]).contains("R, G and B"));
         image.data[7] = f32::NAN;
         assert!(refused(&image, &["R", "G", "B"]).contains("not finite"));
-        // A fourth channel is left out, and traces below black are black.
+        // A fourth channel is dropped, and negative values become 0.
         let mut four = Image::new(2, 1, 4);
         four.data[1] = -1e-3;
         four.data[4] = 2.0;

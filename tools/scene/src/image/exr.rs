@@ -1,7 +1,7 @@
 //! EXR files: linear values with any number of named channels.
 //!
-//! Colors come first after reading (`R G B A`), whatever the order in the file; other channels follow by name. Writing
-//! is always 32-bit float and without loss. Only the first layer of a file is read.
+//! After reading, colors come first (`R G B A`), independent of the order in the file. Other channels follow by name.
+//! Files are written as 32-bit float with lossless compression. Only the first layer of a file is read.
 
 use std::fs::File;
 use std::io;
@@ -17,10 +17,10 @@ use super::{Image, blocks, dwa, file};
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError, io_error};
 
-/// An EXR file's first layer.
+/// First layer of an EXR file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ExrImage {
-    /// The values, channels in the order of `names`.
+    /// Values, with channels in the order of `names`.
     pub image: Image,
     /// Channel names: `R G B A` first where present, then the others in alphabetical order.
     pub names: Vec<String>,
@@ -30,26 +30,26 @@ pub(super) fn unreadable(path: &Path, error: &::exr::error::Error) -> SceneError
     SceneError::image(path, format!("the file cannot be read as EXR ({error}); copy or export it again"))
 }
 
-/// Position of a channel: colors before everything else.
+/// Returns the sort rank of a channel; colors come before all others.
 fn rank(name: &str) -> usize {
     ["R", "G", "B", "A"].iter().position(|&c| c == name).unwrap_or(4)
 }
 
-/// Bytes of pixels that a byte of the file holds at most: the best of its compressions is deflate, of three bytes in four.
+/// Largest number of pixel bytes per byte of the file. The best EXR compression is deflate of three in four bytes.
 const RATIO: u64 = 1400;
 
-/// What headers say.
+/// Properties from the headers.
 struct Headers {
-    /// Columns and rows.
+    /// Width and height in pixels.
     size: (u32, u32),
     channels: usize,
-    /// Blocks have sizes of their own ([`dwa`]).
+    /// Whether blocks state the sizes of their parts ([`dwa`]).
     sized: bool,
-    /// Blocks may be longer than the file ([`blocks`]).
+    /// Whether blocks may be longer than the file ([`blocks`]).
     long: bool,
 }
 
-/// What headers say of the first layer; the file is long enough for its size.
+/// Reads the headers and checks that the file is long enough for its image size.
 fn header(path: &Path) -> Result<Headers> {
     let file = File::open(path).map_err(io_error("read", path))?;
     let length = file.metadata().map_err(io_error("read", path))?.len();
@@ -91,7 +91,7 @@ fn header(path: &Path) -> Result<Headers> {
     })
 }
 
-/// The width and height that the header gives.
+/// Returns the width and height from the header.
 pub(super) fn read_size(path: &Path) -> Result<(u32, u32)> {
     header(path).map(|headers| headers.size)
 }
@@ -116,7 +116,7 @@ pub fn read_exr(path: &Path) -> Result<ExrImage> {
         .all_channels()
         .first_valid_layer()
         .all_attributes()
-        // Scenes are read one image per thread; a second level of threads only costs.
+        // Scenes are read with one thread per image; nested threads only add cost.
         .non_parallel()
         .from_buffered(io::BufReader::new(file))
         .map_err(|e| unreadable(path, &e))?
@@ -141,9 +141,9 @@ pub fn read_exr(path: &Path) -> Result<ExrImage> {
     Ok(ExrImage { image, names: list.into_iter().map(|(name, _)| name).collect() })
 }
 
-/// Writes 32-bit float channels under the given names, one for each channel of the image.
+/// Writes 32-bit float channels, with one name for each channel of the image.
 ///
-/// The usual names are `R G B` or `R G B A` for colors, `X Y Z` for vectors, `Y` for a single channel. Values are
+/// The usual names are `R G B` or `R G B A` for colors, `X Y Z` for vectors, and `Y` for a single channel. Values are
 /// written unchanged.
 pub fn write_exr(path: &Path, image: &Image, names: &[&str]) -> Result<()> {
     image.check()?;
@@ -165,7 +165,7 @@ pub fn write_exr(path: &Path, image: &Image, names: &[&str]) -> Result<()> {
         Layer::new(size, LayerAttributes::default(), Encoding::SMALL_FAST_LOSSLESS, AnyChannels::sort(channels));
     let file = ::exr::image::Image::from_layer(layer);
     atomic_write(path, |out| {
-        // One thread: several would write their blocks in any order, and equal pictures be different files.
+        // A single thread keeps the block order deterministic, so equal images produce equal files.
         file.write().non_parallel().to_buffered(out).map_err(|error| match error {
             ::exr::error::Error::Io(error) => error,
             other => io::Error::other(other.to_string()),
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn floats_round_trip_bit_by_bit() {
+    fn floats_round_trip_bit_exactly() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.exr");
         for names in [&["Y"][..], &["R", "G", "B"], &["R", "G", "B", "A"], &["R", "G", "B", "A", "depth.Z", "x", "y"]] {
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn colors_come_first_whatever_the_order() {
+    fn color_channels_come_first() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.exr");
         let image = Image::from_data(1, 1, 5, vec![1.0, 2.0, 3.0, 4.0, 5.0]).unwrap();
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_names_are_refused() {
+    fn invalid_channel_names_are_rejected() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.exr");
         let fail = |names: &[&str]| write_exr(&path, &sample(2, 2, 3), names).unwrap_err().to_string();
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_cut_anywhere_or_damaged_is_an_error_and_never_a_panic() {
+    fn truncated_or_damaged_files_never_panic() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.exr");
         write_exr(&path, &sample(9, 40, 3), &["R", "G", "B"]).unwrap();

@@ -1,8 +1,8 @@
-//! Reading an image file of any supported kind.
+//! Reading an image file of any supported format.
 //!
-//! The kind follows from the extension, because a scene names its files; the decoder then insists that the content
-//! agrees. Decoded sizes are limited, and by what the file's bytes can hold at most, so that a damaged header cannot ask for
-//! memory that the picture would not fill.
+//! The extension selects the format, because scenes name their files; the decoder then verifies the content. Decoded
+//! sizes are limited by fixed bounds and by the largest image that the file's bytes can hold. A damaged header
+//! therefore cannot request memory that the image would not fill.
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -14,22 +14,22 @@ use super::{Image, exr, jpeg};
 use crate::camera::MAX_IMAGE_SIDE;
 use crate::error::{Result, SceneError, io_error};
 
-/// The most pixels that are believed.
+/// Largest accepted number of pixels.
 pub(super) const MAX_PIXELS: u64 = 1 << 28;
 
-/// What a byte of a PNG file holds at most: deflate has two bits for 258 bytes at best.
+/// Largest number of decoded bytes per byte of a PNG file. Deflate needs at least two bits for 258 bytes.
 const PNG_RATIO: u64 = 1032;
 
-/// What the values of a file mean for colors.
+/// Encoding of a file's color values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Encoding {
-    /// Display-referred, in `[0, 1]` (PNG, JPEG).
+    /// Display-referred values in `[0, 1]` (PNG, JPEG).
     Srgb,
-    /// Proportional to light, without an upper limit (EXR).
+    /// Linear values without an upper limit (EXR).
     Linear,
 }
 
-/// The extensions that are read, in the order in which they are looked for.
+/// Supported extensions, in search order.
 pub(crate) const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "exr"];
 
 enum Kind {
@@ -48,8 +48,8 @@ fn kind_of(path: &Path) -> Result<Kind> {
     }
 }
 
-/// The image's values and what they mean. PNG and JPEG values are divided by their maximum; gray, gray-alpha, RGB and
-/// RGBA stay what they are, EXR files come with all of their channels, colors first.
+/// Reads an image and its encoding. PNG and JPEG values are divided by their maximum. Gray, gray-alpha, RGB and RGBA
+/// images keep their channels. EXR files return all channels, colors first.
 pub(crate) fn read_raster(path: &Path) -> Result<(Image, Encoding)> {
     match kind_of(path)? {
         Kind::Exr => Ok((exr::read_exr(path)?.image, Encoding::Linear)),
@@ -58,7 +58,7 @@ pub(crate) fn read_raster(path: &Path) -> Result<(Image, Encoding)> {
     }
 }
 
-/// The width and height that the file's header gives.
+/// Returns the width and height from the file's header.
 pub(crate) fn read_size(path: &Path) -> Result<(u32, u32)> {
     match kind_of(path)? {
         Kind::Exr => exr::read_size(path),
@@ -67,7 +67,7 @@ pub(crate) fn read_size(path: &Path) -> Result<(u32, u32)> {
     }
 }
 
-/// The EXIF orientation by which viewers exchange the sides of an image, 5 to 8; `None` where the sides stay.
+/// Returns an EXIF orientation that swaps the sides of the image: 5 to 8. Returns `None` if the sides are not swapped.
 pub(crate) fn turning_orientation(path: &Path) -> Option<u16> {
     match kind_of(path) {
         Ok(Kind::Jpeg) => jpeg::orientation(path).filter(|o| *o >= 5),
@@ -75,7 +75,7 @@ pub(crate) fn turning_orientation(path: &Path) -> Option<u16> {
     }
 }
 
-/// Refuses sizes that cannot be a photograph's.
+/// Returns an error for empty or excessive image sizes.
 pub(super) fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
     if width == 0 || height == 0 {
         return Err(SceneError::image(path, format!("the image is {width}×{height} pixels, which is empty")));
@@ -88,7 +88,8 @@ pub(super) fn check_size(path: &Path, width: u32, height: u32) -> Result<()> {
     Ok(())
 }
 
-/// Refuses a picture that takes more bytes than so many in a file can hold at most: it is cut off, or its header is damaged.
+/// Returns an error if an image needs more bytes than the file can hold. Such a file is truncated, or its header is
+/// damaged. `held` is the largest number of bytes that the file can hold.
 pub(super) fn check_held(path: &Path, (width, height): (u32, u32), bytes: u64, held: u64) -> Result<()> {
     if bytes <= held {
         return Ok(());
@@ -98,13 +99,13 @@ pub(super) fn check_held(path: &Path, (width, height): (u32, u32), bytes: u64, h
     Err(SceneError::image(path, problem))
 }
 
-/// The size that a PNG's header gives, which is one that the file can hold.
+/// Returns the size from a PNG header and checks that the file can hold it.
 fn png_size(path: &Path) -> Result<(u32, u32)> {
     let (width, height) = open_png(path)?.into_dimensions().map_err(|e| undecodable(path, &e))?;
     check_size(path, width, height)?;
     let mut file = File::open(path).map_err(io_error("read", path))?;
     let length = file.metadata().map_err(io_error("read", path))?.len();
-    // Bits of a sample and kind of color, behind the width and height of the first chunk.
+    // Bit depth and color type follow the width and height in the first chunk.
     let mut kind = [0; 2];
     file.seek(SeekFrom::Start(24)).and_then(|_| file.read_exact(&mut kind)).map_err(io_error("read", path))?;
     let samples = match kind[1] {
@@ -135,7 +136,7 @@ fn undecodable(path: &Path, error: &::image::ImageError) -> SceneError {
 
 /// Decodes a PNG file.
 pub(super) fn decode_png(path: &Path) -> Result<DynamicImage> {
-    // The size is checked before the decoder allocates for it.
+    // Check the size before the decoder allocates memory for it.
     png_size(path)?;
     open_png(path)?.decode().map_err(|e| undecodable(path, &e))
 }
@@ -176,7 +177,7 @@ mod tests {
         let whole = std::fs::read(&path).unwrap();
         std::fs::write(&path, &whole[..whole.len() / 4]).unwrap();
         let error = read_raster(&path).unwrap_err().to_string();
-        assert!(error.contains("a.JPG: the JPEG file ends before its picture does"), "{error}");
+        assert!(error.contains("a.JPG: the JPEG file ends before its image does"), "{error}");
         for i in 0..whole.len() {
             let mut damaged = whole.clone();
             damaged[i] ^= 0xa5;
@@ -188,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_sizes_and_kinds_are_refused() {
+    fn invalid_sizes_and_formats_are_rejected() {
         let path = Path::new("a.png");
         assert!(check_size(path, 0, 5).unwrap_err().to_string().contains("0×5 pixels, which is empty"));
         let error = check_size(path, 65_000, 65_000).unwrap_err().to_string();
@@ -199,9 +200,9 @@ mod tests {
         assert!(read_size(Path::new("none.png")).unwrap_err().to_string().starts_with("cannot read none.png"));
     }
 
-    /// A header that promises four billion pixels must not allocate for them.
+    /// A header with four billion pixels must not cause an allocation for them.
     #[test]
-    fn a_huge_header_is_refused() {
+    fn excessive_header_size_is_rejected() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.exr");
         super::super::write_exr(&path, &Image::new(3, 2, 1), &["Y"]).unwrap();
@@ -215,9 +216,9 @@ mod tests {
         assert!(error.contains("65536×65536 pixels, more than an image may have"), "{error}");
     }
 
-    /// Nor one that promises what is possible, but not in so few bytes.
+    /// A header with a valid size that the file is too short for is rejected as well.
     #[test]
-    fn a_file_too_short_for_its_header_is_refused() {
+    fn file_too_short_for_its_header_is_rejected() {
         let directory = tempfile::tempdir().unwrap();
         let error = |name: &str, bytes: &[u8]| {
             let path = directory.path().join(name);
@@ -236,7 +237,7 @@ mod tests {
         let exr = error("b.exr", &bytes);
         let said = "16384×16384 pixels, which a file as short as this cannot hold; copy it again";
         assert!(exr.contains(said), "{exr}");
-        // Black compresses best: the largest ratio that there is still counts as possible.
+        // Black compresses best; the highest ratio that occurs in practice must be accepted.
         let black = ::image::GrayImage::new(3000, 3000);
         let path = directory.path().join("a.png");
         black.save(&path).unwrap();

@@ -1,7 +1,7 @@
 //! JPEG files.
 //!
-//! Not by the decoder of the crate `image`: in version 0.25 that takes a file which was cut off for whole, its rest gray, and components in scans of
-//! their own for others, without a word (`docs/adr/0021-jpeg.md`).
+//! The decoder of the crate `image` is not used. Version 0.25 silently accepts truncated files, with the rest gray, and
+//! silently confuses components in separate scans (`docs/adr/0021-jpeg.md`).
 
 use std::fs::File;
 use std::io::{BufReader, ErrorKind, Read, Result as IoResult, Seek, SeekFrom};
@@ -12,20 +12,22 @@ use jpeg_decoder::{CodingProcess, Decoder, Error, ImageInfo, PixelFormat};
 use super::{Image, file};
 use crate::error::{Result, SceneError, io_error};
 
-/// Pixels of a file that a byte holds at most: a bit for a block of 64, and as much again for odd samplings.
+/// Largest number of pixels per byte of a file. The bound is one bit for a block of 64 pixels, times two for odd
+/// samplings.
 const RATIO: u64 = 1024;
 
-/// The width and height that the file's header gives.
+/// Returns the width and height from the file's header.
 pub(super) fn read_size(path: &Path) -> Result<(u32, u32)> {
     open(path).map(|(_, info)| size(&info))
 }
 
-/// The orientation that the file's EXIF data asks viewers for, 1 to 8; `None` where it has none.
+/// Returns the EXIF orientation of the file, 1 to 8; `None` if it has none.
 pub(super) fn orientation(path: &Path) -> Option<u16> {
     orientation_of(open(path).ok()?.0.exif_data()?)
 }
 
-/// The orientation in EXIF data, which are a TIFF file: entry 0x0112 of its first directory.
+/// Returns the orientation from EXIF data. EXIF data is a TIFF file; the orientation is entry 0x0112 of its first
+/// directory.
 fn orientation_of(tiff: &[u8]) -> Option<u16> {
     let little = match tiff.get(..2)? {
         b"II" => true,
@@ -47,7 +49,7 @@ fn orientation_of(tiff: &[u8]) -> Option<u16> {
     short(found.checked_add(8)?).filter(|o| (1..=8).contains(o))
 }
 
-/// The image, gray or RGB, in `[0, 1]`.
+/// Reads the image, gray or RGB, in `[0, 1]`.
 pub(super) fn read(path: &Path) -> Result<Image> {
     let (mut decoder, info) = open(path)?;
     let (width, height) = size(&info);
@@ -59,7 +61,7 @@ pub(super) fn read(path: &Path) -> Result<Image> {
     Ok(image)
 }
 
-/// The file with its header read, which is one that its length can hold.
+/// Opens a file, reads its header, and checks that the file can hold its size.
 fn open(path: &Path) -> Result<(Decoder<BufReader<File>>, ImageInfo)> {
     let file = File::open(path).map_err(io_error("read", path))?;
     let length = file.metadata().map_err(io_error("read", path))?.len();
@@ -69,7 +71,7 @@ fn open(path: &Path) -> Result<(Decoder<BufReader<File>>, ImageInfo)> {
     let mut decoder = Decoder::new(reader);
     decoder.read_info().map_err(|e| undecodable(path, e))?;
     let Some(info) = decoder.info() else {
-        return Err(SceneError::image(path, "the JPEG file has no picture"));
+        return Err(SceneError::image(path, "the JPEG file has no image"));
     };
     let (width, height) = size(&info);
     file::check_size(path, width, height)?;
@@ -93,8 +95,8 @@ fn open(path: &Path) -> Result<(Decoder<BufReader<File>>, ImageInfo)> {
     }
 }
 
-/// Whether the first frame has a component that is sampled more often than once and less often than another one along an axis: in a scan of
-/// its own, the decoder reads too many blocks of it.
+/// Returns whether a component of the first frame has a mixed sampling factor. Such a factor is above 1 and below that
+/// of another component along the same axis. The decoder reads too many blocks of such a component in a separate scan.
 fn mixed_samplings(reader: &mut (impl Read + Seek)) -> IoResult<bool> {
     loop {
         while byte(reader)? != 0xff {}
@@ -104,7 +106,7 @@ fn mixed_samplings(reader: &mut (impl Read + Seek)) -> IoResult<bool> {
                 marker => break marker,
             }
         };
-        // Those without a segment: zeros behind data, restarts, the beginning and the end.
+        // Markers without a segment: stuffed zeros, restarts, start and end of image.
         if matches!(marker, 0 | 1 | 0xd0..=0xd9) {
             continue;
         }
@@ -113,7 +115,8 @@ fn mixed_samplings(reader: &mut (impl Read + Seek)) -> IoResult<bool> {
             reader.seek(SeekFrom::Current(i64::from(length.saturating_sub(2))))?;
             continue;
         }
-        // Bits, height and width, before the number of components; of each its name, samplings and table.
+        // Precision, height and width precede the component count. Each component has an id, sampling factors and a
+        // table.
         reader.seek(SeekFrom::Current(5))?;
         let mut samplings = Vec::new();
         for _ in 0..byte(reader)? {
@@ -141,7 +144,7 @@ fn size(info: &ImageInfo) -> (u32, u32) {
 fn undecodable(path: &Path, error: Error) -> SceneError {
     match error {
         Error::Io(e) if e.kind() == ErrorKind::UnexpectedEof => {
-            SceneError::image(path, "the JPEG file ends before its picture does; copy it again")
+            SceneError::image(path, "the JPEG file ends before its image does; copy it again")
         }
         Error::Io(e) => io_error("read", path)(e),
         other => SceneError::image(path, format!("the file cannot be read as JPEG ({other}); copy or export it again")),
@@ -153,7 +156,7 @@ mod tests {
     use super::*;
     use std::process::Command;
 
-    /// One picture, as many programs may have written it, in samplings and scans of all kinds (by `cjpeg` of libjpeg-turbo).
+    /// The same image with various samplings and scans. The files are written by `cjpeg` of libjpeg-turbo.
     const WRITTEN: [(&str, &[u8]); 9] = [
         ("together", include_bytes!("../../tests/jpeg/together.jpg")),
         ("apart", include_bytes!("../../tests/jpeg/apart.jpg")),
@@ -173,7 +176,7 @@ mod tests {
         read(&path)
     }
 
-    /// What the picture was before it was written.
+    /// Returns a pixel of the original image.
     fn pixel(x: usize, y: usize) -> [f32; 3] {
         [40 + 5 * x, 60 + 8 * y, 200 - 3 * x - 3 * y].map(|v| v as f32 / 255.0)
     }
@@ -190,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_is_the_same_however_it_was_written() {
+    fn decoded_image_is_independent_of_sampling_and_scans() {
         for (name, bytes) in WRITTEN {
             let image = of(bytes, read).unwrap();
             let channels = if name == "gray" { 1 } else { 3 };
@@ -207,34 +210,34 @@ mod tests {
             }
             let mean = sum / image.data.len() as f32;
             println!("{name}: off by {mean:.2} of 255 in the mean, by {worst:.1} at most");
-            // Colors that are kept once for 2 × 2 pixels slope by 5 and 8 a pixel.
+            // Chroma subsampled 2×2 has gradients of 5 and 8 codes per pixel.
             assert!(mean < 1.0 && worst < 8.0, "{name}: {mean} {worst}");
         }
     }
 
     #[test]
-    fn a_picture_that_was_cut_off_is_refused_wherever_that_was() {
+    fn truncated_files_are_rejected_at_every_length() {
         for (name, bytes) in WRITTEN {
             for length in 0..bytes.len() {
                 let error = of(&bytes[..length], read).map(|_| ()).unwrap_err().to_string();
                 assert!(
-                    error.contains("a.jpg: the JPEG file ends before its picture does; copy it again"),
+                    error.contains("a.jpg: the JPEG file ends before its image does; copy it again"),
                     "{name} {length}: {error}"
                 );
             }
-            // What comes behind a picture is none of its business.
+            // Bytes after the image are ignored.
             assert!(of(&[bytes, &[0xff, 0xd8, 1, 2]].concat(), read).is_ok(), "{name}");
         }
     }
 
     #[test]
-    fn what_is_no_photograph_is_refused() {
+    fn unsupported_jpegs_are_rejected() {
         let error = |bytes: &[u8]| {
             let said = |e: SceneError| e.to_string().split_once("a.jpg: ").unwrap().1.to_owned();
-            let (size, picture) = (of(bytes, read_size).map_err(said), of(bytes, read).map_err(said));
-            let picture = picture.map(|_| ()).unwrap_err();
-            assert_eq!(size.unwrap_err(), picture, "of the size, too");
-            picture
+            let (size, rendered) = (of(bytes, read_size).map_err(said), of(bytes, read).map_err(said));
+            let rendered = rendered.map(|_| ()).unwrap_err();
+            assert_eq!(size.unwrap_err(), rendered, "of the size, too");
+            rendered
         };
         let inks = error(include_bytes!("../../tests/jpeg/inks.jpg"));
         assert!(inks.contains("the JPEG file holds inks (CMYK) instead of light; export it as RGB"), "{inks}");
@@ -245,7 +248,7 @@ mod tests {
             between.contains("samples a component neither once nor most often, which is not read; export it again"),
             "{between}"
         );
-        // The kind of a frame stands in its marker: here a sequential one, made lossless.
+        // The marker encodes the frame type; this changes a sequential frame to a lossless one.
         let mut lossless = WRITTEN[8].1.to_vec();
         let at = lossless.windows(2).position(|w| w == [0xff, 0xc0]).unwrap();
         lossless[at + 1] = 0xc3;
@@ -257,10 +260,11 @@ mod tests {
         );
     }
 
-    /// All samplings, scans and restarts that `cjpeg` writes, at odd sizes, against `djpeg`; with `SGS_TEST_LONG` set, where both are (Debian:
-    /// `libjpeg-turbo-progs`). Says what the decoder of `image` makes of them, too.
+    /// Compares the decoder with `djpeg`, at odd sizes. Covers all samplings, scans and restarts that `cjpeg` writes.
+    /// Runs with `SGS_TEST_LONG` set if both programs are installed (Debian: `libjpeg-turbo-progs`). Also reports the
+    /// results of the `image` crate's decoder.
     #[test]
-    fn pictures_of_libjpeg_are_those_of_libjpeg() {
+    fn decoder_matches_libjpeg() {
         let there = Command::new("cjpeg").arg("-version").output().is_ok();
         if std::env::var_os("SGS_TEST_LONG").is_none() || !there {
             return println!("skipped: SGS_TEST_LONG is not set, or there is no cjpeg");

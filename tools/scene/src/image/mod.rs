@@ -1,8 +1,8 @@
-//! Images in memory, and the files they come from and go to.
+//! Images in memory and in files.
 //!
-//! An [`Image`] is a plain array of `f32`. It does not know whether it is linear or sRGB-encoded: every function says
-//! which of the two it takes and gives. Files: [`read_exr`], [`write_exr`], [`write_png`], and PNG and JPEG through
-//! [`View::load_image`](crate::View::load_image).
+//! An [`Image`] is a plain array of `f32`. The type does not record whether values are linear or sRGB-encoded; every
+//! function documents which of the two it takes and returns. Files: [`read_exr`], [`write_exr`], [`write_png`], and PNG
+//! and JPEG through [`View::load_image`](crate::View::load_image).
 
 mod blocks;
 mod color;
@@ -39,28 +39,28 @@ pub struct Image {
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Values for each pixel.
+    /// Number of values per pixel.
     pub channels: u32,
     /// `width · height · channels` values.
     pub data: Vec<f32>,
 }
 
 impl Image {
-    /// An image of zeros.
+    /// Creates an image of zeros.
     pub fn new(width: u32, height: u32, channels: u32) -> Self {
         let len = width as usize * height as usize * channels as usize;
         Self { width, height, channels, data: vec![0.0; len] }
     }
 
-    /// An image from its values; an error when their number does not fit the size.
+    /// Creates an image from its values; fails if their number does not fit the size.
     pub fn from_data(width: u32, height: u32, channels: u32, data: Vec<f32>) -> Result<Self> {
         let image = Self { width, height, channels, data };
         image.check()?;
         Ok(image)
     }
 
-    /// Whether the number of values fits the size, and there are any. The fields are public, so whoever takes an image
-    /// from outside asks this first.
+    /// Checks that the number of values fits the size and is not zero. The fields are public, so functions that take an
+    /// image from outside the crate call this first.
     pub fn check(&self) -> Result<()> {
         let Self { width, height, channels, .. } = *self;
         let expected = u64::from(width).checked_mul(u64::from(height)).and_then(|n| n.checked_mul(u64::from(channels)));
@@ -75,34 +75,34 @@ impl Image {
         Err(SceneError::Data { what: "the image", problem })
     }
 
-    /// The number of pixels.
+    /// Returns the number of pixels.
     pub fn pixels(&self) -> usize {
         self.width as usize * self.height as usize
     }
 
-    /// The values of the pixel in column `x`, row `y`.
+    /// Returns the values of the pixel in column `x`, row `y`.
     ///
     /// # Panics
     ///
-    /// Like a slice, when the pixel lies outside of the image.
+    /// Panics if the pixel is outside the image.
     pub fn pixel(&self, x: u32, y: u32) -> &[f32] {
         let channels = self.channels as usize;
         let at = (y as usize * self.width as usize + x as usize) * channels;
         &self.data[at..at + channels]
     }
 
-    /// The values of the pixel in column `x`, row `y`, to change.
+    /// Returns the mutable values of the pixel in column `x`, row `y`.
     ///
     /// # Panics
     ///
-    /// Like a slice, when the pixel lies outside of the image.
+    /// Panics if the pixel is outside the image.
     pub fn pixel_mut(&mut self, x: u32, y: u32) -> &mut [f32] {
         let channels = self.channels as usize;
         let at = (y as usize * self.width as usize + x as usize) * channels;
         &mut self.data[at..at + channels]
     }
 
-    /// The same pixels with `channels` values each, made from the old ones by `convert(old, new)`.
+    /// Converts each pixel to `channels` values with `convert(old, new)`.
     pub(crate) fn map_pixels(&self, channels: u32, mut convert: impl FnMut(&[f32], &mut [f32])) -> Self {
         let mut out = Self::new(self.width, self.height, channels);
         if self.channels > 0 && channels > 0 {

@@ -1,7 +1,7 @@
-//! NumPy's `.npy` files, as priors come in.
+//! NumPy's `.npy` files, the format of array priors.
 //!
-//! Versions 1 to 3, C order, little-endian numbers. The array's bytes are kept as they are until someone asks for a
-//! number type, because feature maps are large and mostly half precision.
+//! Supports versions 1 to 3, C order and little-endian numbers. The array's bytes stay unconverted until a caller
+//! requests a number type, because feature maps are large and mostly half precision.
 
 use std::path::{Path, PathBuf};
 
@@ -32,10 +32,10 @@ impl Kind {
     }
 }
 
-/// An array in C order: the last index runs fastest.
+/// Array in C order: the last index varies fastest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NpyArray {
-    /// The length along each axis.
+    /// Length along each axis.
     pub shape: Vec<usize>,
     path: PathBuf,
     kind: Kind,
@@ -82,7 +82,7 @@ impl NpyArray {
         Ok(Self { shape, path: path.to_path_buf(), kind, bytes: bytes[start..].to_vec() })
     }
 
-    /// The values as 32-bit floats.
+    /// Returns the values as 32-bit floats.
     pub fn to_f32(&self) -> Vec<f32> {
         let b = &self.bytes;
         match self.kind {
@@ -96,7 +96,7 @@ impl NpyArray {
         }
     }
 
-    /// The values as half precision; exact when they are stored so.
+    /// Returns the values in half precision; exact if they are stored that way.
     pub fn to_f16(&self) -> Vec<f16> {
         match self.kind {
             Kind::F16 => words::<2>(&self.bytes).map(f16::from_le_bytes).collect(),
@@ -104,8 +104,8 @@ impl NpyArray {
         }
     }
 
-    /// The array as an image: height×width, height×width×channels, or channels×height×width where only the first axis is
-    /// short enough for channels.
+    /// Converts the array to an image. Accepts height×width, height×width×channels, or channels×height×width. The last
+    /// applies if the first axis is at most 4 and the second is longer.
     pub fn to_image(&self) -> Result<Image> {
         let short = |n: usize| n <= 4;
         let values = self.to_f32();
@@ -132,7 +132,8 @@ impl NpyArray {
         Ok(Image { width: side(width), height: side(height), channels: side(channels), data })
     }
 
-    /// The three lengths of an array that must have three axes, none of them empty.
+    /// Returns the lengths of the three axes. Fails if the array does not have exactly three axes or if an axis is
+    /// empty.
     pub(crate) fn dimensions3(&self) -> Result<[usize; 3]> {
         match self.shape[..] {
             [a, b, c] if a > 0 && b > 0 && c > 0 => Ok([a, b, c]),
@@ -152,7 +153,7 @@ fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> {
     })
 }
 
-/// The header's text and where the data starts.
+/// Returns the header's text and the offset of the data.
 fn split_header(bytes: &[u8]) -> Option<(&str, usize)> {
     let rest = bytes.strip_prefix(b"\x93NUMPY")?;
     let (prefix, length) = match rest.first()? {
@@ -165,7 +166,7 @@ fn split_header(bytes: &[u8]) -> Option<(&str, usize)> {
     Some((text, end))
 }
 
-/// The text of a value in the header's dictionary, which is a Python literal with three known keys.
+/// Returns the text of a value in the header's dictionary. The dictionary is a Python literal with three known keys.
 fn value_of<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     let at = header.find(&format!("'{key}'"))? + key.len() + 2;
     let value = header[at..].trim_start().strip_prefix(':')?.trim_start();
@@ -186,7 +187,7 @@ fn parse_shape(text: &str) -> Option<Vec<usize>> {
 pub(crate) mod tests {
     use super::*;
 
-    /// A version 1 file, written as NumPy does.
+    /// Returns a version 1 file with NumPy's layout.
     pub(crate) fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
         let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
         while (header.len() + 11) % 64 != 0 {
@@ -208,7 +209,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn number_types() {
+    fn number_types_are_converted() {
         let floats: Vec<u8> = [1.5_f32, -2.0].iter().flat_map(|v| v.to_le_bytes()).collect();
         let array = read(&npy("<f4", "(2,)", &floats)).unwrap();
         assert_eq!((array.shape.as_slice(), array.to_f32()), (&[2][..], vec![1.5, -2.0]));
@@ -239,7 +240,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_error_has_its_message() {
         let fail = |bytes: &[u8]| read(bytes).unwrap_err().to_string();
         assert!(fail(b"hello").contains("not a complete .npy file"));
         assert!(fail(&npy(">f4", "(1,)", &[0; 4])).contains("the array holds \">f4\""));
@@ -255,7 +256,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_file_cut_anywhere_is_an_error() {
+    fn truncated_files_are_errors() {
         let whole = npy("<f4", "(2, 1, 1)", &[0; 8]);
         assert!(read(&whole).is_ok());
         for length in 0..whole.len() {

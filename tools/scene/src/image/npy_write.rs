@@ -8,7 +8,7 @@ use half::f16;
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
 
-/// Writes an array of halves.
+/// Writes an array of half-precision values.
 pub fn write_npy_f16(path: &Path, shape: &[usize], values: &[f16]) -> Result<()> {
     write(path, "<f2", shape, values.len(), values.iter().flat_map(|v| v.to_le_bytes()).collect())
 }
@@ -24,7 +24,7 @@ fn write(path: &Path, descr: &str, shape: &[usize], count: usize, bytes: Vec<u8>
     }
     let axes: String = shape.iter().map(|n| format!("{n},")).collect();
     let mut header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({axes}), }}");
-    // Letters, version, the header's length, the header and its line break fill a multiple of 64 bytes.
+    // Magic, version, header length, header and line break fill a multiple of 64 bytes.
     let used = 10 + header.len() + 1;
     header.push_str(&" ".repeat(used.next_multiple_of(64) - used));
     header.push('\n');

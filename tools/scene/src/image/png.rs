@@ -1,4 +1,4 @@
-//! PNG files: 8-bit pictures out, and region or class numbers in.
+//! PNG and JPEG encoding of 8-bit images, and PNG files with region or class ids.
 
 use std::io;
 use std::path::Path;
@@ -11,9 +11,9 @@ use super::{Image, file};
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
 
-/// Writes an image of 1 to 4 channels (gray, gray and alpha, RGB, RGBA) as 8-bit PNG.
+/// Writes an image as 8-bit PNG. Images have 1 to 4 channels: gray, gray-alpha, RGB, or RGBA.
 ///
-/// Values are taken as display-referred: clamped to `[0, 1]`, rounded to 255 steps, not-a-number becoming 0.
+/// Values are display-referred. They are clamped to `[0, 1]` and rounded to 255 steps; NaN becomes 0.
 pub fn write_png(path: &Path, image: &Image) -> Result<()> {
     image.check()?;
     let Some(color) = color_of(image) else {
@@ -26,22 +26,23 @@ pub fn write_png(path: &Path, image: &Image) -> Result<()> {
     })
 }
 
-/// What [`write_png`] would write, in memory.
+/// Encodes an image in memory as [`write_png`] does.
 pub fn encode_png(image: &Image) -> Result<Vec<u8>> {
     let mut out = Vec::new();
     let color = encodable(image, 4)?;
     let done = PngEncoder::new(&mut out).write_image(&bytes_of(image), image.width, image.height, color);
-    done.map_err(|e| SceneError::Data { what: "the picture", problem: e.to_string() })?;
+    done.map_err(|e| SceneError::Data { what: "the image", problem: e.to_string() })?;
     Ok(out)
 }
 
-/// A JPEG of an image of 1 or 3 channels in memory, of a quality from 1 to 100; values are taken as [`write_png`] takes them.
+/// Encodes an image with 1 or 3 channels as JPEG in memory. `quality` is from 1 to 100. Values are converted as in
+/// [`write_png`].
 pub fn encode_jpeg(image: &Image, quality: u8) -> Result<Vec<u8>> {
     let mut out = Vec::new();
     let color = encodable(image, 3)?;
     let encoder = JpegEncoder::new_with_quality(&mut out, quality.clamp(1, 100));
     let done = encoder.write_image(&bytes_of(image), image.width, image.height, color);
-    done.map_err(|e| SceneError::Data { what: "the picture", problem: e.to_string() })?;
+    done.map_err(|e| SceneError::Data { what: "the image", problem: e.to_string() })?;
     Ok(out)
 }
 
@@ -49,7 +50,7 @@ fn encodable(image: &Image, most: u32) -> Result<ExtendedColorType> {
     image.check()?;
     color_of(image).filter(|_| image.channels <= most).ok_or_else(|| {
         let problem = format!("it has {} channels, but at most {most} can be encoded", image.channels);
-        SceneError::Data { what: "the picture", problem }
+        SceneError::Data { what: "the image", problem }
     })
 }
 
@@ -64,24 +65,24 @@ fn color_of(image: &Image) -> Option<ExtendedColorType> {
 }
 
 fn bytes_of(image: &Image) -> Vec<u8> {
-    // A cast of NaN gives 0.
+    // Casting NaN to an integer yields 0.
     image.data.iter().map(|v| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u8).collect()
 }
 
-/// Writes whole numbers, row by row, as a gray PNG with 16 bits.
+/// Writes integers, row by row, as a 16-bit gray PNG.
 pub fn write_ids(path: &Path, width: u32, height: u32, ids: &[u16]) -> Result<()> {
     if ids.is_empty() || ids.len() as u64 != u64::from(width) * u64::from(height) {
         let problem = format!("a size of {width}×{height} does not fit {} numbers", ids.len());
         return Err(SceneError::image(path, problem));
     }
-    // The encoder takes native words and turns them into the file's big-endian ones.
+    // The encoder expects native-endian words and converts them to the file's big-endian order.
     let bytes: Vec<u8> = ids.iter().flat_map(|id| id.to_ne_bytes()).collect();
     atomic_write(path, |out| {
         PngEncoder::new(out).write_image(&bytes, width, height, ExtendedColorType::L16).map_err(io::Error::other)
     })
 }
 
-/// The width, height and whole numbers of a gray PNG with 8 or 16 bits.
+/// Reads the width, height and integers of a gray PNG with 8 or 16 bits.
 pub fn read_ids(path: &Path) -> Result<(u32, u32, Vec<u16>)> {
     match file::decode_png(path)? {
         DynamicImage::ImageLuma8(image) => {
@@ -117,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn jpegs_in_memory_are_near_the_picture() {
+    fn encoded_jpegs_are_close_to_the_image() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.jpg");
         let data = (0..16 * 16 * 3).map(|i| (i / 48) as f32 / 16.0).collect();
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn what_png_cannot_hold_is_refused() {
+    fn unsupported_channel_counts_are_rejected() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.png");
         let error = write_png(&path, &Image::new(2, 2, 5)).unwrap_err().to_string();
@@ -165,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_cut_anywhere_or_damaged_is_an_error_and_never_a_panic() {
+    fn truncated_or_damaged_files_never_panic() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.png");
         let mut image = Image::new(6, 5, 3);
@@ -174,7 +175,7 @@ mod tests {
         }
         write_png(&path, &image).unwrap();
         let whole = std::fs::read(&path).unwrap();
-        // The last 12 bytes are the end marker, without which the picture is complete.
+        // The last 12 bytes are the end marker; the image is complete without it.
         for length in 0..whole.len() - 12 {
             std::fs::write(&path, &whole[..length]).unwrap();
             let error = read_raster(&path).unwrap_err().to_string();

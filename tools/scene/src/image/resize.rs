@@ -1,12 +1,13 @@
-//! Changing the size of an image.
+//! Resizing of images.
 //!
-//! Along an axis that shrinks, every new pixel is the exact average of the area it covers, for any ratio; along one that
-//! grows, values are interpolated linearly between pixel centers. The caller makes sure that averages mean something:
-//! colors are to be linear, not sRGB-encoded.
+//! Along an axis that shrinks, every new pixel is the exact average of the area it covers, for any ratio. Along an axis
+//! that grows, values are interpolated linearly between pixel centers. Callers pass values that can be averaged: colors
+//! must be linear, not sRGB-encoded.
 
 use super::Image;
 
-/// For each new pixel of one axis: the first old pixel and the weights of it and its successors. Weights add up to one.
+/// Filter taps of one axis. Each new pixel has its first old pixel and the weights of that pixel and its successors.
+/// Weights sum to one.
 struct Axis {
     taps: Vec<(usize, Vec<f64>)>,
 }
@@ -35,12 +36,13 @@ impl Axis {
     }
 }
 
-/// As [`resize`], of an image that nobody needs any more: one of that size already is not copied.
+/// Resizes like [`resize`] but takes ownership. Avoids a copy if the size is unchanged.
 pub(crate) fn resized(image: Image, width: u32, height: u32) -> Image {
     if (width, height) == (image.width, image.height) { image } else { resize(&image, width, height) }
 }
 
-/// The image at `width`×`height`. An empty image, or one whose values do not fit its size, gives zeros.
+/// Resizes an image to `width`×`height`. Returns zeros for an empty image, or for an image whose values do not fit its
+/// size.
 pub fn resize(image: &Image, width: u32, height: u32) -> Image {
     if (width, height) == (image.width, image.height) {
         return image.clone();
@@ -53,7 +55,7 @@ pub fn resize(image: &Image, width: u32, height: u32) -> Image {
     let columns = Axis::new(image.width, width);
     let rows = Axis::new(image.height, height);
 
-    // Each old row shrinks to the new width when it is first needed; an old row belongs to at most two new rows.
+    // Each old row is resized to the new width on first use; at most two new rows share an old row.
     let old_stride = image.width as usize * channels;
     let narrow = |y: usize, out: &mut Vec<f64>| {
         let row = &image.data[y * old_stride..(y + 1) * old_stride];
@@ -82,7 +84,7 @@ pub fn resize(image: &Image, width: u32, height: u32) -> Image {
             for (s, v) in sum.iter_mut().zip(&cache[at].1) {
                 *s += weight * v;
             }
-            // Of a tall block only the last row can be needed again.
+            // When a new row covers more than two old rows, only the last can be needed again.
             if weights.len() > 2 && i + 1 < weights.len() {
                 cache.swap_remove(at);
             }
@@ -94,21 +96,22 @@ pub fn resize(image: &Image, width: u32, height: u32) -> Image {
     out
 }
 
-/// The image at `width`×`height`, averaged over the pixels whose `valid` (one channel) is not zero. The second image is
-/// 1 where at least half of the area was valid, else 0; there the first one is 0.
+/// Resizes an image to `width`×`height`, averaging over valid pixels only. Pixels are valid where `valid` (one channel)
+/// is not zero. The second result is 1 where at least half of the area is valid, else 0. The first result is 0 where
+/// the second is 0.
 pub fn resize_valid(image: &Image, valid: &Image, width: u32, height: u32) -> (Image, Image) {
     let channels = image.channels.max(1) as usize;
     let mut gated = image.clone();
     for (pixel, &v) in gated.data.chunks_exact_mut(channels).zip(&valid.data) {
         if v == 0.0 {
-            // Not a product: an invalid value may be infinite.
+            // Multiplication would fail: an invalid value may be infinite.
             pixel.fill(0.0);
         }
     }
     let mut out = resize(&gated, width, height);
     let mut covered = resize(valid, width, height);
     for (pixel, v) in out.data.chunks_exact_mut(channels).zip(&mut covered.data) {
-        // The slack lets a half-covered pixel count in spite of rounding.
+        // The tolerance counts a half-covered pixel despite rounding.
         let keep = *v >= 0.5 - 1e-6;
         for value in pixel.iter_mut() {
             *value = if keep { *value / *v } else { 0.0 };
@@ -138,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn shrinking_conserves_the_light_for_any_ratio() {
+    fn shrinking_preserves_the_mean_for_any_ratio() {
         let image = noise(37, 23, 3);
         for (w, h) in [(1, 1), (2, 3), (18, 11), (25, 16), (36, 22), (37, 5), (5, 23)] {
             let small = resize(&image, w, h);
@@ -150,8 +153,8 @@ mod tests {
     }
 
     #[test]
-    fn a_pixel_is_the_average_of_exactly_its_area() {
-        // 3 → 2: the middle pixel is shared half and half.
+    fn downscaled_pixel_is_the_exact_area_average() {
+        // 3 → 2: both new pixels share the middle pixel equally.
         let image = Image::from_data(3, 1, 1, vec![1.0, 10.0, 100.0]).unwrap();
         let small = resize(&image, 2, 1);
         assert!((small.data[0] - (1.0 + 5.0) / 1.5).abs() < 1e-5, "{:?}", small.data);
@@ -161,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn halving_averages_blocks_and_keeps_channels_apart() {
+    fn halving_averages_blocks_per_channel() {
         let mut image = Image::new(4, 2, 2);
         for (i, pixel) in image.data.chunks_exact_mut(2).enumerate() {
             pixel.copy_from_slice(&[i as f32, 100.0 + i as f32]);
@@ -178,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn mixed_and_empty_sizes() {
+    fn mixed_and_empty_sizes_are_handled() {
         let image = noise(5, 9, 1);
         let mixed = resize(&image, 7, 4);
         assert_eq!(mixed.data.len(), 28);

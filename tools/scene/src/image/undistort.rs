@@ -1,13 +1,14 @@
-//! Freeing an image from lens distortion.
+//! Removing lens distortion from an image.
 //!
-//! The ideal image keeps the size, focal lengths and principal point of the distorted one, so that the camera stays the
-//! same and only pixels move. Values come from a Catmull-Rom interpolation that is held between its four nearest pixels:
-//! it does not blur as linear interpolation does, and cannot ring around lamps and windows. Colors are to be linear.
+//! The undistorted image has the size, focal lengths and principal point of the distorted image, so the camera stays
+//! the same. Values come from Catmull-Rom interpolation clamped to the range of the four nearest pixels. This is
+//! sharper than linear interpolation and does not ring around light sources and windows. Colors must be linear.
 
 use super::Image;
 use crate::camera::{Camera, Distortion};
 
-/// Where the lens put the center of the ideal pixel `(x, y)`, in pixels, and whether the lens is one-to-one there.
+/// Returns the distorted position of the center of the ideal pixel `(x, y)`. The position is in pixels. The third value
+/// is whether the distortion is one-to-one there.
 fn source_of(camera: &Camera, lens: &Distortion, x: u32, y: u32) -> (f64, f64, bool) {
     let nx = (f64::from(x) + 0.5 - camera.cx) / camera.fx;
     let ny = (f64::from(y) + 0.5 - camera.cy) / camera.fy;
@@ -15,25 +16,26 @@ fn source_of(camera: &Camera, lens: &Distortion, x: u32, y: u32) -> (f64, f64, b
     (dx * camera.fx + camera.cx, dy * camera.fy + camera.cy, lens.is_one_to_one_at(nx, ny))
 }
 
-/// Catmull-Rom weights for the pixels at −1, 0, 1 and 2 around the position `t` in `[0, 1]`.
+/// Returns Catmull-Rom weights of the pixels at −1, 0, 1 and 2. `t` in `[0, 1]` is the position relative to the pixel
+/// at 0.
 fn cubic(t: f64) -> [f64; 4] {
     let (t2, t3) = (t * t, t * t * t);
     [0.5 * (-t + 2.0 * t2 - t3), 0.5 * (2.0 - 5.0 * t2 + 3.0 * t3), 0.5 * (t + 4.0 * t2 - 3.0 * t3), 0.5 * (t3 - t2)]
 }
 
-/// The four pixel indices around a continuous coordinate, repeated at the border, and their weights.
+/// Returns the four pixel indices around a coordinate and their weights. Indices are clamped at the border.
 fn taps(position: f64, size: u32) -> ([usize; 4], [f64; 4]) {
     let last = i64::from(size) - 1;
-    // The clamp also catches coordinates that a wild polynomial sent to infinity.
+    // The clamp also handles coordinates that an extreme polynomial maps to infinity.
     let position = (position - 0.5).clamp(0.0, last as f64);
     let base = position.floor() as i64;
     let index = |offset: i64| (base + offset).clamp(0, last) as usize;
     ([index(-1), index(0), index(1), index(2)], cubic(position - base as f64))
 }
 
-/// The ideal image of a pinhole `camera`, whose size is the image's, behind the lens that took `image`.
+/// Removes the distortion of `lens` from `image`. `camera` is the pinhole camera and has the size of the image.
 ///
-/// Pixels that the lens did not see repeat the border; [`undistort_coverage`] tells which these are.
+/// Pixels outside the lens's field repeat the border; [`undistort_coverage`] marks them.
 pub fn undistort(image: &Image, camera: &Camera, lens: &Distortion) -> Image {
     if lens.is_none() || image.check().is_err() {
         return image.clone();
@@ -62,7 +64,8 @@ pub fn undistort(image: &Image, camera: &Camera, lens: &Distortion) -> Image {
     out
 }
 
-/// One channel, 1 where the ideal pixel was seen by the lens and 0 where [`undistort`] repeats the border.
+/// Returns the coverage of undistortion in one channel. The value is 1 where the lens captured the ideal pixel, and 0
+/// where [`undistort`] repeats the border or the distortion folds.
 pub fn undistort_coverage(camera: &Camera, lens: &Distortion) -> Image {
     let mut out = Image::new(camera.width, camera.height, 1);
     for y in 0..camera.height {
@@ -82,13 +85,12 @@ mod tests {
 
     const LENS: Distortion = Distortion { k1: 0.12, k2: -0.08, k3: 0.0, k4: 0.0, p1: -0.004, p2: 0.003 };
 
-    /// A smooth pattern over ideal normalized coordinates.
+    /// Returns a smooth pattern over ideal normalized coordinates.
     fn pattern(x: f64, y: f64) -> f64 {
         0.5 + 0.25 * (9.0 * x).sin() + 0.25 * (7.0 * y + 2.0 * x).cos()
     }
 
-    /// The ideal point that the lens shows at `(dx, dy)`, by fixed-point iteration: an inverse that shares nothing with
-    /// the code under test.
+    /// Inverts the distortion by fixed-point iteration. The inverse is independent of the code under test.
     fn ideal(lens: &Distortion, dx: f64, dy: f64) -> (f64, f64) {
         let (mut x, mut y) = (dx, dy);
         for _ in 0..200 {
@@ -98,7 +100,8 @@ mod tests {
         (x, y)
     }
 
-    /// Renders the pattern through the lens and straight, and returns the largest difference after undistorting.
+    /// Returns the largest error after undistorting a rendered pattern. Compares the undistorted image with a direct
+    /// rendering, away from the border.
     fn error_inside(lens_of_image: &Distortion, lens_removed: &Distortion) -> f32 {
         let camera = camera();
         let (mut seen, mut straight) = (Image::new(160, 120, 1), Image::new(160, 120, 1));
@@ -122,10 +125,10 @@ mod tests {
     }
 
     #[test]
-    fn straight_things_become_straight() {
+    fn undistortion_recovers_the_ideal_image() {
         let right = error_inside(&LENS, &LENS);
         assert!(right < 0.01, "{right}");
-        // The same test must see a wrong sign, and a lens that was not removed.
+        // The test must detect a wrong sign and a missing correction.
         let negated = Distortion { k1: -0.12, k2: 0.08, k3: 0.0, k4: 0.0, p1: 0.004, p2: -0.003 };
         assert!(error_inside(&LENS, &negated) > 0.1);
         assert!(error_inside(&LENS, &Distortion::default()) > 0.05);
@@ -134,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ideal_lens_is_the_identity() {
+    fn ideal_lens_is_the_identity() {
         let image = Image::from_data(2, 1, 1, vec![0.25, 0.5]).unwrap();
         assert_eq!(undistort(&image, &camera().scaled(2, 1), &Distortion::default()), image);
     }
@@ -151,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn coverage_marks_what_the_lens_did_not_see() {
+    fn coverage_marks_pixels_outside_the_lens_field() {
         let camera = camera();
         let pincushion = Distortion { k1: 0.3, ..Default::default() };
         let cover = undistort_coverage(&camera, &pincushion);
@@ -164,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn wild_coefficients_stay_inside_the_image() {
+    fn extreme_coefficients_do_not_sample_outside_the_image() {
         let wild = Distortion { k4: 1e300, k1: -1e300, ..Default::default() };
         let out = undistort(&Image::new(160, 120, 3), &camera(), &wild);
         assert!(out.data.iter().all(|&v| v == 0.0));

@@ -1,7 +1,8 @@
-//! Per-pixel maps that belong to views: priors and ground truth are stored alike.
+//! Per-pixel maps of views; priors and ground truth are stored alike.
 //!
-//! A map lies in a folder under the stem of its view, shows what the photograph shows (with its distortion), and may have
-//! any size. It is loaded to the size of the view's camera: undistorted, averaged by area, invalid pixels left out.
+//! A map's file name is the stem of its view. The map covers the same field as the photograph, including its
+//! distortion, and may have any size. Loading undistorts it and averages it by area to the size of the view's camera,
+//! without invalid pixels.
 
 mod normal;
 mod numbers;
@@ -17,33 +18,33 @@ use crate::error::{Result, SceneError};
 use crate::image::{Encoding, Image, NpyArray, read_raster, resize_valid, srgb_to_linear, undistort};
 use crate::view::View;
 
-/// A map, and where it says anything.
+/// Map with a mask of valid pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MaskedMap {
-    /// The values; 0 where invalid.
+    /// Values; 0 where invalid.
     pub image: Image,
-    /// One channel: 1 where the values are valid, else 0.
+    /// Validity in one channel: 1 where the values are valid, else 0.
     pub valid: Image,
 }
 
-/// What the numbers of a map mean.
+/// Meaning of the values of a map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Meaning {
-    /// Three channels of color: linear in EXR, sRGB-encoded in PNG; linear when loaded.
+    /// Three color channels, linear in EXR and sRGB-encoded in PNG; converted to linear.
     Color,
-    /// Three channels of color, linear in files of any kind.
+    /// Three color channels, linear in files of any format.
     LinearColor,
-    /// One channel, taken as it is: the first.
+    /// First channel, unconverted.
     Scalar,
-    /// One channel, taken as it is: the one with this number.
+    /// Channel with this index, unconverted.
     Channel(u32),
-    /// The alpha channel of gray or colors; 1 where there is none.
+    /// Alpha channel; 1 if the file has none.
     Alpha,
-    /// One channel, of which only positive values mean something.
+    /// First channel, valid only where positive.
     Depth,
 }
 
-/// The file of a map, with the first extension that exists.
+/// Returns the path of a map, with the first extension that exists.
 pub(crate) fn find(folder: &Path, stem: &str, extensions: &[&str]) -> Option<PathBuf> {
     extensions.iter().map(|extension| folder.join(format!("{stem}.{extension}"))).find(|path| path.is_file())
 }
@@ -54,7 +55,7 @@ pub(crate) fn load(path: &Path, view: &View, meaning: Meaning) -> Result<MaskedM
     Ok(bring(image, valid, view))
 }
 
-/// A map as stored, and where it says anything.
+/// Reads a map at its stored size, and its mask of valid pixels.
 pub(crate) fn stored(path: &Path, meaning: Meaning) -> Result<(Image, Image)> {
     let (raster, encoding) = read(path)?;
     let channels = if matches!(meaning, Meaning::Color | Meaning::LinearColor) { 3 } else { 1 };
@@ -87,12 +88,12 @@ pub(crate) fn stored(path: &Path, meaning: Meaning) -> Result<(Image, Image)> {
     Ok((image, valid))
 }
 
-/// A straight alpha channel says where a map was computed.
+/// Returns whether a pixel is opaque. Straight alpha marks the pixels for which a map was computed.
 fn is_opaque(pixel: &[f32], encoding: Encoding) -> bool {
     !matches!(*pixel, [_, a] | [_, _, _, a] if encoding == Encoding::Srgb && a < 0.5)
 }
 
-/// Marks as invalid what a mask of the same size excludes.
+/// Marks pixels as invalid that a mask of the same size excludes.
 pub(crate) fn exclude(valid: &mut Image, mask: &Image) {
     for (v, &m) in valid.data.iter_mut().zip(&mask.data) {
         if m <= 0.5 {
@@ -101,7 +102,7 @@ pub(crate) fn exclude(valid: &mut Image, mask: &Image) {
     }
 }
 
-/// Reads EXR, PNG, JPEG, or an array of height×width×channels.
+/// Reads EXR, PNG, JPEG, or a NumPy array (see [`NpyArray::to_image`]).
 fn read(path: &Path) -> Result<(Image, Encoding)> {
     if path.extension().is_none_or(|e| e != "npy") {
         return read_raster(path);
@@ -111,7 +112,7 @@ fn read(path: &Path) -> Result<(Image, Encoding)> {
     Ok((image, Encoding::Linear))
 }
 
-/// Undistorts a map and brings it to the size of the view.
+/// Undistorts a map and resizes it to the view.
 pub(crate) fn bring(mut image: Image, mut valid: Image, view: &View) -> MaskedMap {
     if !view.distortion.is_none() {
         let channels = image.channels.max(1) as usize;

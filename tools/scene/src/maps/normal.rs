@@ -1,4 +1,4 @@
-//! Normal maps, which come in several frames and leave in one: world space, unit length.
+//! Normal maps: conversion from several frames to unit vectors in world space.
 
 use std::path::Path;
 
@@ -10,25 +10,25 @@ use crate::error::{Result, SceneError};
 use crate::image::{Encoding, Image};
 use crate::view::View;
 
-/// The coordinates in which a file's normals are given.
+/// Coordinate frame of a file's normals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 pub enum NormalFrame {
-    /// The scene's own.
+    /// World frame of the scene.
     #[serde(rename = "world")]
     World,
-    /// x right, y down, z forward.
+    /// Camera frame: x right, y down, z forward.
     #[serde(rename = "camera-opencv")]
     CameraOpencv,
-    /// x right, y up, z towards the viewer.
+    /// Camera frame: x right, y up, z toward the viewer.
     #[serde(rename = "camera-opengl")]
     CameraOpengl,
-    /// x left, y up, z towards the viewer, as StableNormal writes them.
+    /// Camera frame of StableNormal: x left, y up, z toward the viewer.
     #[serde(rename = "camera-stablenormal")]
     CameraStablenormal,
 }
 
 impl NormalFrame {
-    /// The matrix that takes a normal of this frame to the world, for a camera with this world-to-camera rotation.
+    /// Returns the matrix from this frame to world space. `world_to_camera` is the camera's rotation.
     pub fn to_world(self, world_to_camera: DMat3) -> DMat3 {
         let to_opencv = match self {
             Self::World => return DMat3::IDENTITY,
@@ -40,8 +40,8 @@ impl NormalFrame {
     }
 }
 
-/// Lengths that can be meant as a unit vector. With 8 bits, gray means "none" but has a small length, and black means
-/// "none" but has the length √3.
+/// Returns whether a vector of this length may represent a unit vector. In 8-bit files, gray and black both mean
+/// "none". Gray has a small length, and black has the length √3.
 fn plausible(length: f64, encoding: Encoding) -> bool {
     match encoding {
         Encoding::Srgb => (0.1..1.5).contains(&length),
@@ -49,13 +49,14 @@ fn plausible(length: f64, encoding: Encoding) -> bool {
     }
 }
 
-/// Loads a normal map for a view: three channels, unit vectors in the world, zero where the file has none.
+/// Loads a normal map for a view. The result has three channels with world-space unit vectors, zero where the file has
+/// no normal.
 pub(crate) fn load(path: &Path, view: &View, frame: NormalFrame) -> Result<Image> {
     let (world, valid) = stored(path, view, frame)?;
     Ok(finish(world, valid, view))
 }
 
-/// Unit vectors in the world as large as the file, and where it has any.
+/// Reads world-space unit vectors at the file's size, and their mask.
 pub(crate) fn stored(path: &Path, view: &View, frame: NormalFrame) -> Result<(Image, Image)> {
     let (raster, encoding) = read(path)?;
     if raster.channels < 3 {
@@ -84,12 +85,12 @@ pub(crate) fn stored(path: &Path, view: &View, frame: NormalFrame) -> Result<(Im
     Ok((world, valid))
 }
 
-/// Brings vectors to the size of the view and makes them unit again.
+/// Resizes vectors to the view and normalizes them again.
 pub(crate) fn finish(world: Image, valid: Image, view: &View) -> Image {
     let mut map = bring(world, valid, view).image;
     for pixel in map.data.chunks_exact_mut(3) {
         let n = DVec3::new(f64::from(pixel[0]), f64::from(pixel[1]), f64::from(pixel[2]));
-        // Opposite normals that average to nothing say nothing.
+        // Opposite normals that cancel have no direction.
         let n = if n.length() > 1e-3 { n.normalize() } else { DVec3::ZERO };
         pixel.copy_from_slice(&[n.x as f32, n.y as f32, n.z as f32]);
     }

@@ -1,4 +1,4 @@
-//! Maps of whole numbers: regions and classes.
+//! Maps of integers: regions and classes.
 
 use std::path::Path;
 
@@ -7,23 +7,23 @@ use crate::error::Result;
 use crate::image::read_ids;
 use crate::view::View;
 
-/// A number for every pixel.
+/// Integer id for every pixel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RegionMap {
     /// Width in pixels.
     pub width: u32,
     /// Height in pixels.
     pub height: u32,
-    /// Row-major numbers; 0 means none.
+    /// Row-major ids; 0 means none.
     pub ids: Vec<u16>,
 }
 
-/// Loads a map of numbers for a view. Numbers cannot be averaged: each pixel takes the one at its center.
+/// Loads an id map for a view. Ids cannot be averaged: each pixel takes the id at its center.
 pub(crate) fn load(path: &Path, view: &View) -> Result<RegionMap> {
     load_seen(path, &view.camera, &view.distortion)
 }
 
-/// Loads a map of what a camera saw through a lens.
+/// Loads an id map as seen by a camera through a lens.
 pub(crate) fn load_seen(path: &Path, camera: &Camera, lens: &Distortion) -> Result<RegionMap> {
     let (w, h, stored) = read_ids(path)?;
     let mut ids = Vec::with_capacity(camera.width as usize * camera.height as usize);
@@ -34,7 +34,7 @@ pub(crate) fn load_seen(path: &Path, camera: &Camera, lens: &Distortion) -> Resu
             let (dx, dy) = lens.distort(nx, ny);
             let u = (dx * camera.fx + camera.cx) / f64::from(camera.width) * f64::from(w);
             let v = (dy * camera.fy + camera.cy) / f64::from(camera.height) * f64::from(h);
-            // Rounding must not push the center of a pixel over its edge; the cast stops at zero and is total.
+            // The offset keeps pixel centers from rounding down across an edge. The cast saturates at zero.
             let column = ((u + 1e-9).floor() as usize).min(w as usize - 1);
             let row = ((v + 1e-9).floor() as usize).min(h as usize - 1);
             ids.push(stored.get(row * w as usize + column).copied().unwrap_or(0));
@@ -43,8 +43,8 @@ pub(crate) fn load_seen(path: &Path, camera: &Camera, lens: &Distortion) -> Resu
     Ok(RegionMap { width: camera.width, height: camera.height, ids })
 }
 
-/// For every cell of a map of this size without distortion, row by row, the column and row of the stored cell at its
-/// center.
+/// Returns the stored cell at the center of every undistorted cell. Cells are in row-major order; each item is
+/// `[column, row]` in a stored map of the same size.
 pub(crate) fn cells(view: &View, width: usize, height: usize) -> impl Iterator<Item = [usize; 2]> {
     let (camera, distortion) = (view.camera.clone(), view.distortion);
     let [w, h] = [width, height].map(|n| n as f64);
@@ -55,7 +55,7 @@ pub(crate) fn cells(view: &View, width: usize, height: usize) -> impl Iterator<I
         let ny = (y / h * down - camera.cy) / camera.fy;
         let (dx, dy) = distortion.distort(nx, ny);
         let (u, v) = ((dx * camera.fx + camera.cx) / across * w, (dy * camera.fy + camera.cy) / down * h);
-        // The casts stop at zero and are total.
+        // The casts saturate at zero.
         [((u + 1e-9).floor() as usize).min(width - 1), ((v + 1e-9).floor() as usize).min(height - 1)]
     })
 }

@@ -7,7 +7,7 @@ use crate::camera::{Camera, Distortion};
 use crate::image::{write_exr, write_png};
 use crate::reader::Frame;
 
-/// A view of `width`×`height` whose camera stands at the origin with this rotation.
+/// Returns a `width`×`height` view with a camera at the origin with this rotation.
 fn view(width: u32, height: u32, rotation: DMat3, lens: Distortion) -> View {
     let camera = Camera {
         name: "a".into(),
@@ -54,7 +54,7 @@ fn invalid_values_are_masked_and_do_not_spread() {
 }
 
 #[test]
-fn colors_are_linear_and_scalars_are_taken_as_they_are() {
+fn colors_become_linear_and_scalars_stay_unconverted() {
     let half = 128.0 / 255.0;
     let (_keep, path) = write(&image(1, 3, &[half; 3]), "a.png");
     let color = load(&path, &plain(1, 1), Meaning::Color).unwrap().image;
@@ -66,7 +66,7 @@ fn colors_are_linear_and_scalars_are_taken_as_they_are() {
 }
 
 #[test]
-fn alpha_says_where_a_png_was_computed() {
+fn png_alpha_marks_valid_pixels() {
     let (_keep, path) = write(&image(2, 4, &[1.0, 1.0, 1.0, 1.0, 0.2, 0.2, 0.2, 0.0]), "a.png");
     let map = load(&path, &plain(2, 1), Meaning::Color).unwrap();
     assert_eq!(map.valid.data, [1.0, 0.0]);
@@ -83,8 +83,8 @@ fn depth_averages_surfaces_only() {
 }
 
 #[test]
-fn normals_are_averaged_turned_and_made_unit() {
-    // x forward of the camera is the world's y.
+fn normals_are_averaged_rotated_and_normalized() {
+    // The camera's z axis (forward) is the world's y axis.
     let rotation = DMat3::from_cols(DVec3::X, DVec3::Z, -DVec3::Y);
     let s = 0.5_f32.sqrt();
     let (_keep, path) = write(&image(4, 3, &[s, 0.0, s, -s, 0.0, s, 0.0, 0.0, 0.0, f32::NAN, 0.0, 1.0]), "a.exr");
@@ -107,9 +107,9 @@ fn png_normals_without_a_direction_are_zero() {
 }
 
 #[test]
-fn maps_follow_the_lens_at_any_size() {
+fn maps_are_undistorted_at_any_stored_size() {
     let lens = Distortion { k1: 0.2, ..Default::default() };
-    // A ramp in the distorted photograph, stored at half of the photograph's size.
+    // A ramp in the distorted photograph, stored at half the photograph's size.
     let ramp: Vec<f32> = (0..60).flat_map(|_| (0..80).map(|x| (x as f32 + 0.5) / 80.0)).collect();
     let (_keep, path) = write(&image(80, 1, &ramp), "a.exr");
     let bent = view(160, 120, DMat3::IDENTITY, lens);
@@ -129,12 +129,12 @@ fn maps_follow_the_lens_at_any_size() {
     let (dx, _) = lens.distort((140.5 - 80.0) / 96.0, 0.5 / 96.0);
     let expected = ((dx * 96.0 + 80.0) / 2.0) as u16;
     assert_eq!(regions.ids[60 * 160 + 140], expected);
-    // Without the lens it would be the 70th.
+    // Without distortion, the column would be 70.
     assert_eq!(expected, 72);
 }
 
 #[test]
-fn arrays_are_maps_too() {
+fn numpy_arrays_load_as_maps() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("a.npy");
     let bytes: Vec<u8> = [0.25_f32, 0.5].iter().flat_map(|v| v.to_le_bytes()).collect();
@@ -143,7 +143,7 @@ fn arrays_are_maps_too() {
 }
 
 #[test]
-fn extensions_have_an_order() {
+fn extension_order_decides_between_files() {
     let directory = tempfile::tempdir().unwrap();
     assert_eq!(find(directory.path(), "a.b", &["exr", "png"]), None);
     std::fs::write(directory.path().join("a.b.png"), "").unwrap();

@@ -1,4 +1,4 @@
-//! The header of a PLY file.
+//! Header of a PLY file.
 
 use std::collections::HashSet;
 use std::io::BufRead;
@@ -6,10 +6,10 @@ use std::path::Path;
 
 use crate::error::{Result, SceneError, io_error};
 
-/// The longest header that is believed. A splat file with 512 semantic channels has less than 20 kB.
+/// Largest accepted header in bytes. The header of a splat file with 512 semantic channels has less than 20 kB.
 const MAX_HEADER: u64 = 1 << 20;
 
-/// How the values are stored.
+/// Encoding of the values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Format {
     Ascii,
@@ -17,7 +17,7 @@ pub(crate) enum Format {
     Big,
 }
 
-/// The type of a property.
+/// Type of a property.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Scalar {
     I8,
@@ -55,25 +55,25 @@ impl Scalar {
     }
 }
 
-/// A property of the vertices.
+/// Property of the vertices.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Property {
     pub(crate) name: String,
     pub(crate) scalar: Scalar,
 }
 
-/// What the header says about the vertices.
+/// Header data about the vertices.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Header {
     pub(crate) format: Format,
     /// Number of vertices.
     pub(crate) count: u64,
     pub(crate) properties: Vec<Property>,
-    /// Bytes before the vertices: the header, and binary elements that stand before them.
+    /// Bytes before the vertices: the header and preceding binary elements.
     pub(crate) skip_bytes: u64,
-    /// Lines before the vertices: the header, and ASCII elements that stand before them.
+    /// Lines before the vertices: the header and preceding ASCII elements.
     pub(crate) skip_lines: u64,
-    /// Where the header itself ends.
+    /// Offset of the end of the header in bytes.
     pub(crate) end: u64,
 }
 
@@ -86,7 +86,7 @@ struct Element {
     list: Option<String>,
 }
 
-/// Reads up to and including the line `end_header`.
+/// Reads the header up to and including the line `end_header`.
 pub(crate) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
     let mut format = None;
     let mut elements: Vec<Element> = Vec::new();
@@ -151,7 +151,7 @@ pub(crate) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
     resolve(path, format, elements, end, line_number)
 }
 
-/// Finds the vertices among the elements and what is to be skipped before them.
+/// Finds the vertex element and the sizes of the elements before it.
 fn resolve(path: &Path, format: Format, elements: Vec<Element>, end: u64, lines: u64) -> Result<Header> {
     let fail = |problem: String| SceneError::points(path, "", problem);
     let (mut skip_bytes, mut skip_lines) = (end, lines);

@@ -1,8 +1,8 @@
-//! PLY files, as far as point clouds and splats need them: one element `vertex` with numbers.
+//! PLY files with point clouds and splats: one element `vertex` with numbers.
 //!
-//! [`VertexTable`] reads the wanted properties row by row as `f32`, whatever their order, type, and the file's format
-//! (ASCII, binary of either byte order). Other elements after the vertices are ignored. The number of rows is checked
-//! against the size of the file before anyone reserves memory for them. What properties mean is left to the callers.
+//! [`VertexTable`] reads the requested properties row by row as `f32`, for any order, type and format (ASCII, binary of
+//! either byte order). Other elements after the vertices are ignored. The number of rows is checked against the file
+//! size before memory is allocated for them. Callers interpret the properties.
 
 mod header;
 mod table;

@@ -8,17 +8,17 @@ use std::path::{Path, PathBuf};
 use super::header::{self, Format, Header, Scalar};
 use crate::error::{Result, SceneError, io_error};
 
-/// A PLY file whose header was read and whose number of vertices is known to fit the file.
+/// PLY file with a parsed header. The file is large enough for its number of vertices.
 pub(crate) struct VertexTable {
     path: PathBuf,
     header: Header,
-    /// The positions of the properties.
+    /// Index of each property by name.
     places: HashMap<String, usize>,
     reader: BufReader<File>,
 }
 
 impl VertexTable {
-    /// Opens the file, reads its header, and compares the number of vertices with the size of the file.
+    /// Opens a file, reads its header, and checks its size. Fails if the file is too small for its number of vertices.
     pub(crate) fn open(path: &Path) -> Result<Self> {
         let file = File::open(path).map_err(io_error("read", path))?;
         let size = file.metadata().map_err(io_error("read", path))?.len();
@@ -36,7 +36,7 @@ impl VertexTable {
             return Err(self.fail("", "the vertices have no properties; the file is damaged"));
         }
         let need = match format {
-            // A digit and a separator for each value; the last may lack the separator.
+            // Each value needs at least a digit and a separator; the last separator may be missing.
             Format::Ascii => count.saturating_mul(properties.len() as u64 * 2).saturating_add(*end).saturating_sub(1),
             _ => count.saturating_mul(self.stride() as u64).saturating_add(*skip_bytes),
         };
@@ -54,27 +54,28 @@ impl VertexTable {
         self.header.properties.iter().map(|p| p.scalar.size()).sum()
     }
 
-    /// An error about this file.
+    /// Returns an error about this file.
     pub(crate) fn fail(&self, place: impl Into<String>, problem: impl Into<String>) -> SceneError {
         SceneError::points(&self.path, place, problem)
     }
 
-    /// Number of vertices. Memory for them may be reserved: the file is large enough to hold them.
+    /// Returns the number of vertices. Callers may allocate memory for them, because the file is large enough to hold
+    /// them.
     pub(crate) fn len(&self) -> usize {
         self.header.count as usize
     }
 
-    /// The position of a property.
+    /// Returns the index of a property.
     pub(crate) fn find(&self, name: &str) -> Option<usize> {
         self.places.get(name).copied()
     }
 
-    /// The positions of all of `names`, or `None` when one is missing.
+    /// Returns the indices of all `names`, or `None` if one is missing.
     pub(crate) fn find_all(&self, names: &[&str]) -> Option<Vec<usize>> {
         names.iter().map(|name| self.find(name)).collect()
     }
 
-    /// The positions of all of `names`, which the file must have.
+    /// Returns the indices of all `names`; fails if one is missing.
     pub(crate) fn need(&self, names: &[&str], purpose: &str) -> Result<Vec<usize>> {
         names
             .iter()
@@ -86,23 +87,23 @@ impl VertexTable {
             .collect()
     }
 
-    /// How many properties are called `prefix` and a number, counted from 0 without gaps.
+    /// Counts the properties named `prefix` plus a number, from 0 without gaps.
     pub(crate) fn count_numbered(&self, prefix: &str) -> usize {
         (0..).take_while(|i| self.find(&format!("{prefix}{i}")).is_some()).count()
     }
 
-    /// How many properties begin with `prefix`.
+    /// Counts the properties whose names begin with `prefix`.
     pub(crate) fn count_prefixed(&self, prefix: &str) -> usize {
         self.header.properties.iter().filter(|p| p.name.starts_with(prefix)).count()
     }
 
-    /// The type of a property.
+    /// Returns the type of a property.
     pub(crate) fn scalar(&self, property: usize) -> Scalar {
         self.header.properties[property].scalar
     }
 
-    /// Calls `row` with the wanted properties of every vertex, in the order of `wanted`. Values are finite; `row`
-    /// answers with a problem to refuse a vertex.
+    /// Calls `row` with the requested properties of every vertex. Values are finite and in the order of `wanted`. `row`
+    /// returns a description of the problem to reject a vertex.
     pub(crate) fn read(
         mut self,
         wanted: &[usize],
@@ -115,7 +116,7 @@ impl VertexTable {
         for vertex in 0..count {
             source.next(vertex, &mut all)?;
             for (value, &property) in picked.iter_mut().zip(wanted) {
-                // A double may be too large for a float: the test comes after the conversion.
+                // A double may overflow the float, so the check follows the conversion.
                 *value = all[property] as f32;
                 if !value.is_finite() {
                     let name = &source.header.properties[property].name;
@@ -132,7 +133,7 @@ impl VertexTable {
     }
 }
 
-/// The rows of the table, one after the other.
+/// Sequential reader of the table's rows.
 struct Rows<'a> {
     path: &'a Path,
     header: &'a Header,
@@ -158,7 +159,7 @@ impl<'a> Rows<'a> {
         if rows.header.format == Format::Ascii {
             rows.reader.seek(SeekFrom::Start(0)).map_err(io_error("read", rows.path))?;
             for _ in 0..rows.header.skip_lines {
-                // The header's lines are known to exist; those of an element before the vertices may be missing.
+                // The header's lines exist; lines of an element before the vertices may be missing.
                 if rows.read_line()? == 0 {
                     return Err(rows.fail(0, "the file ends before it".into()));
                 }
@@ -255,7 +256,7 @@ mod tests {
         open(content.as_bytes()).err().unwrap().to_string()
     }
 
-    /// All rows of two columns `x` and `y`.
+    /// Reads all rows of the columns `x` and `y`.
     fn rows(content: &[u8]) -> Result<Vec<[f32; 2]>> {
         let table = open(content)?;
         let wanted = table.need(&["y", "x"], "the test")?;
@@ -268,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn every_type_and_byte_order_gives_the_same_rows() {
+    fn all_types_and_byte_orders_give_the_same_rows() {
         for (big, name) in [(false, "binary_little_endian"), (true, "binary_big_endian")] {
             let header = format!(
                 "ply\r\nformat {name} 1.0\ncomment by hand\nelement camera 2\nproperty ushort id\nelement vertex 2\n\
@@ -302,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_of_the_header_has_its_sentence() {
+    fn each_header_error_has_its_message() {
         assert!(fail("solid").contains("does not begin with \"ply\""));
         assert!(fail("").contains("does not begin with \"ply\""));
         assert!(fail("ply\nformat ascii 1.0\n").contains("line 3: the header ends before \"end_header\""));
@@ -325,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn absurd_counts_are_refused_before_memory_is_reserved() {
+    fn excessive_counts_are_rejected_before_allocation() {
         for format in ["ascii", "binary_little_endian"] {
             for count in ["3", "4000000000", "18446744073709551615"] {
                 let text = format!(
@@ -341,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_of_a_row_has_its_sentence() {
+    fn each_row_error_has_its_message() {
         let head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nend_header\n";
         let fail = |body: &str| rows(format!("{head}{body}").as_bytes()).unwrap_err().to_string();
         assert!(fail("1 2\n3          \n").contains("vertex 1 (line 8): the line has fewer than 2 values"));

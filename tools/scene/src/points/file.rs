@@ -8,17 +8,17 @@ use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
 use crate::ply::{Scalar, VertexTable};
 
-/// The names under which programs write colors.
+/// Property names that programs use for colors.
 const COLOR_NAMES: [[&str; 3]; 3] =
     [["red", "green", "blue"], ["diffuse_red", "diffuse_green", "diffuse_blue"], ["r", "g", "b"]];
 
 impl PointCloud {
-    /// Reads a PLY file with `x y z`, and where present `nx ny nz` and colors (`red green blue`, also with the prefix
-    /// `diffuse_`, or `r g b`).
+    /// Reads a PLY file with `x y z` and optional normals and colors. Normals are `nx ny nz`. Colors are `red green
+    /// blue`, the same names with the prefix `diffuse_`, or `r g b`.
     ///
-    /// Colors stored as bytes or 16-bit numbers are divided by their maximum. Floats are taken as they are, unless some
-    /// exceed 1: then the file means 0 to 255. Normals that are all zero count as absent, since many programs write
-    /// zeros where they have none.
+    /// Colors stored as bytes or 16-bit numbers are divided by their maximum. Floats stay unchanged, unless any exceeds
+    /// 1: then the range is 0 to 255. All-zero normals count as absent, because many programs write zeros for missing
+    /// normals.
     pub fn read_ply(path: &Path) -> Result<Self> {
         let table = VertexTable::open(path)?;
         let mut wanted = table.need(&["x", "y", "z"], "a point cloud")?;
@@ -61,7 +61,8 @@ impl PointCloud {
         Ok(cloud)
     }
 
-    /// Writes a binary PLY file: `x y z`, `nx ny nz` where known, and `red green blue` as bytes where known.
+    /// Writes a binary PLY file with `x y z` and optional normals and colors. Normals are `nx ny nz`; colors are `red
+    /// green blue` as bytes.
     pub fn write_ply(&self, path: &Path) -> Result<()> {
         if let Some(problem) = self.problem() {
             return Err(SceneError::Data { what: "the point cloud", problem });
@@ -114,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn round_trip_with_and_without_extras() {
+    fn clouds_round_trip_with_and_without_attributes() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.ply");
         let bare = PointCloud { colors: None, normals: None, ..cloud() };
@@ -128,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn colors_of_every_kind() {
+    fn colors_of_all_types_and_names_are_read() {
         let with = |kind: &str, names: [&str; 3], rows: &str| {
             let [r, g, b] = names;
             let text = format!(
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_cut_anywhere_is_an_error() {
+    fn truncated_files_are_errors() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.ply");
         cloud().write_ply(&path).unwrap();

@@ -1,4 +1,4 @@
-//! Point clouds: where splats begin.
+//! Point clouds: the initial positions of splats.
 
 mod file;
 mod neighbors;
@@ -9,29 +9,29 @@ pub(crate) use neighbors::mean_square_distances;
 pub use random::{Pcg, RandomBox};
 pub(crate) use tracks::Tracks;
 
-/// Points of a surface, with what is known about them.
+/// Surface points with optional attributes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PointCloud {
-    /// Positions in the world.
+    /// Positions in world space.
     pub positions: Vec<[f32; 3]>,
     /// Display-referred (sRGB) colors in `[0, 1]`.
     pub colors: Option<Vec<[f32; 3]>>,
-    /// Normals in the world, of any length; zero where unknown.
+    /// World-space normals of any length; zero where unknown.
     pub normals: Option<Vec<[f32; 3]>>,
 }
 
 impl PointCloud {
-    /// Number of points.
+    /// Returns the number of points.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether there are no points.
+    /// Returns whether the cloud has no points.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
 
-    /// `count` of the points, spread evenly over their order; all of them if there are no more.
+    /// Returns `count` points, spread evenly over their order. Returns all points if there are no more.
     #[must_use]
     pub fn spread(&self, count: usize) -> PointCloud {
         let n = self.len();
@@ -44,7 +44,7 @@ impl PointCloud {
         }
     }
 
-    /// The points whose entry in `kept` is true.
+    /// Returns the points whose entry in `kept` is true.
     pub(crate) fn filtered(&self, kept: &[bool]) -> PointCloud {
         let of = |values: &[[f32; 3]]| values.iter().zip(kept).filter(|(_, kept)| **kept).map(|(v, _)| *v).collect();
         PointCloud {
@@ -54,7 +54,7 @@ impl PointCloud {
         }
     }
 
-    /// Whether colors and normals, where present, are as many as the points.
+    /// Describes a mismatch between the numbers of positions, colors and normals. Returns `None` if they match.
     pub(crate) fn problem(&self) -> Option<String> {
         let n = self.len();
         for (name, other) in [("colors", &self.colors), ("normals", &self.normals)] {

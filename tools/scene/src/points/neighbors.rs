@@ -1,22 +1,22 @@
-//! How far apart points are.
+//! Distances between neighboring points.
 
 use rayon::prelude::*;
 
-/// Neighbors that the mean is taken over, and the point itself.
+/// Number of neighbors in the mean, plus the point itself.
 const QUERY: usize = 4;
 
-/// For each point the mean squared distance to its three nearest neighbors; to fewer where there are fewer, and 0 for a
-/// single point. Duplicates are neighbors at distance 0.
+/// Returns the mean squared distance of each point to its three nearest neighbors. With fewer neighbors, the mean is
+/// over those; a single point has 0. Duplicates are neighbors at distance 0.
 pub(crate) fn mean_square_distances(points: &[[f32; 3]]) -> Vec<f32> {
     if points.len() < 2 {
         return vec![0.0; points.len()];
     }
-    // In double precision, because the squares of far coordinates leave nothing of the distance in single precision.
+    // Double precision: with large coordinates, single precision loses the distance.
     let points: Vec<[f64; 3]> = points.iter().map(|p| p.map(f64::from)).collect();
     let mut tree = points.clone();
     let mut axes = vec![0; points.len()];
     arrange(&mut tree, &mut axes);
-    // One of the nearest is the point itself, or a duplicate of it that is as far away.
+    // The nearest result is the point itself, or a duplicate at the same distance.
     let neighbors = points.len().min(QUERY) - 1;
     points
         .par_iter()
@@ -28,7 +28,8 @@ pub(crate) fn mean_square_distances(points: &[[f32; 3]]) -> Vec<f32> {
         .collect()
 }
 
-/// Makes a k-d tree of the points: the middle one divides the others along its axis, the longest of their box.
+/// Arranges the points in place as a k-d tree. The middle point splits the others along the longest axis of their
+/// bounding box.
 fn arrange(points: &mut [[f64; 3]], axes: &mut [u8]) {
     if points.len() < 2 {
         return;
@@ -47,7 +48,7 @@ fn arrange(points: &mut [[f64; 3]], axes: &mut [u8]) {
     rayon::join(|| arrange(low, low_axes), || arrange(&mut rest[1..], &mut rest_axes[1..]));
 }
 
-/// Puts the smallest squared distances to points of the tree into `nearest`, ascending.
+/// Inserts the smallest squared distances to points of the tree into `nearest`. `nearest` stays in ascending order.
 fn search(tree: &[[f64; 3]], axes: &[u8], point: &[f64; 3], nearest: &mut [f64; QUERY]) {
     if tree.is_empty() {
         return;
@@ -93,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn agrees_with_brute_force() {
+    fn distances_match_brute_force() {
         let mut random = Pcg::new(3);
         let cloud: Vec<[f32; 3]> = (0..700).map(|_| [(); 3].map(|()| random.next_f32() * 4.0 - 1.0)).collect();
         check(&cloud);
@@ -103,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn walls_lattices_and_duplicates_are_handled() {
+    fn planar_lattice_and_duplicate_points_match_brute_force() {
         let mut random = Pcg::new(4);
         check(&(0..600).map(|_| [1.0, random.next_f32(), 2.0]).collect::<Vec<_>>());
         check(&(0..900).map(|i| [(i % 10) as f32, (i / 10 % 9) as f32, (i / 90) as f32]).collect::<Vec<_>>());
@@ -115,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn far_from_the_origin() {
+    fn distances_are_accurate_far_from_the_origin() {
         check(&[[1e6, 0.0, 0.0], [1e6 + 1.0, 0.0, 0.0], [1e6, 2.0, 0.0], [1e6, 0.0, 3.0]]);
         assert!(mean_square_distances(&[[3e38; 3], [-3e38; 3]])[0].is_infinite());
         assert!(mean_square_distances(&[]).is_empty());

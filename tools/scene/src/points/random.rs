@@ -1,11 +1,11 @@
-//! Points out of nothing, for scenes that come without any.
+//! Random points for scenes without points.
 
 use glam::{DMat3, DVec2, DVec3};
 
 use super::PointCloud;
 use crate::camera::Camera;
 
-/// Random numbers: the 32-bit generator with permuted output that is known as PCG XSH-RR, on a 64-bit state.
+/// Random number generator PCG XSH-RR with 32-bit output and 64-bit state.
 #[derive(Clone, Debug)]
 pub struct Pcg {
     state: u64,
@@ -15,14 +15,14 @@ impl Pcg {
     const MULTIPLIER: u64 = 6_364_136_223_846_793_005;
     const INCREMENT: u64 = 1_442_695_040_888_963_407;
 
-    /// The generator for a seed.
+    /// Creates the generator for a seed.
     pub fn new(seed: u64) -> Self {
         let mut pcg = Self { state: seed.wrapping_add(Self::INCREMENT) };
         pcg.next_u32();
         pcg
     }
 
-    /// 32 random bits.
+    /// Returns 32 random bits.
     pub fn next_u32(&mut self) -> u32 {
         let old = self.state;
         self.state = old.wrapping_mul(Self::MULTIPLIER).wrapping_add(Self::INCREMENT);
@@ -30,27 +30,27 @@ impl Pcg {
         shifted.rotate_right((old >> 59) as u32)
     }
 
-    /// A number in `[0, 1)`, uniformly.
+    /// Returns a uniform number in `[0, 1)`.
     pub fn next_f32(&mut self) -> f32 {
         (self.next_u32() >> 8) as f32 / (1 << 24) as f32
     }
 }
 
-/// The box that cameras look at: the smallest axis-aligned one around their centers and their views, each view cut off
-/// at one depth.
+/// Axis-aligned box for random points. [`RandomBox::around`] bounds the camera centers and their view frustums, each
+/// cut off at one depth.
 ///
-/// Without points nothing is known about depth. The cut is at twice the extent of the cameras: for cameras around an
-/// object this reaches through it, for cameras spread over a room about to its walls.
+/// Depth is unknown without points. The cut is at twice the extent of the cameras. For cameras around an object, the
+/// cut is behind the object. For cameras spread over a room, the cut is roughly at the walls.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RandomBox {
-    /// The corner with the smallest coordinates.
+    /// Corner with the smallest coordinates.
     pub min: DVec3,
-    /// The corner with the largest coordinates.
+    /// Corner with the largest coordinates.
     pub max: DVec3,
 }
 
 impl RandomBox {
-    /// The box of cameras with this extent; `None` without cameras.
+    /// Returns the box around cameras with this extent; `None` without cameras.
     pub fn around<'a>(cameras: impl IntoIterator<Item = &'a Camera>, extent: f64) -> Option<Self> {
         let mut found: Option<Self> = None;
         let mut add = |point: DVec3| {
@@ -67,12 +67,12 @@ impl RandomBox {
         found
     }
 
-    /// The box of what cameras around an object look at: its center is the point that their axes pass nearest to, and its
-    /// half side what the narrowest view shows of it. `None` unless that point lies before every camera and the axes meet
-    /// there, within a tenth of the cameras' mean distance.
+    /// Returns the box of the object that the cameras surround. The center is the point nearest to all optical axes.
+    /// Half the side is the smallest half width that any view shows at the center. Returns `None` unless the center is
+    /// in front of every camera and the axes pass within a tenth of the mean camera distance.
     pub fn looked_at<'a>(cameras: impl IntoIterator<Item = &'a Camera>) -> Option<Self> {
         let cameras: Vec<&Camera> = cameras.into_iter().collect();
-        // The sum of squared distances from the axes is least where its gradient vanishes.
+        // The sum of squared distances to the axes is minimal where its gradient is zero.
         let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
         for camera in &cameras {
             let axis = camera.forward();
@@ -99,7 +99,7 @@ impl RandomBox {
         Some(Self { min: center - half, max: center + half })
     }
 
-    /// `count` points uniformly in the box, the same ones for the same seed, without colors.
+    /// Samples `count` uniform points in the box, without colors. The same seed gives the same points.
     pub fn sample(&self, count: usize, seed: u64) -> PointCloud {
         let mut random = Pcg::new(seed);
         let mut coordinate = |k: usize| {
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn the_box_holds_what_the_camera_sees() {
+    fn box_contains_the_view_frustum() {
         let camera = Camera { rotation: DMat3::IDENTITY, translation: DVec3::ZERO, ..camera() };
         let seen = RandomBox::around([&camera], 1.5).unwrap();
         assert_eq!((seen.min.z, seen.max.z), (0.0, 3.0));
@@ -155,7 +155,7 @@ mod tests {
             "{seen:?}"
         );
         assert_eq!(RandomBox::looked_at(&cameras[..1]), None);
-        // Cameras in a room look outwards.
+        // Cameras in a room look outward.
         let inside = |c: &Camera| Camera { translation: c.translation - DVec3::new(0.0, 0.0, 6.0), ..c.clone() };
         assert_eq!(RandomBox::looked_at(&cameras.iter().map(inside).collect::<Vec<_>>()), None);
     }

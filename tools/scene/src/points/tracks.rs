@@ -1,20 +1,20 @@
-//! Which images see the points of a reconstruction.
+//! Observations of reconstructed points in images.
 
 use std::collections::{HashMap, HashSet};
 
-/// For each point, the numbers of the images that see it.
+/// Ids of the images that see each point.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Tracks {
-    /// Where the images of each point end.
+    /// End of each point's range in `images`.
     ends: Vec<usize>,
-    /// Numbers of images, point after point.
+    /// Image ids, point after point.
     images: Vec<u32>,
-    /// View names by the numbers of their images.
+    /// View names by image id.
     names: HashMap<u32, String>,
 }
 
 impl Tracks {
-    /// Adds an image that sees the point that [`Tracks::end_point`] ends next.
+    /// Adds an observing image to the current point's track. [`Tracks::end_point`] ends the track.
     pub(crate) fn add(&mut self, image: u32) {
         self.images.push(image);
     }
@@ -24,24 +24,24 @@ impl Tracks {
         self.ends.push(self.images.len());
     }
 
-    /// Sets the names of the images.
+    /// Sets the view names of the images.
     pub(crate) fn name(&mut self, names: HashMap<u32, String>) {
         self.names = names;
     }
 
-    /// Whether no image sees any point: the file has no tracks.
+    /// Returns whether there are no observations, that is, the file has no tracks.
     pub(crate) fn is_empty(&self) -> bool {
         self.images.is_empty()
     }
 
-    /// For each point, whether at least two of these views see it.
+    /// Returns for each point whether at least two of these views see it.
     pub(crate) fn seen_twice(&self, views: &HashSet<&str>) -> Vec<bool> {
         let counts: HashSet<u32> =
             self.names.iter().filter(|(_, name)| views.contains(name.as_str())).map(|(image, _)| *image).collect();
         let starts = std::iter::once(&0).chain(&self.ends);
         let seen = |(&from, &to): (&usize, &usize)| {
             let mut images = self.images[from..to].iter().filter(|image| counts.contains(image));
-            // A track may hold two observations of one image.
+            // A track may hold two observations of the same image.
             images.next().is_some_and(|first| images.any(|other| other != first))
         };
         starts.zip(&self.ends).map(seen).collect()
@@ -53,7 +53,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_different_views_must_see_a_point() {
+    fn seen_points_need_two_different_views() {
         let mut tracks = Tracks::default();
         for track in [&[1, 2][..], &[1, 1], &[], &[3, 9, 1], &[9, 3], &[2, 2, 3]] {
             track.iter().for_each(|image| tracks.add(*image));

@@ -1,8 +1,11 @@
-//! The layout of Blender's synthetic scenes and TensoIR: `transforms_train.json` and `transforms_test.json`, whose frames
-//! name images without extension (`./train/r_0`) or in folders of their own (`./train_000/rgba`).
+//! Layout of Blender's synthetic scenes and TensoIR.
 //!
-//! Poses have OpenGL axes. Images are RGBA. TensoIR keeps beside `rgba.png`: `albedo.png` (linear values, as its own
-//! loader takes them), `normal.png` (world space), and `rgba_NAME.png` under other lightings; they are for measuring only.
+//! Uses `transforms_train.json` and `transforms_test.json`. Frames name images without extension (`./train/r_0`) or in
+//! one folder per view (`./train_000/rgba`).
+//!
+//! Poses have OpenGL axes. Images are RGBA. TensoIR stores ground truth beside `rgba.png`, for evaluation only:
+//! `albedo.png` (linear values, as in TensoIR's loader), `normal.png` (world space), and `rgba_NAME.png` under other
+//! lightings.
 
 use std::path::{Path, PathBuf};
 
@@ -15,7 +18,7 @@ use crate::error::{Result, SceneError};
 use crate::ground_truth::GroundTruthKind;
 use crate::maps::NormalFrame;
 
-/// The file that the layout is recognized by.
+/// Returns the name of the file that identifies the layout, if it exists.
 pub(super) fn sign(root: &Path) -> Option<String> {
     let name = "transforms_train.json";
     root.join(name).is_file().then(|| name.into())
@@ -49,8 +52,8 @@ pub(super) fn read(root: &Path) -> Result<Found> {
     Ok(found)
 }
 
-/// The image of a frame and the name of its view: the path without extension, so that `train/r_0` and `test/r_0` differ,
-/// and without the image's own name in a folder for one view.
+/// Returns the image of a frame and the name of its view. The name is the path without extension, so that `train/r_0`
+/// and `test/r_0` differ. In a folder for one view, the name omits the file.
 fn find(root: &Path, file_path: &str) -> (Option<PathBuf>, String) {
     let clean = file_path.replace('\\', "/");
     let clean = clean.trim().trim_start_matches("./").trim_end_matches('/');
@@ -64,7 +67,7 @@ fn find(root: &Path, file_path: &str) -> (Option<PathBuf>, String) {
     (image, name.replace('/', "_"))
 }
 
-/// Lists what lies beside an image in a folder of its own.
+/// Lists the files beside an image.
 fn add_beside(frame: &mut Frame) {
     let image = frame.image.clone();
     let (Some(folder), stem) = (image.parent(), stem_of(&image)) else {

@@ -1,5 +1,5 @@
-//! Smaller copies of images: `images_2`, `images_4` and `images_8` beside or instead of `images`, as MipNeRF-360 and DL3DV
-//! ship them, with cameras that were calibrated for the full size.
+//! Downscaled copies of images: `images_2`, `images_4` and `images_8`. They are beside `images` or replace it.
+//! MipNeRF-360 and DL3DV ship them with cameras that were calibrated for the full size.
 
 use std::path::{Path, PathBuf};
 
@@ -8,10 +8,10 @@ use crate::camera::Camera;
 use crate::error::Result;
 use crate::image::read_size;
 
-/// By how much the copies are smaller, in the order in which they are looked for.
+/// Downscaling factors, in search order.
 const FACTORS: [u32; 3] = [2, 4, 8];
 
-/// The copy of an image that a file names in the folder `images` below `root`.
+/// Finds the downscaled copy of an image in the folder `images` below `root`.
 pub(super) fn find(root: &Path, name: &str) -> Option<PathBuf> {
     let name = name.replace('\\', "/");
     FACTORS.iter().find_map(|factor| {
@@ -26,8 +26,8 @@ pub(super) fn find(root: &Path, name: &str) -> Option<PathBuf> {
     })
 }
 
-/// The camera for the image: where this lies in a folder of smaller copies and is as much smaller than the camera's, the
-/// camera is scaled to it.
+/// Scales a camera to its image if the image is a downscaled copy. The image must be in a folder of copies, and its
+/// size must match the camera's size divided by the factor, within one pixel. Otherwise the camera is unchanged.
 pub(super) fn fitted(camera: Camera, image: &Path) -> Result<Camera> {
     let folder = image.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy();
     let factor = FACTORS.iter().find(|factor| folder == format!("images_{factor}"));
@@ -47,7 +47,7 @@ mod tests {
     use crate::image::{Image, write_png};
 
     #[test]
-    fn copies_are_found_and_cameras_follow_them() {
+    fn copies_are_found_and_their_cameras_scaled() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path();
         for (factor, width, height) in [(4, 40, 31), (8, 20, 15)] {
@@ -60,12 +60,12 @@ mod tests {
         assert_eq!(find(root, "deep/a.png"), None);
         assert_eq!(find(root, "deep/images/b.png"), None);
 
-        // 122 rows make 30.5; either whole number is a copy's.
+        // 122 rows / 4 = 30.5; copies may round either way.
         let full = Camera { height: 122, ..camera() };
         let small = fitted(full.clone(), &found).unwrap();
         assert_eq!((small.width, small.height), (40, 31));
         assert!((small.fx - full.fx / 4.0).abs() < 1e-12 && (small.cy - full.cy * 31.0 / 122.0).abs() < 1e-12);
-        // A camera that is the copy's own stays, and so does one that belongs to another image.
+        // A camera that already has the copy's size is unchanged, and so is a camera of another image.
         let own = Camera { width: 40, height: 31, ..camera() };
         assert_eq!(fitted(own.clone(), &found).unwrap(), own);
         let other = Camera { width: 320, ..camera() };

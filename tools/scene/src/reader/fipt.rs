@@ -1,9 +1,11 @@
-//! FIPT's scenes, with HDR images `Image/NNN_0001.exr`.
+//! FIPT scenes with HDR images `Image/NNN_0001.exr`.
 //!
-//! Real captures have `cam.txt` (for each camera its origin, a point that it looks at, and its up vector; OpenCV axes) and
-//! `K_list.txt` (a matrix of intrinsics for each, with its principal point). Synthetic ones have `transforms.json`, in
-//! `train/` and `val/` or alone: poses with Mitsuba's axes (x left, y up, z forward), frames that belong to images by their
-//! index, and albedo and roughness beside them, for measuring only.
+//! Real captures have `cam.txt` and `K_list.txt`. `cam.txt` has the origin, a target point, and the up vector of each
+//! camera, with OpenCV axes. `K_list.txt` has one intrinsic matrix per camera, including the principal point.
+//!
+//! Synthetic scenes have `transforms.json`, in `train/` and `val/` or alone. Poses have Mitsuba's axes (x left, y up, z
+//! forward), and frames refer to images by index. Albedo and roughness are stored beside the images, for evaluation
+//! only.
 
 use std::path::{Path, PathBuf};
 
@@ -20,7 +22,7 @@ use crate::error::{Result, SceneError, io_error};
 use crate::ground_truth::GroundTruthKind;
 use crate::image::read_size;
 
-/// The files that the layout is recognized by.
+/// Returns the names of the files that identify the layout, if they exist.
 pub(super) fn sign(root: &Path) -> Option<String> {
     let both = root.join("cam.txt").is_file() && root.join("K_list.txt").is_file();
     let synthetic = |folder: &Path| folder.join("transforms.json").is_file() && folder.join("Image").is_dir();
@@ -33,7 +35,7 @@ pub(super) fn sign(root: &Path) -> Option<String> {
     }
 }
 
-/// Whether the frames of `transforms.json` do not name their images, which lie in `Image`.
+/// Returns whether frames of `transforms.json` refer to images in `Image` by index.
 fn by_index(root: &Path) -> bool {
     let named = |path: &Path| transforms::first_image(path).is_ok_and(|image| image.is_some());
     image_of(root, "Image", 0).is_file() && !named(&root.join("transforms.json"))
@@ -96,8 +98,8 @@ fn read_synthetic(root: &Path, split: Option<(&str, bool)>, found: &mut Found) -
     Ok(())
 }
 
-/// Reads `cam.txt` and `K_list.txt` with images `NNN` and a suffix from `folder`; `number` is that of a file that is one of
-/// them.
+/// Reads `cam.txt` and `K_list.txt` with images `NNN` plus a suffix from `folder`. `number` returns the number of an
+/// image file, or `None` for other files.
 pub(super) fn read_real(
     root: &Path,
     folder: &Path,
@@ -149,8 +151,8 @@ pub(super) fn read_real(
     Ok(found)
 }
 
-/// The images by camera. They are in the order of their numbers where there are as many as cameras; otherwise the number
-/// is the camera's.
+/// Returns the image of each camera. With equally many images and cameras, images are assigned in the order of their
+/// numbers. Otherwise the number of an image is the index of its camera.
 fn images_of(folder: &Path, count: usize, number: &dyn Fn(&str) -> Option<usize>) -> Result<Vec<Option<PathBuf>>> {
     let entries = std::fs::read_dir(folder).map_err(io_error("read", folder))?;
     let mut numbered: Vec<(usize, PathBuf)> = Vec::new();
@@ -170,7 +172,7 @@ fn images_of(folder: &Path, count: usize, number: &dyn Fn(&str) -> Option<usize>
     Ok(images)
 }
 
-/// Focal lengths and principal point of a matrix.
+/// Returns focal lengths and principal point of an intrinsic matrix.
 fn intrinsics_of(k: &Block, size: (u32, u32), image: &Path) -> Result<(f64, f64, f64, f64), String> {
     let [[fx, skew, cx], [below, fy, cy], last] = k.rows;
     if k.rows.iter().flatten().any(|v| !v.is_finite()) {

@@ -1,4 +1,4 @@
-//! A photograph and its camera, as every reader gives it.
+//! Frame: a photograph with its camera, as returned by every reader.
 
 use std::path::{Path, PathBuf};
 
@@ -7,28 +7,28 @@ use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{EXTENSIONS, read_size, turning_orientation};
 
-/// A photograph and its camera.
+/// Photograph with its camera.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Frame {
-    /// The camera for the image as it is on the disk.
+    /// Camera of the image at its stored size.
     pub(crate) camera: Camera,
-    /// The lens of that camera.
+    /// Lens distortion of that camera.
     pub(crate) lens: Distortion,
-    /// The image.
+    /// Path of the image.
     pub(crate) image: PathBuf,
-    /// The file that describes the camera.
+    /// File that describes the camera.
     pub(crate) declared_in: PathBuf,
-    /// What the layout keeps beside the image.
+    /// Files stored beside the image.
     pub(crate) beside: Beside,
 }
 
 impl Frame {
-    /// A photograph with nothing beside it.
+    /// Creates a frame without files beside it.
     pub(crate) fn new(camera: Camera, lens: Distortion, image: PathBuf, declared_in: PathBuf) -> Self {
         Self { camera, lens, image, declared_in, beside: Beside::default() }
     }
 
-    /// Refuses an image whose header gives another size than the camera.
+    /// Returns an error if the image header and the camera differ in size.
     pub(crate) fn check_size(&self) -> Result<()> {
         let image = read_size(&self.image)?;
         let camera = (self.camera.width, self.camera.height);
@@ -54,19 +54,20 @@ impl Frame {
     }
 }
 
-/// The extensions that `read_size` and the loaders know, in any case.
+/// Returns whether readers support this image extension, in any case.
 fn is_image_extension(extension: &str) -> bool {
     EXTENSIONS.contains(&extension.to_lowercase().as_str())
 }
 
-/// The file name without its image extension. Names may hold dots of their own: `frame.0001` is a whole stem.
+/// Returns the file name without its image extension. Names may contain other dots: `frame.0001` is a complete stem.
 pub(crate) fn stem_of(path: &Path) -> String {
     let known = path.extension().is_some_and(|e| is_image_extension(&e.to_string_lossy()));
     let name = if known { path.file_stem() } else { path.file_name() };
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The image that a scene file names with or without extension, relative to `folder`, or `None` when there is none.
+/// Returns the image that a scene file names, relative to `folder`. The name may lack the extension. Returns `None` if
+/// the file does not exist.
 pub(crate) fn find_image(folder: &Path, name: &str) -> Option<PathBuf> {
     if name.is_empty() {
         return None;
@@ -87,7 +88,7 @@ pub(crate) fn find_image(folder: &Path, name: &str) -> Option<PathBuf> {
     candidates.map(with).find(|candidate| candidate.is_file())
 }
 
-/// One sentence about frames whose image is missing, or `None` when there are none.
+/// Returns a warning about frames whose image is missing; `None` if none is.
 pub(crate) fn missing_warning(declared_in: &Path, missing: &[String], total: usize) -> Option<String> {
     let first = missing.first()?;
     let n = missing.len();
@@ -102,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stems_lose_only_image_extensions() {
+    fn stems_drop_only_image_extensions() {
         let stem = |s: &str| stem_of(Path::new(s));
         assert_eq!(stem("images/000.png"), "000");
         assert_eq!(stem("images/a.JPG"), "a");
@@ -130,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_frames_are_counted_in_one_sentence() {
+    fn missing_frames_cause_one_warning() {
         assert_eq!(missing_warning(Path::new("t.json"), &[], 3), None);
         let warning = missing_warning(Path::new("t.json"), &["a".into(), "b".into()], 5).unwrap();
         assert_eq!(

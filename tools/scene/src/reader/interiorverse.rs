@@ -1,11 +1,12 @@
-//! The layout of InteriorVerse: HDR images `NNN_im.exr` with albedo, material, normal, depth and mask beside each.
+//! Layout of InteriorVerse: HDR images `NNN_im.exr` with maps beside each. The maps are albedo, material, normal, depth
+//! and mask.
 //!
-//! The release has no cameras; they come from `transforms.json`, whose frames may name their `split`, from FIPT's `cam.txt`
-//! and `K_list.txt`, or from a COLMAP or VGGT model of the images in `sparse`.
+//! The release has no cameras. They come from `transforms.json`, whose frames may have a `split`, from FIPT's `cam.txt`
+//! and `K_list.txt`, or from a COLMAP or VGGT model in `sparse`.
 //!
-//! The mask marks valid pixels and belongs to the image: what it excludes is not trained on. Everything else is for
-//! measuring only, never a prior: roughness is the red channel of the material and metallic the green one, normals have
-//! OpenGL camera axes, depth is documented in millimeters and checked before use.
+//! The mask marks valid pixels and belongs to the image: training ignores excluded pixels. All other maps are for
+//! evaluation only and never priors. Roughness is the red channel of the material, and metallic the green channel.
+//! Normals have OpenGL camera axes. Depth is documented in millimeters and checked before use.
 
 use std::path::{Path, PathBuf};
 
@@ -15,14 +16,15 @@ use crate::error::{Result, SceneError};
 use crate::ground_truth::GroundTruthKind;
 use crate::maps::NormalFrame;
 
-/// The image that the layout is recognized by: the first one, `NNN_im.exr`.
+/// Returns the name of the first image `NNN_im.exr`, which identifies the layout.
 pub(super) fn sign(root: &Path) -> Option<String> {
     let entries = std::fs::read_dir(root).ok()?;
     let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
     names.filter(|name| name.ends_with("_im.exr") && number(name).is_some()).min()
 }
 
-/// The number of `NNN_im.exr`, `NNN_im_denoised.exr` or `NNN_im_denoised.png`.
+/// Returns the number in the name of an image. Supported names are `NNN_im` and `NNN_im_denoised`, with the extension
+/// `.exr` or `.png`.
 fn number(name: &str) -> Option<&str> {
     let digits = &name[..name.find(|c: char| !c.is_ascii_digit())?];
     let rest = name[digits.len()..].strip_prefix("_im")?;
@@ -30,7 +32,7 @@ fn number(name: &str) -> Option<&str> {
     (!digits.is_empty() && (rest == ".exr" || rest == ".png")).then_some(digits)
 }
 
-/// Reads a scene directory. `split` is a file that takes the place of the scene's `split.json`.
+/// Reads a scene directory. `split` is a file that replaces the scene's `split.json`.
 pub(super) fn read(root: &Path, split: Option<&Path>) -> Result<Found> {
     let mut found = if root.join("transforms.json").is_file() {
         transforms::read(root, split)?
@@ -52,7 +54,7 @@ pub(super) fn read(root: &Path, split: Option<&Path>) -> Result<Found> {
     Ok(found)
 }
 
-/// Lists what lies beside an image, in its folder or in the scene's.
+/// Lists the files beside an image, in its folder or in the scene directory.
 fn add_beside(root: &Path, frame: &mut Frame) {
     let image = frame.image.clone();
     let name = image.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -60,7 +62,7 @@ fn add_beside(root: &Path, frame: &mut Frame) {
         return;
     };
     let find = |kind: &str| -> Option<PathBuf> {
-        // Only masks come as PNG too.
+        // Only masks may also be PNG files.
         let extensions: &[&str] = if kind == "mask" { &["exr", "png"] } else { &["exr"] };
         let folders = image.parent().into_iter().chain([root]);
         let paths = |folder: &Path| extensions.iter().map(|e| folder.join(format!("{number}_{kind}.{e}"))).collect();

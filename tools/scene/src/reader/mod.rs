@@ -1,8 +1,8 @@
-//! Readers: one module for each layout of a scene directory.
+//! Readers: one module per layout of a scene directory.
 //!
-//! A layout is recognized by what the directory holds. Its reader finds cameras, images and points and turns them into
-//! this crate's conventions; everything that layouts share (split, scale, priors, checks) happens afterwards, in
-//! [`Scene`](crate::Scene).
+//! The files in a directory determine its layout. A reader finds cameras, images and points and converts them to this
+//! crate's conventions. [`Scene`](crate::Scene) then performs the steps that all layouts share: split, scale, priors,
+//! and checks.
 
 mod blender;
 pub(crate) mod colmap;
@@ -22,51 +22,51 @@ pub(crate) use frame::{Frame, stem_of};
 use crate::error::{Result, SceneError};
 use crate::points::{PointCloud, Tracks};
 
-/// How a scene directory is laid out.
+/// Layout of a scene directory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// `transforms.json`, as nerfstudio and instant-ngp write it.
+    /// `transforms.json` of nerfstudio and instant-ngp.
     Transforms,
-    /// `sparse/0` or `sparse`, as COLMAP and VGGT write it.
+    /// `sparse/0` or `sparse` of COLMAP and VGGT.
     Colmap,
-    /// `NNN_im.exr` and its companions.
+    /// `NNN_im.exr` and its maps.
     InteriorVerse,
-    /// `transforms_train.json` and folders of images, as for TensoIR.
+    /// `transforms_train.json` with image folders, as in Blender and TensoIR scenes.
     Blender,
     /// `cam.txt` and `K_list.txt`, or `transforms.json` with the folder `Image`.
     Fipt,
 }
 
 impl Layout {
-    /// The layout of a scene directory; `None` for a directory that holds no scene.
+    /// Returns the layout of a scene directory; `None` if it holds no scene.
     pub fn of(root: &Path) -> Option<Layout> {
         recognize(root).ok()
     }
 }
 
-/// What a reader found.
+/// Result of a reader.
 #[derive(Debug, Default)]
 pub(crate) struct Found {
-    /// Frames whose image exists, in the order of the file.
+    /// Frames whose image exists, in file order.
     pub(crate) frames: Vec<Frame>,
     /// Stems of frames whose image does not exist.
     pub(crate) missing: Vec<String>,
-    /// Points, where the layout has some.
+    /// Points, if the layout has any.
     pub(crate) points: Option<PointCloud>,
-    /// Which images see each of the points, where the layout says.
+    /// Tracks of the points, if the layout has any.
     pub(crate) tracks: Option<Tracks>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub(crate) warnings: Vec<String>,
-    /// Whether the layout says which views are held out; `split.json` comes before it.
+    /// Whether the layout defines the test views; `split.json` takes precedence.
     pub(crate) own_split: bool,
 }
 
-/// The scene directory that a path names: itself, or the one whose COLMAP model it is.
+/// Returns the scene directory of a path. A path to a COLMAP model refers to the scene that contains it.
 pub(crate) fn scene_root(path: &Path) -> PathBuf {
     colmap::scene_of_model(path).unwrap_or_else(|| path.to_owned())
 }
 
-/// Recognizes the layout of a scene directory.
+/// Detects the layout of a scene directory.
 pub(crate) fn recognize(root: &Path) -> Result<Layout> {
     let problem = if !root.exists() {
         "does not exist; give the directory of a scene"
@@ -91,7 +91,7 @@ pub(crate) fn recognize(root: &Path) -> Result<Layout> {
     Err(SceneError::NotAScene { path: root.to_path_buf(), problem: problem.into() })
 }
 
-/// Reads a scene directory of the given layout. `split` is a file that takes the place of the scene's `split.json`.
+/// Reads a scene directory with the given layout. `split` is a file that replaces the scene's `split.json`.
 pub(crate) fn read(root: &Path, layout: Layout, split: Option<&Path>) -> Result<Found> {
     match layout {
         Layout::Transforms => transforms::read(root, split),
@@ -107,7 +107,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn layouts_are_recognized_by_what_they_hold() {
+    fn layouts_are_detected_from_files() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path();
         let put = |name: &str, content: &str| {
@@ -132,7 +132,7 @@ mod tests {
         assert_eq!(recognize(root).unwrap(), Layout::Transforms);
         put("transforms.json", "{\"frames\": [{\"file_path\": \"Image/000_0001.exr\"}]}");
         assert_eq!(recognize(root).unwrap(), Layout::Transforms);
-        // Frames that name their images are nerfstudio's, frames that do not are FIPT's.
+        // Frames that name their images belong to nerfstudio; frames that do not belong to FIPT.
         put("Image/000_0001.exr", "");
         assert_eq!(recognize(root).unwrap(), Layout::Transforms);
         put("transforms.json", "{\"frames\": [{\"file_path\": \"./train/r_0\"}]}");

@@ -1,18 +1,18 @@
-//! Text files that hold a count and then three rows of three numbers for each camera, as FIPT writes `cam.txt` and
-//! `K_list.txt`.
+//! Text files with a count and then three rows of three numbers per camera. FIPT writes `cam.txt` and `K_list.txt` in
+//! this format.
 
 use std::path::Path;
 
 use crate::error::{Result, SceneError, io_error};
 
-/// Three rows of three numbers, and the line of the first.
+/// Three rows of three numbers, with the line number of the first row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Block {
     pub(super) rows: [[f64; 3]; 3],
     pub(super) line: usize,
 }
 
-/// Reads the blocks of a file. A byte-order mark, empty lines and white space around numbers are skipped.
+/// Reads the blocks of a file. Skips a byte-order mark, empty lines and white space around numbers.
 pub(super) fn read(path: &Path) -> Result<Vec<Block>> {
     let bytes = std::fs::read(path).map_err(io_error("read", path))?;
     let text = String::from_utf8_lossy(&bytes);
@@ -56,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn marks_and_white_space_are_skipped() {
+    fn byte_order_mark_and_white_space_are_skipped() {
         let text = "\u{feff}  2 \r\n\r\n 1 2\t3\r\n4 5 6 \n7 8 9\n\n  -1e1 0 0\n0 1 0\n0 0 1\n\n";
         let blocks = parse(text).unwrap();
         assert_eq!(blocks[0], Block { rows: [[1., 2., 3.], [4., 5., 6.], [7., 8., 9.]], line: 3 });
@@ -64,7 +64,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_error_has_its_message() {
         let fail = |text: &str| parse(text).unwrap_err();
         assert!(fail(" \n").starts_with("cam.txt: the file is empty"));
         assert!(fail("one\n").starts_with("cam.txt, line 1: \"one\" is no number of cameras"));

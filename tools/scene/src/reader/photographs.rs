@@ -1,10 +1,10 @@
-//! Folders of photographs that nothing is known of: the commands that find their cameras.
+//! Folders of photographs without cameras: commands that estimate the cameras.
 
 use std::path::{Path, PathBuf};
 
 use super::frame::stem_of;
 
-/// What to do with a folder of photographs without cameras; `None` for a folder without photographs.
+/// Returns the commands for a folder of photographs without cameras. Returns `None` for a folder without photographs.
 pub(super) fn problem(root: &Path) -> Option<String> {
     let inner = root.join("images");
     let (folder, count) =
@@ -17,14 +17,14 @@ pub(super) fn problem(root: &Path) -> Option<String> {
     ))
 }
 
-/// Photographs in a folder, by their extension.
+/// Counts the photographs in a folder by their extension.
 fn count(folder: &Path) -> usize {
     let files = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| PathBuf::from(entry.file_name()));
-    // Only an image loses its extension.
+    // `stem_of` removes only image extensions.
     files.filter(|file| file.extension().is_some() && stem_of(file) != file.to_string_lossy()).count()
 }
 
-/// A path as a shell takes it.
+/// Quotes a path for a shell.
 fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     let plain = |c: char| c.is_alphanumeric() || "/._-+,:@".contains(c);
@@ -36,7 +36,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_commands_name_the_folders() {
+    fn commands_name_the_quoted_folders() {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path().join("my room");
         std::fs::create_dir_all(root.join("images")).unwrap();

@@ -1,11 +1,11 @@
-//! Poses from files, made clean.
+//! Conversion of poses from files, with orthonormal rotations.
 
 use glam::{DMat3, DQuat, DVec3};
 
-/// How far a rotation may be from orthonormal and still be meant as one; files round to few digits.
+/// Largest deviation of an accepted rotation from orthonormal; files round to few digits.
 const TOLERANCE: f64 = 1e-2;
 
-/// The axes of cameras in a file, seen from behind the camera.
+/// Camera axes of a file, seen from behind the camera.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Axes {
     /// x right, y up, z backward.
@@ -14,9 +14,10 @@ pub(super) enum Axes {
     Mitsuba,
 }
 
-/// The world-to-camera pose (OpenCV axes) of a camera-to-world matrix with these axes, given row by row.
+/// Converts a camera-to-world matrix to a world-to-camera pose. `rows` are the rows of the matrix, with camera axes
+/// `axes`. The result has OpenCV axes.
 ///
-/// The error is the end of a sentence about the matrix.
+/// The error text is the end of a sentence about the matrix.
 pub(super) fn from_matrix(rows: &[Vec<f64>], axes: Axes) -> Result<(DMat3, DVec3), String> {
     let lengths: Vec<String> = rows.iter().map(|r| r.len().to_string()).collect();
     if !(rows.len() == 3 || rows.len() == 4) || rows.iter().any(|r| r.len() != 4) {
@@ -42,7 +43,8 @@ pub(super) fn from_matrix(rows: &[Vec<f64>], axes: Axes) -> Result<(DMat3, DVec3
     Ok((to_camera, -(to_camera * column(3))))
 }
 
-/// The world-to-camera pose of a camera that stands at `origin`, looks at `target`, and whose upper edge points to `up`.
+/// Returns the world-to-camera pose of a camera at `origin` that looks at `target`. `up` points to the upper edge of
+/// the image.
 pub(super) fn from_look_at(origin: DVec3, target: DVec3, up: DVec3) -> Result<(DMat3, DVec3), String> {
     if !(origin.is_finite() && target.is_finite() && up.is_finite()) {
         return Err("the pose holds values that are not finite; correct or remove the camera".into());
@@ -58,21 +60,21 @@ pub(super) fn from_look_at(origin: DVec3, target: DVec3, up: DVec3) -> Result<(D
     Ok((to_camera, -(to_camera * origin)))
 }
 
-/// The world-to-camera pose of a quaternion `(w, x, y, z)` and a translation, as COLMAP gives it.
+/// Converts a quaternion `(w, x, y, z)` and a translation to a pose. Both are world-to-camera, as in COLMAP.
 pub(super) fn from_quaternion(q: [f64; 4], t: [f64; 3]) -> Result<(DMat3, DVec3), String> {
     let translation = DVec3::from_array(t);
     let quaternion = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
     if !(quaternion.is_finite() && translation.is_finite()) {
         return Err("the pose holds values that are not finite; correct or remove the image".into());
     }
-    // Files round to few digits; anything farther from a unit quaternion is another column.
+    // Files round to few digits; a larger deviation from unit length indicates a wrong column.
     if (quaternion.length() - 1.0).abs() > TOLERANCE {
         return Err(format!("the quaternion {q:?} has the length {}; it must be 1", quaternion.length()));
     }
     Ok((DMat3::from_quat(quaternion.normalize()), translation))
 }
 
-/// The rotation nearest to a matrix that nearly is one.
+/// Returns the rotation nearest to an almost orthonormal matrix.
 fn orthonormal(matrix: DMat3) -> Result<DMat3, String> {
     let deviation = (matrix.transpose() * matrix - DMat3::IDENTITY).to_cols_array();
     let worst = deviation.iter().fold(0.0_f64, |worst, v| worst.max(v.abs()));
@@ -86,7 +88,7 @@ fn orthonormal(matrix: DMat3) -> Result<DMat3, String> {
     if matrix.determinant() < 0.0 {
         return Err("mirrors space: the determinant of its rotation is −1 and must be 1".into());
     }
-    // Newton's iteration for the polar decomposition; it converges quadratically from this close.
+    // Newton iteration for the polar decomposition, which converges quadratically from this start.
     let mut rotation = matrix;
     for _ in 0..6 {
         rotation = 0.5 * (rotation + rotation.inverse().transpose());
@@ -113,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn mitsuba_looks_along_z_with_y_up_and_x_to_the_left() {
+    fn mitsuba_axes_are_x_left_y_up_z_forward() {
         let (rotation, translation) =
             from_matrix(&rows(DMat3::IDENTITY, DVec3::new(1.0, 2.0, 3.0)), Axes::Mitsuba).unwrap();
         let p = rotation * DVec3::new(0.5, 2.25, 5.0) + translation;
@@ -122,9 +124,9 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_that_looks_at_a_point_sees_it_in_the_middle() {
+    fn look_at_target_projects_to_the_optical_axis() {
         let (origin, target) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(4.0, 2.0, 7.0));
-        // The up vector need be neither unit nor perpendicular.
+        // The up vector need not be a unit vector or perpendicular.
         let (rotation, translation) = from_look_at(origin, target, DVec3::new(0.3, 2.0, 0.1)).unwrap();
         assert!((rotation * target + translation - DVec3::new(0.0, 0.0, 5.0)).length() < 1e-12);
         assert!((rotation.determinant() - 1.0).abs() < 1e-12);
@@ -137,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn opengl_looks_along_minus_z_with_y_up() {
+    fn opengl_axes_are_x_right_y_up_z_backward() {
         let (rotation, translation) = from_opengl(&rows(DMat3::IDENTITY, DVec3::new(1.0, 2.0, 3.0))).unwrap();
         // A point in front of (−z), right of (+x) and above (+y) the camera.
         let p = rotation * DVec3::new(1.5, 2.25, 1.0) + translation;
@@ -146,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn rounded_rotations_become_exact() {
+    fn rounded_rotations_become_orthonormal() {
         let exact = DMat3::from_rotation_y(0.7) * DMat3::from_rotation_x(0.3);
         let rounded = DMat3::from_cols_array(&exact.to_cols_array().map(|v| (v * 1000.0).round() / 1000.0));
         let clean = orthonormal(rounded).unwrap();
@@ -162,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_error_has_its_message() {
         let good = rows(DMat3::IDENTITY, DVec3::ZERO);
         let fail = |change: fn(&mut Vec<Vec<f64>>)| {
             let mut rows = good.clone();

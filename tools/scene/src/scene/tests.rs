@@ -1,7 +1,7 @@
 use super::*;
 use crate::image::write_png;
 
-/// A scene of `n` views of 8×6 pixels along the x axis, looking along −z, with images `v0.png` and up.
+/// Writes a scene of `n` 8×6 views along the x axis that look along −z. Images are `v0.png`, `v1.png`, and so on.
 fn write_scene(root: &Path, n: usize, extra: &str) {
     let frame = |i: usize| {
         write_png(&root.join(format!("v{i}.png")), &Image::new(8, 6, 3)).unwrap();
@@ -43,7 +43,7 @@ fn views_are_ordered_by_number_and_split() {
 }
 
 #[test]
-fn rules_divide_the_views() {
+fn split_rules_select_the_views() {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path();
     write_scene(root, 12, "");
@@ -71,7 +71,8 @@ fn rules_divide_the_views() {
     assert!(error.contains("the split every:2 leaves no training view of 1 views"), "{error}");
 }
 
-/// A model of COLMAP with six views, and three points: seen by views 1 and 2, by views 0 and 1, and by view 5 twice.
+/// Writes a COLMAP model with six views and three points. Views 1 and 2 see the first point, views 0 and 1 the second,
+/// and view 5 the third, twice.
 fn write_model(root: &Path, binary: bool) {
     std::fs::create_dir_all(root.join("sparse/0")).unwrap();
     std::fs::create_dir_all(root.join("images")).unwrap();
@@ -118,7 +119,7 @@ fn write_model(root: &Path, binary: bool) {
 }
 
 #[test]
-fn points_that_fewer_than_two_training_views_see_are_left_out() {
+fn points_seen_by_fewer_than_two_training_views_are_excluded() {
     for binary in [false, true] {
         let directory = tempfile::tempdir().unwrap();
         let root = directory.path();
@@ -131,14 +132,14 @@ fn points_that_fewer_than_two_training_views_see_are_left_out() {
             let x: Vec<f32> = scene.points.positions.iter().map(|p| p[0]).collect();
             (x, scene.warnings)
         };
-        // View 0 is a test view, and so it sees no point that training starts from.
+        // View 0 is a test view, so its observations do not count.
         let (points, warnings) = seen("every:6", None);
         assert_eq!(points, [0.0]);
         assert_eq!(warnings, ["fewer than two training views see 2 of the 3 points; training starts from the other 1"]);
         std::fs::write(root.join("all.json"), r#"{"train": ["v0", "v1", "v2", "v3", "v4", "v5"]}"#).unwrap();
         let file = root.join("all.json").display().to_string();
         assert_eq!(seen(&file, None).0, [0.0, 1.0]);
-        // Views 0 and 5 share no point: all are kept.
+        // Views 0 and 5 have no common point, so all points remain.
         let (points, warnings) = seen(&file, Some(2));
         assert_eq!(points, [0.0, 1.0, 2.0]);
         assert!(warnings[0].starts_with("fewer than two training views see any of the 3 points"), "{warnings:?}");
@@ -146,19 +147,19 @@ fn points_that_fewer_than_two_training_views_see_are_left_out() {
 }
 
 #[test]
-fn names_sort_as_people_count() {
+fn names_sort_in_natural_order() {
     let mut names = ["v10", "v9", "v9a", "a", "v009", "v100000000000000000000000000000000000000001", ""];
     names.sort_by_key(|name| natural_key(name));
     assert_eq!(names, ["", "a", "v100000000000000000000000000000000000000001", "v009", "v9", "v9a", "v10"]);
 }
 
 #[test]
-fn the_extent_is_that_of_the_training_cameras() {
+fn extent_follows_the_training_cameras() {
     let directory = tempfile::tempdir().unwrap();
     write_scene(directory.path(), 9, "");
-    // Training views 1 to 7 have their mean at 4.
+    // The mean of training views 1 to 7 is 4.
     assert!((open(directory.path(), |_| ()).unwrap().extent() - 1.1 * 3.0).abs() < 1e-9);
-    // One camera has no path: half of the median distance to the points, else 1.
+    // A single camera: half the median distance to the points, or 1 without points.
     assert_eq!(open(directory.path(), |o| o.views = Some(1)).unwrap().extent(), 1.0);
     let positions = vec![[1.0, 0.0, -2.0], [1.0, 0.0, -3.0], [1.0, 0.0, -90.0]];
     let points = PointCloud { positions, ..Default::default() };
@@ -179,7 +180,7 @@ fn random_points_replace_missing_ones() {
     assert!(scene.warnings.iter().all(|w| !w.contains("random points")));
     let start = scene.start_warnings().unwrap();
     assert!(start.iter().any(|w| w.ends_with("has no point cloud; starting from 5000 random points")));
-    // The cameras look along −z, up to twice their extent of 3.3.
+    // The cameras look along −z; the box ends at twice the extent of 3.3.
     assert!(scene.points.positions.iter().all(|p| (-6.601..=0.0).contains(&p[2])));
     assert_eq!(open(directory.path(), |o| o.random_points = 0).unwrap().points.len(), 100);
     let other = open(directory.path(), |o| (o.random_points, o.seed) = (5000, 1)).unwrap();
@@ -187,7 +188,7 @@ fn random_points_replace_missing_ones() {
 }
 
 #[test]
-fn scaling_changes_cameras_and_images_alike() {
+fn scaling_applies_to_cameras_and_images() {
     let directory = tempfile::tempdir().unwrap();
     write_scene(directory.path(), 2, "");
     let scene = open(directory.path(), |o| o.scale = 0.5).unwrap();
@@ -199,7 +200,7 @@ fn scaling_changes_cameras_and_images_alike() {
 }
 
 #[test]
-fn strong_distortion_is_warned_about_once() {
+fn strong_distortion_causes_one_warning() {
     let directory = tempfile::tempdir().unwrap();
     write_scene(directory.path(), 3, "\"k1\": 0.5,");
     let scene = open(directory.path(), |_| ()).unwrap();
@@ -209,7 +210,7 @@ fn strong_distortion_is_warned_about_once() {
 }
 
 #[test]
-fn each_fault_has_its_sentence() {
+fn each_error_has_its_message() {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path();
     write_scene(root, 2, "");

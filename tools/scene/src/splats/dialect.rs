@@ -1,22 +1,22 @@
-//! The dialects of PLY files: what programs call the materials of a Gaussian, and how they store them.
+//! Dialects of PLY files: names and encodings of materials in other programs.
 //!
-//! All agree on positions, harmonics, opacities, scales and rotations, which are stored before activation. They differ
-//! in the names of normals and materials, and in the function that makes a material of a stored number. What is known of
-//! each is in docs/reference/exchange.md. Reading and writing are left to the files beside this one.
+//! All dialects agree on positions, spherical harmonics, opacities, scales and rotations, which are stored before
+//! activation. They differ in the names of normals and materials, and in the activation of materials.
+//! docs/reference/exchange.md documents each dialect. Sibling modules read and write the files.
 
 use super::{SH_C0, Splats};
 use crate::image::{linear_to_srgb, srgb_to_linear};
 use crate::ply::{Scalar, VertexTable};
 
-/// Nearer to the ends of its range no value comes on its way between dialects: what is stored would be infinite.
+/// Smallest distance of a converted value from the ends of its range. The stored value would be infinite at the ends.
 const MARGIN: f64 = 1e-6;
 
-/// A program whose PLY files are read and written.
+/// Program whose PLY files are read and written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlyDialect {
-    /// This project's: 3DGS with `albedo_0..2 roughness [metallic] [semantic_*]`.
+    /// This project: 3DGS with `albedo_0..2 roughness [metallic] [semantic_*]`.
     Own,
-    /// The original 3DGS program and most viewers: no materials.
+    /// The original 3DGS program and most viewers, without materials.
     ThreeDgs,
     /// GS-IR: `normal_0..2 albedo_0..2 roughness metallic`.
     GsIr,
@@ -24,29 +24,28 @@ pub enum PlyDialect {
     R3dg,
     /// SGS as published: R3DG with `semantic_feature_*`.
     Sgs,
-    /// mesh2splat: albedo in place of the color, `metallicFactor roughnessFactor` as they are.
+    /// mesh2splat: albedo instead of color; `metallicFactor roughnessFactor` as plain values.
     Mesh2Splat,
 }
 
-/// How a material between 0 and 1 is stored.
+/// Encoding of a material value between 0 and 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Code {
-    /// The value is `low + span / (1 + exp(-stored))`.
+    /// Logistic encoding: the value is `low + span / (1 + exp(-stored))`.
     Logistic { low: f64, span: f64 },
-    /// The value is the stored number over this.
+    /// Linear encoding: the value is the stored number divided by this.
     Plain(f64),
 }
 
-/// The lowest albedo of this project's Gaussians and how far it reaches from there: the value is
-/// `low + span * logistic(stored)`.
+/// Lowest albedo and span of this project's Gaussians. The value is `low + span * logistic(stored)`.
 pub const ALBEDO_RANGE: [f32; 2] = [0.01, 0.98];
-/// The same of roughness.
+/// Lowest roughness and span, with the same encoding as [`ALBEDO_RANGE`].
 pub const ROUGHNESS_RANGE: [f32; 2] = [0.09, 0.9];
 
 pub(super) const OWN_ALBEDO: Code = Code::Logistic { low: 0.01, span: 0.98 };
 pub(super) const OWN_ROUGHNESS: Code = Code::Logistic { low: 0.09, span: 0.9 };
 pub(super) const OWN_METALLIC: Code = Code::Logistic { low: 0.0, span: 1.0 };
-/// The range of albedo and roughness of published SGS; assumed of R3DG, too.
+/// Range of albedo and roughness in published SGS; assumed for R3DG.
 const PUBLISHED: Code = Code::Logistic { low: 0.09, span: 0.9 };
 
 impl Code {
@@ -67,13 +66,13 @@ impl Code {
         }
     }
 
-    /// A stored number in another code. Between equal codes it keeps its bits.
+    /// Converts a stored number to another encoding. Equal encodings preserve every bit.
     pub(super) fn to(self, other: Code, stored: f32) -> f32 {
         if self == other { stored } else { other.stored(self.value(stored)) }
     }
 }
 
-/// What a dialect calls things, and how it stores them. No albedo: it is the color.
+/// Property names and encodings of a dialect. Without `albedo`, the color represents the albedo.
 pub(super) struct Names {
     pub(super) normals: [&'static str; 3],
     pub(super) albedo: Option<([&'static str; 3], Code)>,
@@ -83,7 +82,7 @@ pub(super) struct Names {
 }
 
 impl PlyDialect {
-    /// All of them.
+    /// All dialects.
     pub const ALL: [PlyDialect; 6] = [
         PlyDialect::Own,
         PlyDialect::ThreeDgs,
@@ -93,7 +92,7 @@ impl PlyDialect {
         PlyDialect::Mesh2Splat,
     ];
 
-    /// Its name on the command line.
+    /// Returns the name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             PlyDialect::Own => "ply",
@@ -105,7 +104,7 @@ impl PlyDialect {
         }
     }
 
-    /// Which it is, by the names of its properties.
+    /// Detects the dialect from property names.
     pub(super) fn of(table: &VertexTable) -> PlyDialect {
         let has = |name: &str| table.find(name).is_some();
         let byte = |name: &str| table.find(name).is_some_and(|p| table.scalar(p) == Scalar::U8);
@@ -124,7 +123,7 @@ impl PlyDialect {
         }
     }
 
-    /// What it calls things; bytes in place of numbers as mesh2splat's short form has them.
+    /// Returns the property names and encodings. `bytes` selects the byte encoding of mesh2splat's short form.
     pub(super) fn names(self, bytes: bool) -> Names {
         let own = Names {
             normals: ["nx", "ny", "nz"],
@@ -168,12 +167,12 @@ impl PlyDialect {
         }
     }
 
-    /// Whether its files always hold materials.
+    /// Returns whether files of the dialect always have materials.
     pub(super) fn needs_materials(self) -> bool {
         matches!(self, PlyDialect::GsIr | PlyDialect::R3dg | PlyDialect::Mesh2Splat)
     }
 
-    /// What of these splats a file of the dialect does not hold.
+    /// Returns the attributes of these splats that the dialect cannot store.
     pub fn leaves_out(self, splats: &Splats) -> Vec<&'static str> {
         let plain = self == PlyDialect::ThreeDgs;
         let names = self.names(false);
@@ -194,12 +193,13 @@ impl PlyDialect {
     }
 }
 
-/// Albedo as this project stores it, of a color that stands for it: the first band of harmonics, display-referred.
+/// Returns the stored albedo of a color. The color is band 0 of the spherical harmonics, display-referred, and
+/// represents the albedo.
 pub(super) fn albedo_of_color(dc: f32) -> f32 {
     OWN_ALBEDO.stored(f64::from(srgb_to_linear((0.5 + SH_C0 * dc).clamp(0.0, 1.0))))
 }
 
-/// The way back.
+/// Inverts [`albedo_of_color`].
 pub(super) fn color_of_albedo(stored: f32) -> f32 {
     (linear_to_srgb(OWN_ALBEDO.value(stored) as f32) - 0.5) / SH_C0
 }
@@ -209,7 +209,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn codes_say_the_same_in_other_numbers() {
+    fn converted_encodings_represent_the_same_value() {
         for stored in [-6.0_f32, -1.25, 0.0, 0.5, 4.0] {
             assert_eq!(OWN_ROUGHNESS.to(PUBLISHED, stored).to_bits(), stored.to_bits(), "equal codes keep bits");
             let there = OWN_ALBEDO.to(Code::Plain(1.0), stored);
@@ -218,7 +218,7 @@ mod tests {
             assert!((back - stored).abs() < 1e-3 * stored.abs().max(1.0), "{stored} {back}");
             assert!((albedo_of_color(color_of_albedo(stored)) - stored).abs() < 1e-2, "{stored}");
         }
-        // Darker than the other can say: its darkest.
+        // A value below the other range becomes that range's minimum.
         let darkest = OWN_ALBEDO.to(PUBLISHED, -9.0);
         assert!(darkest.is_finite() && (PUBLISHED.value(darkest) - 0.09).abs() < 1e-5);
         assert_eq!(Code::Plain(255.0).to(Code::Plain(1.0), 51.0), 0.2);

@@ -1,20 +1,21 @@
-//! First splats from a point cloud.
+//! Initial splats from a point cloud.
 
 use super::{SH_C0, Splats};
 use crate::error::{Result, SceneError};
 use crate::points::{PointCloud, mean_square_distances};
 
-/// The smallest mean squared distance that is believed; duplicates have less.
+/// Smallest mean squared distance; duplicates are below it.
 const MIN_SQUARE_DISTANCE: f32 = 1e-7;
 
-/// The opacity that every splat starts with.
+/// Initial opacity of every splat.
 const OPACITY: f32 = 0.1;
 
 impl Splats {
-    /// One round splat per point.
+    /// Creates one isotropic splat per point.
     ///
-    /// Its size is the root of the mean squared distance to the three nearest neighbors, its opacity 0.1, its color the
-    /// point's (gray without) in band 0, all higher bands up to `sh_degree` zero. Normals are taken over.
+    /// The scale is the root of the mean squared distance to the three nearest neighbors. The opacity is 0.1. Band 0
+    /// holds the color of the point, or gray without colors. Higher bands up to `sh_degree` are zero. Normals are
+    /// copied.
     pub fn from_points(points: &PointCloud, sh_degree: usize) -> Result<Self> {
         if points.is_empty() {
             let problem = "there are no points to start splats from".into();
@@ -59,7 +60,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_are_those_of_the_method() {
+    fn initial_values_match_3dgs() {
         let points = PointCloud {
             positions: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [9.0, 9.0, 9.0]],
             colors: Some(vec![[0.5, 1.0, 0.0]; 5]),
@@ -67,7 +68,7 @@ mod tests {
         };
         let splats = Splats::from_points(&points, 2).unwrap();
         splats.check().unwrap();
-        // Neighbors of the origin at 1, 2 and 3: mean square 14/3.
+        // The neighbors of the origin are at 1, 2 and 3, so the mean square is 14/3.
         let expected = (14.0_f32 / 3.0).sqrt().ln();
         assert!(splats.log_scales[0].iter().all(|v| (v - expected).abs() < 1e-6));
         assert!((splats.opacity_logits[4] + 2.197_224_6).abs() < 1e-6);
@@ -78,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn duplicates_and_single_points_get_the_smallest_size() {
+    fn duplicates_and_single_points_have_the_smallest_scale() {
         for positions in [vec![[1.0; 3]], vec![[1.0; 3]; 9]] {
             let splats = Splats::from_points(&PointCloud { positions, ..Default::default() }, 0).unwrap();
             assert!(splats.log_scales.iter().flatten().all(|v| (v - 0.5 * 1e-7_f32.ln()).abs() < 1e-6));
@@ -87,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_input_is_refused() {
+    fn invalid_input_is_rejected() {
         let fail = |positions: Vec<[f32; 3]>, degree| {
             Splats::from_points(&PointCloud { positions, ..Default::default() }, degree).unwrap_err().to_string()
         };

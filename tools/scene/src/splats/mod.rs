@@ -1,8 +1,8 @@
-//! Gaussian splats in memory, as they are trained and stored: before activation.
+//! Gaussian splats in memory: values before activation, as trained and stored.
 //!
-//! Scales are logarithms, opacities are logits, quaternions have any length but zero. This crate reads and writes them
-//! ([`Splats::read_ply`], [`Splats::write_ply`]) and makes first ones from points ([`Splats::from_points`]); what a
-//! value does in an image is not its business.
+//! Scales are logarithms, opacities are logits, and quaternions have any nonzero length. This crate reads and writes
+//! splats ([`Splats::read_ply`], [`Splats::write_ply`]) and creates initial ones from points ([`Splats::from_points`]).
+//! Rendering is not part of this crate.
 
 mod dialect;
 mod initial;
@@ -14,24 +14,24 @@ pub use dialect::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE};
 
 use crate::error::{Result, SceneError};
 
-/// The first spherical harmonic, a constant: `rgb = 0.5 + SH_C0 · dc`.
+/// Constant of spherical-harmonics band 0: `rgb = 0.5 + SH_C0 · dc`.
 pub const SH_C0: f32 = 0.282_094_8;
 
-/// A set of splats, structure of arrays.
+/// Set of splats as a structure of arrays.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Splats {
-    /// Centers in the world.
+    /// Centers in world space.
     pub means: Vec<[f32; 3]>,
-    /// Natural logarithms of the standard deviations along the axes.
+    /// Natural logarithms of the standard deviations along the local axes.
     pub log_scales: Vec<[f32; 3]>,
     /// Quaternions `(w, x, y, z)` as stored, not normalized.
     pub rotations: Vec<[f32; 4]>,
     /// Opacities before the logistic function.
     pub opacity_logits: Vec<f32>,
-    /// Spherical-harmonics colors by band: band `d` holds `2d + 1` coefficients of three channels for each splat, splat
-    /// by splat, coefficient by coefficient, red green blue. Bands above the degree are empty.
+    /// Spherical-harmonics colors by band. Band `d` holds `2d + 1` RGB coefficients per splat, ordered by splat,
+    /// coefficient and channel. Bands above the degree are empty.
     pub sh: [Vec<f32>; 4],
-    /// Normals in the world, of any length.
+    /// World-space normals of any length.
     pub normals: Option<Vec<[f32; 3]>>,
     /// Albedo before activation.
     pub albedo: Option<Vec<[f32; 3]>>,
@@ -39,27 +39,27 @@ pub struct Splats {
     pub roughness: Option<Vec<f32>>,
     /// Metallic before activation.
     pub metallic: Option<Vec<f32>>,
-    /// Semantic features: their number of channels, and the values splat by splat.
+    /// Semantic features: number of channels, and values ordered by splat.
     pub semantic: Option<(usize, Vec<f32>)>,
 }
 
 impl Splats {
-    /// Number of splats.
+    /// Returns the number of splats.
     pub fn len(&self) -> usize {
         self.means.len()
     }
 
-    /// Whether there are none.
+    /// Returns whether the set is empty.
     pub fn is_empty(&self) -> bool {
         self.means.is_empty()
     }
 
-    /// The degree of the spherical harmonics, 0 to 3: that of the highest band present.
+    /// Returns the degree of the spherical harmonics, 0 to 3. The degree is the highest band with values.
     pub fn sh_degree(&self) -> usize {
         self.sh.iter().rposition(|band| !band.is_empty()).unwrap_or(0)
     }
 
-    /// The so many most opaque ones, in the order that they had; of equally opaque ones the first.
+    /// Returns the `keep` most opaque splats in their original order. Of equally opaque splats, the first ones remain.
     #[must_use]
     pub fn strongest(&self, keep: usize) -> Splats {
         let mut order: Vec<usize> = (0..self.len()).collect();
@@ -85,7 +85,7 @@ impl Splats {
         }
     }
 
-    /// Whether all arrays have the lengths that the number of splats and the degree ask for.
+    /// Checks the lengths of all arrays against the number of splats and the degree.
     pub fn check(&self) -> Result<()> {
         let n = self.len();
         let degree = self.sh_degree();
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_strongest_stay_as_they_are_and_in_order() {
+    fn most_opaque_splats_keep_their_order_and_values() {
         let n = 5;
         let numbers = |width: usize| (0..n * width).map(|i| i as f32).collect::<Vec<_>>();
         let triples = || numbers(3).as_chunks::<3>().0.to_vec();

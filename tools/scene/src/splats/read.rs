@@ -1,4 +1,4 @@
-//! Splats from PLY files of this and other programs.
+//! Reading splats from PLY files of this and other programs.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::ply::{Scalar, VertexTable};
 
 const PURPOSE: &str = "a splat file";
 
-/// Where in a picked row each optional group begins.
+/// Start of each optional group in a row of requested properties.
 #[derive(Default)]
 struct Groups {
     normals: Option<usize>,
@@ -21,15 +21,16 @@ struct Groups {
 }
 
 impl Splats {
-    /// Reads a PLY file as 3DGS programs write it, with the additions of any [`PlyDialect`].
+    /// Reads a 3DGS PLY file with the extensions of any [`PlyDialect`].
     ///
-    /// Properties may have any order and type. Normals that are all zero count as absent, because 3DGS files carry
-    /// zeros there. Values that are not finite and quaternions of length zero are refused.
+    /// Properties may have any order and type. All-zero normals count as absent, because 3DGS files store zeros there.
+    /// Non-finite values and zero quaternions are errors.
     pub fn read_ply(path: &Path) -> Result<Self> {
         Ok(Self::read_ply_dialect(path)?.0)
     }
 
-    /// [`Splats::read_ply`], and which dialect the file was in. Materials come as this project stores them.
+    /// Reads a PLY file as [`Splats::read_ply`] and returns its dialect. Materials are converted to this project's
+    /// encoding.
     pub fn read_ply_dialect(path: &Path) -> Result<(Self, PlyDialect)> {
         let table = VertexTable::open(path)?;
         let mut wanted = table.need(&["x", "y", "z", "scale_0", "scale_1", "scale_2"], PURPOSE)?;
@@ -55,7 +56,7 @@ impl Splats {
         if let Some((_, code)) = names.metallic {
             metallic_code = code;
         }
-        // Where albedo has no names of its own, it is the color.
+        // Dialects without albedo properties store the albedo as the color.
         let from_color = names.albedo.is_none() && groups.roughness.is_some();
 
         let n = table.len();
@@ -135,7 +136,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_of_another_program_in_any_order_and_type() {
+    fn foreign_files_with_any_property_order_and_type_are_read() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.ply");
         let text = "ply\nformat ascii 1.0\nelement vertex 1\nproperty double rot_3\nproperty float rot_0\n\
@@ -161,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_has_its_sentence() {
+    fn each_error_has_its_message() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.ply");
         sample(2, 1).write_ply(&path).unwrap();

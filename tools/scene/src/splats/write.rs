@@ -1,4 +1,4 @@
-//! Splats to PLY files that viewers read.
+//! Writing splats to PLY files for viewers.
 
 use std::io::Write;
 use std::path::Path;
@@ -9,7 +9,7 @@ use super::{PlyDialect, Splats};
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
 
-/// Where the values of a property come from.
+/// Source of the values of a property.
 enum Source {
     Mean(usize),
     Normal(usize),
@@ -18,7 +18,7 @@ enum Source {
     Scale(usize),
     Rotation(usize),
     Albedo(usize, Code),
-    /// Albedo in place of the color.
+    /// Albedo stored as the color.
     Shown(usize),
     Roughness(Code),
     Metallic(Code),
@@ -37,7 +37,7 @@ impl Source {
             Source::Albedo(k, code) => s.albedo.as_ref().map_or(0.0, |a| OWN_ALBEDO.to(code, a[i][k])),
             Source::Shown(k) => s.albedo.as_ref().map_or(0.0, |a| color_of_albedo(a[i][k])),
             Source::Roughness(code) => s.roughness.as_ref().map_or(0.0, |r| OWN_ROUGHNESS.to(code, r[i])),
-            // Where nothing says so, nothing is metallic.
+            // Splats without metallic are written as non-metallic.
             Source::Metallic(code) => match &s.metallic {
                 Some(m) => OWN_METALLIC.to(code, m[i]),
                 None => Code::Plain(1.0).to(code, 0.0),
@@ -48,17 +48,18 @@ impl Source {
 }
 
 impl Splats {
-    /// Writes a binary PLY file: `x y z nx ny nz f_dc_* f_rest_* opacity scale_* rot_*` as every 3DGS program does, then
-    /// `albedo_0..2 roughness metallic semantic_*` where present. Absent normals are written as zeros.
+    /// Writes a binary PLY file in this project's dialect. The properties are `x y z nx ny nz f_dc_* f_rest_* opacity
+    /// scale_* rot_*`, as in 3DGS programs. `albedo_0..2 roughness metallic semantic_*` follow if present. Absent
+    /// normals are written as zeros.
     pub fn write_ply(&self, path: &Path) -> Result<()> {
         self.write_ply_as(path, PlyDialect::Own)
     }
 
-    /// Writes a binary PLY file in a dialect. What the dialect has no place for is left out
-    /// ([`PlyDialect::leaves_out`]); values beyond its range become the nearest.
+    /// Writes a binary PLY file in a dialect. Attributes that the dialect cannot store are omitted
+    /// ([`PlyDialect::leaves_out`]). Values outside its range are clamped.
     ///
     /// # Errors
-    /// If the dialect's files hold materials and these splats have none.
+    /// Fails if the dialect requires materials and these splats have none.
     pub fn write_ply_as(&self, path: &Path, dialect: PlyDialect) -> Result<()> {
         self.check()?;
         if dialect.needs_materials() && (self.albedo.is_none() || self.roughness.is_none()) {
@@ -81,7 +82,7 @@ impl Splats {
         })
     }
 
-    /// The properties of a file, in their order.
+    /// Returns the properties of a file, in file order.
     fn columns(&self, dialect: PlyDialect) -> Vec<(String, Source)> {
         let degree = self.sh_degree();
         let names = dialect.names(false);
@@ -114,7 +115,7 @@ impl Splats {
         let channels = self.semantic.as_ref().map_or(0, |(channels, _)| *channels);
         let semantic = names.semantic.map_or(0..0, |_| 0..channels);
         let prefix = names.semantic.unwrap_or_default();
-        // The published code has features before materials, this project behind them.
+        // Published SGS stores features before materials; this project stores them after.
         if !own {
             semantic.clone().for_each(|k| put(&format!("{prefix}{k}"), Source::Semantic(k)));
         }
@@ -136,7 +137,7 @@ impl Splats {
 pub(super) mod tests {
     use super::*;
 
-    /// Splats in which every value is different.
+    /// Returns splats in which every value is different.
     pub(crate) fn sample(n: usize, degree: usize) -> Splats {
         let mut next = 0.0_f32;
         let mut value = || {
@@ -160,7 +161,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn round_trip_at_every_degree_with_and_without_extras() {
+    fn splats_round_trip_at_every_degree_with_and_without_attributes() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.ply");
         for degree in 0..=3 {
@@ -179,7 +180,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn the_order_is_that_of_every_viewer() {
+    fn property_order_matches_3dgs() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.ply");
         let splats = sample(1, 1);
@@ -197,7 +198,7 @@ pub(super) mod tests {
         assert_eq!(row[..3], splats.means[0]);
         assert_eq!(row[3..6], splats.normals.as_ref().unwrap()[0]);
         assert_eq!(row[6..9], splats.sh[0]);
-        // Memory: coefficient by coefficient, r g b. File: three coefficients of red, of green, of blue.
+        // Memory: by coefficient, with r, g, b interleaved. File: three coefficients of red, of green, of blue.
         let b = &splats.sh[1];
         assert_eq!(row[9..18], [b[0], b[3], b[6], b[1], b[4], b[7], b[2], b[5], b[8]]);
         assert_eq!(row[18], splats.opacity_logits[0]);
@@ -205,7 +206,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn arrays_of_wrong_length_are_refused() {
+    fn arrays_with_wrong_lengths_are_rejected() {
         let path = Path::new("never.ply");
         let fail = |change: fn(&mut Splats)| {
             let mut splats = sample(2, 1);
@@ -220,7 +221,7 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_file_cut_anywhere_is_an_error() {
+    fn truncated_files_are_errors() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.ply");
         sample(2, 3).write_ply(&path).unwrap();

@@ -1,7 +1,7 @@
-//! What the tests share: rooms that are written ([`written`]), and rooms that are found.
+//! Common code of the tests: synthetic rooms ([`written`]) and external rooms.
 //!
-//! The latter were made outside of this project and lie beside the repository; they are not a part of it. Where they are
-//! absent, the tests say so and pass. `SGS_TEST_DATA` names another place.
+//! External rooms are not part of this project and are stored beside the repository. If they are absent, tests report
+//! that and pass. `SGS_TEST_DATA` selects another location.
 
 #![allow(dead_code, reason = "each test program uses its own part")]
 
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use sgs_scene::{Image, Scene, SceneOptions};
 
-/// The directory of a room.
+/// Returns the directory of a room if it exists.
 pub fn room(name: &str) -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let path = std::env::var_os("SGS_TEST_DATA").map_or_else(beside, PathBuf::from).join(name);
@@ -26,7 +26,7 @@ pub fn open(path: &Path) -> Scene {
     Scene::open(path, &SceneOptions::default()).unwrap()
 }
 
-/// Mean squared difference where `mask` holds.
+/// Returns the mean squared difference where `mask` is above one half.
 pub fn mse(a: &Image, b: &Image, mask: &Image) -> f64 {
     assert_eq!((a.width, a.height, a.channels), (b.width, b.height, b.channels));
     let channels = a.channels as usize;

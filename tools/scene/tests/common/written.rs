@@ -1,18 +1,18 @@
-//! A room that is written in the layouts of data sets.
+//! Synthetic room, written in the layouts of data sets.
 //!
-//! It is a box whose six walls have colors, materials and a glow of their own, seen by cameras that know nothing of the
-//! crate's: rays are cast from three vectors, and files are written with the `exr` and `image` crates alone. So a mistake
-//! that reading makes cannot be made here too.
+//! The room is a box whose six walls differ in color, material and emission. The test cameras share no code with this
+//! crate: they cast rays from three vectors, and files are written with the `exr` and `image` crates alone. An error in
+//! a reader therefore cannot be repeated here.
 
 use std::path::Path;
 
 use glam::{DVec2, DVec3};
 use sgs_scene::{Camera, Image};
 
-/// Half of the sides of the box.
+/// Half extents of the box.
 const HALF: DVec3 = DVec3::new(2.0, 1.5, 2.5);
 
-/// A camera by the vectors that it is made of.
+/// Camera defined by its axis vectors.
 #[derive(Clone, Copy, Debug)]
 pub struct Seat {
     pub origin: DVec3,
@@ -25,14 +25,14 @@ pub struct Seat {
     pub size: (u32, u32),
 }
 
-/// What a ray meets.
+/// Intersection of a ray with the box.
 #[derive(Clone, Copy, Debug)]
 pub struct Hit {
     pub point: DVec3,
     pub normal: DVec3,
     pub z: f64,
     pub distance: f64,
-    /// The wall, from 0 to 5.
+    /// Index of the wall, from 0 to 5.
     pub wall: usize,
 }
 
@@ -45,7 +45,7 @@ impl Seat {
         Self { origin, target, right, up, ahead, focal, center, size: (48, 40) }
     }
 
-    /// The direction through a place on the image, of length 1 along the axis.
+    /// Returns the ray direction through an image position. The component along the optical axis is 1.
     fn ray(&self, pixel: DVec2) -> DVec3 {
         let at = (pixel - self.center) / self.focal;
         self.ahead + self.right * at.x - self.up * at.y
@@ -62,26 +62,26 @@ impl Seat {
         Hit { point: self.origin + ray * z, normal, z, distance: z * ray.length(), wall }
     }
 
-    /// The hits of all pixel centers, row by row.
+    /// Returns the hits of all pixel centers, row by row.
     pub fn hits(&self) -> Vec<Hit> {
         let (w, h) = self.size;
         (0..w * h).map(|i| self.hit(DVec2::new(f64::from(i % w) + 0.5, f64::from(i / w) + 0.5))).collect()
     }
 
-    /// A camera-to-world matrix as JSON whose columns are these and the origin.
+    /// Returns a camera-to-world matrix as JSON, from its axes and the origin. The axes are the first three columns.
     pub fn matrix(&self, [x, y, z]: [DVec3; 3]) -> String {
         let o = self.origin;
         let row = |k: usize| format!("[{}, {}, {}, {}]", x[k], y[k], z[k], o[k]);
         format!("[{}, {}, {}, [0, 0, 0, 1]]", row(0), row(1), row(2))
     }
 
-    /// The matrix with OpenGL axes.
+    /// Returns the camera-to-world matrix with OpenGL axes.
     pub fn opengl(&self) -> String {
         self.matrix([self.right, self.up, -self.ahead])
     }
 }
 
-/// Cameras in a row through the room.
+/// Returns cameras in a row through the room.
 pub fn seats(count: usize) -> Vec<Seat> {
     let place = |i: usize| i as f64 / count.max(2) as f64 * 2.0 - 1.0;
     let origin = |i: usize| DVec3::new(0.9 * place(i), 0.3 - 0.2 * place(i), 1.2);
@@ -102,14 +102,14 @@ impl Hit {
         if self.wall == 4 { 1.0 } else { 0.0 }
     }
 
-    /// Linear light, a fifth of it above 0.7 or so.
+    /// Returns linear light; about a fifth of the values exceed 0.7.
     pub fn light(&self) -> [f32; 3] {
         let glow = (0.5 + 0.5 * (1.7 * self.point.x + 0.9 * self.point.y - self.point.z).sin()) as f32;
         self.albedo().map(|a| a * (0.3 + 1.3 * glow))
     }
 }
 
-/// Writes an EXR of three channels.
+/// Writes an EXR file with three channels.
 pub fn exr(path: &Path, size: (u32, u32), pixels: &[[f32; 3]]) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     let (w, h) = (size.0 as usize, size.1 as usize);
@@ -120,25 +120,26 @@ pub fn exr(path: &Path, size: (u32, u32), pixels: &[[f32; 3]]) {
     .unwrap();
 }
 
-/// Writes a PNG with alpha, from values between 0 and 1.
+/// Writes a PNG file with alpha from values between 0 and 1.
 pub fn rgba(path: &Path, size: (u32, u32), pixels: &[[f32; 4]]) {
     std::fs::create_dir_all(path.parent().unwrap()).unwrap();
     let bytes = pixels.iter().flatten().map(|v| (v * 255.0).round() as u8).collect();
     image::RgbaImage::from_raw(size.0, size.1, bytes).unwrap().save(path).unwrap();
 }
 
-/// Writes a gray PNG.
+/// Writes a gray PNG file.
 pub fn gray(path: &Path, size: (u32, u32), pixels: &[u8]) {
     image::GrayImage::from_raw(size.0, size.1, pixels.to_vec()).unwrap().save(path).unwrap();
 }
 
-/// The color that a screen gets for linear light.
+/// Encodes linear light as sRGB.
 pub fn encoded(v: f32) -> f32 {
     let v = v.clamp(0.0, 1.0);
     if v <= 0.003_130_8 { 12.92 * v } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
 }
 
-/// Fails unless a camera sees every point where its pixel is: this holds pose, focal lengths and principal point at once.
+/// Asserts that a camera projects every visible point to its pixel. This verifies pose, focal lengths and principal
+/// point at once.
 pub fn assert_sees(camera: &Camera, seat: &Seat) {
     assert_eq!((camera.width, camera.height), seat.size);
     assert!((camera.position() - seat.origin).length() < 1e-6, "{} {}", camera.position(), seat.origin);
@@ -149,7 +150,7 @@ pub fn assert_sees(camera: &Camera, seat: &Seat) {
     }
 }
 
-/// The largest difference of an image from what is expected where `counts` says so.
+/// Returns the largest error of an image over pixels for which `counts` is true.
 pub fn worst(image: &Image, expected: impl Fn(usize) -> Vec<f32>, counts: impl Fn(usize) -> bool) -> f32 {
     let channels = image.channels as usize;
     let mut worst = 0.0_f32;
@@ -167,7 +168,7 @@ pub fn worst(image: &Image, expected: impl Fn(usize) -> Vec<f32>, counts: impl F
     worst
 }
 
-/// The largest angle in degrees between the vectors of an image and the walls.
+/// Returns the largest angle in degrees between image vectors and wall normals.
 pub fn worst_angle(image: &Image, hits: &[Hit], counts: impl Fn(usize) -> bool) -> f64 {
     let pairs = image.data.chunks(3).zip(hits).enumerate().filter(|(i, _)| counts(*i));
     pairs.fold(0.0, |worst, (_, (n, hit))| {
@@ -178,12 +179,12 @@ pub fn worst_angle(image: &Image, hits: &[Hit], counts: impl Fn(usize) -> bool) 
     })
 }
 
-/// `cam.txt` and `K_list.txt` of cameras, untidy as files are.
+/// Returns `cam.txt` and `K_list.txt` of cameras, with irregular white space.
 pub fn look_at_lists(seats: &[Seat]) -> (String, String) {
     let mut poses = format!("\u{feff}{}\r\n", seats.len());
     let mut matrices = format!(" {}\n", seats.len());
     for s in seats {
-        // What is looked at may be any point of the axis, and up need not be perpendicular.
+        // The target may be any point on the optical axis, and up need not be perpendicular.
         for v in [s.origin, s.target, s.up * 3.0 + s.ahead * 0.1] {
             poses.push_str(&format!("{} {}\t{} \r\n", v.x, v.y, v.z));
         }

@@ -1,4 +1,4 @@
-//! `sgs ablate`: variants of the method trained one after another, and a table of what they came to.
+//! Ablation study: `sgs ablate` trains variants of the method and writes a table of their metrics.
 
 use super::series::{self, About, Row, Start};
 use super::train::Stage;
@@ -12,16 +12,16 @@ use std::path::PathBuf;
 pub struct Args {
     #[command(flatten)]
     series: series::Series,
-    /// Variants. Geometry: rgb, depth, normal, semantic, correspondence, each adding one term; no_normal, no_depth,
-    /// no_semantic, no_correspondence, the full method without one term. Intrinsic: full, gray_start, no_lights,
-    /// no_environment, no_visibility, no_cross_view, no_relight, no_own_prior, no_priors. By default all that differ on this
-    /// scene.
+    /// Variants to train. Geometry: rgb, depth, normal, semantic, correspondence, each adding one term; no_normal,
+    /// no_depth, no_semantic, no_correspondence, the full method without one term. Intrinsic: full, gray_start,
+    /// no_lights, no_environment, no_visibility, no_cross_view, no_relight, no_own_prior, no_priors. By default all
+    /// that differ on this scene.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
-    /// Variants to train: of geometry; of the intrinsic stage on one geometry; or all.
+    /// Stage of the variants: geometry, intrinsic (all on one geometry), or all.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry for --stage intrinsic: a 3DGS PLY or a glTF file; by default trained for each seed.
+    /// Geometry for --stage intrinsic, as a 3DGS PLY or a glTF file. By default it is trained for each seed.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
 }
@@ -41,7 +41,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let wanted = Variant::named(scope, &a.only)?;
     let series::Base { settings, scene } = series::base(&a.series)?;
     let possible = |variant: &Variant| Ok(variant.lacks(&scene, &settings)?.map(|lacking| (variant.name, lacking)));
-    // The geometry that uses most of what there is: materials lie on it, whoever else is wanted.
+    // The last possible geometry variant uses the most inputs. All variants of materials share its geometry.
     let mut fullest = None;
     for variant in scope.variants().into_iter().filter(|v| !v.is_of_materials() && !v.leaves_out()) {
         if variant.lacks(&scene, &settings)?.is_none() {

@@ -1,21 +1,21 @@
-//! `sgs devices`: what can run here, and what each device lacks.
+//! Device list: `sgs devices` shows which devices can run SGS, and what the others lack.
 
 use crate::common::Common;
 use serde::Serialize;
 use sgs_engine::{DeviceInfo, MatrixShape};
 use sgs_passes::{Matrices, NoMatrices};
 
-/// Lanes of a subgroup at which the project's tests have run, all of them on Mesa's lavapipe.
+/// Subgroup sizes at which the project's tests have run, all on Mesa's lavapipe.
 const TESTED_LANES: [u32; 2] = [8, 16];
 
-/// A device as `--json` shows it.
+/// Device in the output of `--json`.
 #[derive(Serialize)]
 struct Listed<'a> {
     #[serde(flatten)]
     info: &'a DeviceInfo,
     /// `tested` or `not tested`.
     tests: &'static str,
-    /// Lanes of a subgroup at which this kind of device is tested.
+    /// Subgroup sizes at which this kind of device is tested.
     tested_lanes: &'static [u32],
 }
 
@@ -65,12 +65,12 @@ fn is_lavapipe(driver: &str) -> bool {
     driver.starts_with("llvmpipe")
 }
 
-/// Whether the project's tests have run on such a device.
+/// Returns whether the project's tests have run on such a device.
 fn tested(driver: &str, lanes: u32) -> bool {
     is_lavapipe(driver) && TESTED_LANES.contains(&lanes)
 }
 
-/// Says what has been tested on a device.
+/// Describes which tests have run on a device.
 fn tests(info: &DeviceInfo) -> String {
     let lanes = TESTED_LANES.map(|lanes| lanes.to_string()).join(" and ");
     if tested(&info.driver, info.subgroup_size) {
@@ -80,7 +80,9 @@ fn tests(info: &DeviceInfo) -> String {
     }
 }
 
-/// What there is for `accuracy.visibility_operands = 16`; that the device has none is among its fallbacks.
+/// Describes the cooperative matrices for `accuracy.visibility_operands = 16`.
+///
+/// A device without them lists this among its fallbacks.
 fn units(info: &DeviceInfo) -> Option<String> {
     let shape = |s: &MatrixShape| format!("{}x{}x{}", s.rows, s.columns, s.depth);
     let shapes: Vec<String> = info.matrices.iter().map(shape).collect();
@@ -96,7 +98,7 @@ fn units(info: &DeviceInfo) -> Option<String> {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn only_lavapipe_at_the_widths_of_the_tests_is_tested() {
+    fn only_lavapipe_at_tested_subgroup_sizes_is_tested() {
         let tested = super::tested;
         assert!(tested("llvmpipe Mesa 22.3.6 (LLVM 15.0.6)", 8) && tested("llvmpipe Mesa 25.0.7", 16));
         assert!(!tested("llvmpipe Mesa 22.3.6 (LLVM 15.0.6)", 32));

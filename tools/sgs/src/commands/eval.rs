@@ -1,4 +1,4 @@
-//! `sgs eval`: metrics at the views of a split, and the pictures behind them.
+//! Metrics of a run at the views of a split, and their images: `sgs eval`.
 
 use super::train::validated;
 use crate::cameras::{splats_of, upload};
@@ -11,7 +11,8 @@ use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_evaluate::metrics::{Lpips, LpipsRange};
 use sgs_evaluate::{
-    Evaluation, Fps, Nvs, RELIT_MEAN, RelitSet, ShadedMetrics, evaluate_classes, evaluate_shaded, render_fps, shade_fps,
+    EvaluateOptions, Evaluation, Fps, Nvs, RELIT_MEAN, RelitSet, ShadedMetrics, evaluate_classes, evaluate_shaded,
+    render_fps, shade_fps,
 };
 use sgs_relight::{evaluate_relit, skip_relit};
 use sgs_run::{RunDirectory, Shading, displayed, light_of, shaded_scene};
@@ -25,17 +26,17 @@ pub struct Args {
     /// Scene directory, if the scene has moved.
     #[arg(long)]
     scene: Option<PathBuf>,
-    /// Which views.
+    /// Split of the evaluated views.
     #[arg(long, value_enum, default_value = "test")]
     split: Split,
     /// Directory for PNG images of every view: color, normals, depth, classes, and ground truth.
     #[arg(long, value_name = "DIR")]
     images: Option<PathBuf>,
-    /// Weights of LPIPS (VGG or AlexNet), to measure it. tools/priors/sgs_priors/lpips_weights.py converts published
-    /// weights.
+    /// Weights of LPIPS (VGG or AlexNet); enables this metric. tools/priors/sgs_priors/lpips_weights.py converts
+    /// published weights.
     #[arg(long, value_name = "FILE.safetensors")]
     lpips: Option<PathBuf>,
-    /// Feed LPIPS images in -1 to 1, its own convention, instead of 0 to 1, the convention of 3DGS evaluations.
+    /// Scale images for LPIPS to -1 to 1, its own convention. By default 0 to 1, the convention of 3DGS evaluations.
     #[arg(long, requires = "lpips")]
     lpips_signed: bool,
 }
@@ -60,23 +61,32 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let scene = open_scene_of_run(&a.run, &settings)?;
     let device = common.open_device()?;
-    let result = measure(&device, &scene, &run, &splats, &settings, a.split, lpips.as_ref(), a.images.as_deref())?;
+    let options = MeasureOptions { split: a.split, lpips: lpips.as_ref(), images: a.images.as_deref() };
+    let result = measure(&device, &scene, &run, &splats, &settings, &options)?;
     if !common.answer(&result)? {
         print_table(&result);
     }
     validated(&device)
 }
 
-/// Measures a run and records it in `metrics.json`; pictures go to `images`.
+/// Views and measures of [`measure`].
+pub struct MeasureOptions<'a> {
+    /// Views that are measured.
+    pub split: Split,
+    /// Network of LPIPS, if it is measured.
+    pub lpips: Option<&'a Lpips>,
+    /// Directory for images, if they are written.
+    pub images: Option<&'a Path>,
+}
+
+/// Measures a run and records the result in `metrics.json`. Writes images if `images` is set.
 pub fn measure(
     device: &Device,
     scene: &Scene,
     run: &RunDirectory,
     splats: &Splats,
     settings: &Settings,
-    split: Split,
-    lpips: Option<&Lpips>,
-    images: Option<&Path>,
+    &MeasureOptions { split, lpips, images }: &MeasureOptions<'_>,
 ) -> anyhow::Result<Evaluation> {
     let views = if split == Split::Test { &scene.split.test } else { &scene.split.train };
     if views.is_empty() {
@@ -91,36 +101,36 @@ pub fn measure(
         legend.as_ref().map(|legend| legend.write(dir)).transpose()?;
     }
     let background = settings.geometry.background;
-    let mut result =
-        evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), lpips, |name, rendered| {
-            let Some(dir) = images else { return Ok(()) };
-            write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
-            let view = scene.views.iter().position(|v| v.camera.name == name);
-            let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
-            row.push(rendered.rgb.clone());
-            if let Some(normal) = &rendered.normal {
-                let mut shown = normal.clone();
-                shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
-                write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
-                row.push(shown);
-            }
-            write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
-            let mut shown = rendered.depth.clone();
-            let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
-            shown.data.iter_mut().for_each(|v| *v /= far);
-            write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
-            if let (Some(legend), Some(labels)) = (&legend, &rendered.labels) {
-                let size = [rendered.rgb.width, rendered.rgb.height];
-                legend.write_png(&dir.join(format!("{name}_semantic.png")), size, labels)?;
-            }
-            Ok(())
-        })?;
+    let options = EvaluateOptions { views, background, head: head.as_ref(), lpips };
+    let mut result = evaluate_classes(device, scene, &gaussians, &options, |name, rendered| {
+        let Some(dir) = images else { return Ok(()) };
+        write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
+        let view = scene.views.iter().position(|v| v.camera.name == name);
+        let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
+        row.push(rendered.rgb.clone());
+        if let Some(normal) = &rendered.normal {
+            let mut shown = normal.clone();
+            shown.data.iter_mut().for_each(|v| *v = *v * 0.5 + 0.5);
+            write_png(&dir.join(format!("{name}_normal.png")), &shown)?;
+            row.push(shown);
+        }
+        write_png(&dir.join(format!("{name}_beside.png")), &beside(&row))?;
+        let mut shown = rendered.depth.clone();
+        let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
+        shown.data.iter_mut().for_each(|v| *v /= far);
+        write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
+        if let (Some(legend), Some(labels)) = (&legend, &rendered.labels) {
+            let size = [rendered.rgb.width, rendered.rgb.height];
+            legend.write_png(&dir.join(format!("{name}_semantic.png")), size, labels)?;
+        }
+        Ok(())
+    })?;
     let mut pbr = None;
     if splats.albedo.is_some() && splats.roughness.is_some() {
         let light = light_of(run, settings)?;
         let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
         let shaded = shaded_scene(device, splats, lights, environment, &light.visibility)?;
-        // The mean visibility takes as long as shading, and is shown in images only.
+        // Mean visibility doubles the cost of shading and appears in images only.
         let shading = Shading::new(device, shaded)?;
         let mut shading = if images.is_some() { shading } else { shading.without_visibility() };
         evaluate_shaded(&mut shading, scene, views, background, lpips, &mut result, |name, shaded| {
@@ -147,13 +157,13 @@ pub fn measure(
     Ok(result)
 }
 
-/// One channel as three.
+/// Repeats one channel as three.
 fn gray(image: &Image) -> Image {
     let data = image.data.iter().flat_map(|v| [*v; 3]).collect();
     Image { channels: 3, data, ..image.clone() }
 }
 
-/// Color images of one height next to each other.
+/// Joins color images of equal height side by side.
 fn beside(images: &[Image]) -> Image {
     let (width, height) = (images.iter().map(|i| i.width).sum(), images.first().map_or(0, |i| i.height));
     let row =
@@ -161,7 +171,7 @@ fn beside(images: &[Image]) -> Image {
     Image { width, height, channels: 3, data: (0..height).flat_map(row).collect() }
 }
 
-/// Puts the result into `metrics.json` beside what is there.
+/// Inserts the result into `metrics.json` and keeps its other entries.
 fn record(run: &RunDirectory, split: &str, result: &Evaluation, gaussians: usize) -> anyhow::Result<()> {
     let old = std::fs::read_to_string(run.path("metrics.json")).unwrap_or_default();
     let mut all: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&old).unwrap_or_default();
@@ -211,7 +221,7 @@ fn print_table(e: &Evaluation) {
     }
 }
 
-/// Means over the views of materials, shaded and relit images.
+/// Prints means over the views of materials, shaded and relit images.
 fn print_shaded(m: &ShadedMetrics) {
     let learned = |v: Option<f64>| v.map_or_else(String::new, |v| format!(" {v:>8.4} LPIPS"));
     println!();

@@ -1,4 +1,4 @@
-//! `sgs export`: the Gaussians and the light of a run, or of a file, for other programs.
+//! Export of Gaussians and light for other programs: `sgs export`.
 
 use crate::cameras::splats_of;
 use crate::common::Common;
@@ -11,37 +11,37 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Run directory, or a PLY or glTF file of this or another program.
     source: PathBuf,
-    /// File to write. Lights and an environment map that its format cannot hold go beside it.
+    /// File to write. Lights and an environment map that its format cannot hold are written beside it.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
-    /// Format; by default by the file's extension (docs/reference/exchange.md).
+    /// File format (docs/reference/exchange.md); by default from the file's extension.
     #[arg(long, value_enum)]
     format: Option<Format>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
-    /// PLY as scene.ply of a run, with materials; viewers of 3DGS open it.
+    /// PLY with materials, as scene.ply of a run; 3DGS viewers open it.
     Ply,
-    /// PLY of 3DGS and nothing else.
+    /// PLY with the properties of 3DGS only.
     #[value(name = "3dgs")]
     ThreeDgs,
-    /// PLY with materials as GS-IR has them.
+    /// PLY with materials, in the layout of GS-IR.
     GsIr,
-    /// PLY with materials as Relightable 3D Gaussians has them.
+    /// PLY with materials, in the layout of Relightable 3D Gaussians.
     R3dg,
-    /// PLY with materials and features as the published SGS has them.
+    /// PLY with materials and features, in the layout of the published SGS.
     Sgs,
-    /// PLY with albedo in place of colors, as mesh2splat has it.
+    /// PLY with albedo in place of colors, in the layout of mesh2splat.
     Mesh2splat,
-    /// glTF with its numbers in a .bin beside it.
+    /// glTF with its data in a .bin file beside it.
     Gltf,
-    /// glTF in one file.
+    /// glTF in a single file.
     Glb,
 }
 
 impl Format {
-    /// The dialect of a PLY; none for glTF.
+    /// Returns the PLY dialect; `None` for glTF.
     fn dialect(self) -> Option<PlyDialect> {
         Some(match self {
             Format::Ply => PlyDialect::Own,
@@ -62,8 +62,10 @@ impl Format {
         }
     }
 
-    /// Of a file to write.
-    fn of(path: &Path, asked: Option<Format>) -> anyhow::Result<Format> {
+    /// Returns the format of an output file.
+    ///
+    /// The requested format must fit the extension; by default the extension selects it.
+    fn of(path: &Path, requested: Option<Format>) -> anyhow::Result<Format> {
         let end = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
         let named = match end.as_str() {
             "ply" => Format::Ply,
@@ -71,7 +73,7 @@ impl Format {
             "glb" => Format::Glb,
             _ => refuse_usage!("\"{}\" ends in none of .ply, .gltf and .glb, which are written.", path.display()),
         };
-        match asked {
+        match requested {
             Some(format) if format.extension() != end => {
                 refuse_usage!(
                     "\"{}\" does not end in .{}, as files of that format do.",
@@ -79,7 +81,7 @@ impl Format {
                     format.extension()
                 )
             }
-            asked => Ok(asked.unwrap_or(named)),
+            requested => Ok(requested.unwrap_or(named)),
         }
     }
 }
@@ -98,7 +100,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let dialect = format.dialect();
     let mut left_out = dialect.map_or(Vec::new(), |dialect| dialect.leaves_out(&splats));
-    // Without materials light is of no use.
+    // Light needs materials, which plain 3DGS files lack.
     let lit = dialect != Some(PlyDialect::ThreeDgs);
     if !lit && (lights.is_some() || environment.is_some()) {
         left_out.push("light");

@@ -1,4 +1,4 @@
-//! `sgs plan`: what would be modeled, why, and what it costs.
+//! Model, reasons and estimated cost of a training: `sgs plan`.
 
 use super::plan_intrinsic::IntrinsicPlan;
 use super::train::{Options, Stage, settings};
@@ -20,7 +20,7 @@ pub struct Args {
     /// Stage: geometry, intrinsic (materials, lights and shadows), or all.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry of the intrinsic stage, as a PLY or glTF file; by default the initial points of the geometry stage.
+    /// Geometry of the intrinsic stage, as a PLY or glTF file. By default the initial points of the geometry stage.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
     #[command(flatten)]
@@ -37,16 +37,16 @@ pub struct Args {
     output: Option<PathBuf>,
 }
 
-/// How a graph is written.
+/// Output format of a graph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Format {
-    /// For reading and comparing.
+    /// Text for reading and comparing.
     Text,
-    /// For tools.
+    /// JSON for tools.
     Json,
-    /// For Graphviz.
+    /// DOT for Graphviz.
     Dot,
-    /// One page for a browser.
+    /// HTML page for a browser.
     Html,
 }
 
@@ -71,16 +71,16 @@ impl Format {
     }
 }
 
-/// What there is in the end, if training ends with so many Gaussians.
+/// Estimated memory and cost if training ends with `gaussians` Gaussians.
 struct Expected {
     gaussians: u32,
-    /// At most.
+    /// Maximum device memory in bytes.
     bytes: u64,
-    /// Where no band of harmonics stays that may come.
+    /// Maximum if `sh_degree = "auto"` adds no band of harmonics.
     bytes_without_bands: Option<u64>,
-    /// What a step computes and moves at most.
+    /// Maximum operations and bytes of a step.
     step: Cost,
-    /// One that compares its view with pseudo-views.
+    /// Cost of a step that compares its view with pseudo-views.
     pseudo_step: Option<Cost>,
 }
 
@@ -108,7 +108,7 @@ impl Expected {
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    // Before any work, so that a wrong name costs nothing.
+    // Before any work, so that a wrong name costs no time.
     let format = match (&a.output, a.graph) {
         (Some(path), None) => Some(Format::of(path).ok_or_else(|| {
             usage(format!("\"{}\" says no format; add --graph text, json, dot or html.", path.display()))
@@ -127,7 +127,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         warn_without_priors(&scene)?;
     }
     let device = common.open_device()?;
-    // One after the other, as they are trained.
+    // The stages are planned one after the other, as they are trained.
     let intrinsic = match a.stage {
         Stage::Geometry => None,
         _ => Some(IntrinsicPlan::of(&device, &scene, &s, a.start.as_deref())?),
@@ -217,7 +217,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             return Ok(());
         }
     }
-    // A program that reads standard output wants nothing else there.
+    // A program that reads standard output expects nothing besides the graph.
     if let (None, Some(format @ (Format::Json | Format::Dot | Format::Html))) = (&a.output, format) {
         println!("{}", format.write(&plan));
         return Ok(());
@@ -237,8 +237,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let color = match s.geometry.sh_degree {
         ShDegree::Fixed(degree) => format!("of degree {degree} (geometry.sh_degree)"),
         ShDegree::Auto => format!(
-            "of degree {} at first; all bands are tried early on, and those stay that are worth {} dB at views that are held \
-             back (geometry.sh_degree, geometry.sh_gain)",
+            "of degree {} at first; all bands are tried early; a band stays if it gains {} dB at held-back views (geometry.sh_degree, geometry.sh_gain)",
             model.sh_degree, s.geometry.sh_gain
         ),
     };
@@ -259,7 +258,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let views = match training.masks() {
         Some(Masks::Carried) => "two views a step, regions carried by depth",
         Some(Masks::Numbered) => "two views a step, regions of priors/masks/pseudo",
-        Some(Masks::Given) => "two views a step, regions asked of provider.command",
+        Some(Masks::Provided) => "two views a step, regions asked of provider.command",
         None => "none",
     };
     println!("pseudo      {views} ({})", why("pseudo-views"));
@@ -316,7 +315,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A large number for people.
+/// Formats a large number with a unit prefix.
 pub fn counted(number: f64) -> String {
     match number {
         n if n >= 1e12 => format!("{:.1} T", n / 1e12),
@@ -325,7 +324,7 @@ pub fn counted(number: f64) -> String {
     }
 }
 
-/// Where a budget comes from.
+/// Describes the origin of a memory budget.
 pub fn source_of(budget: &Budget) -> &'static str {
     match budget.source {
         BudgetSource::Configured => "as set",

@@ -1,4 +1,4 @@
-//! What `sgs plan` says of the intrinsic stage.
+//! Intrinsic stage in the output of `sgs plan`.
 
 use super::plan::{counted, source_of};
 use sgs_config::Settings;
@@ -12,10 +12,10 @@ use sgs_train::{Decision, IdleLoss, Intrinsic, IntrinsicNeeds};
 use std::path::Path;
 use std::sync::Arc;
 
-/// What the stage would model, and what it takes. Training is made for it as far as its first step, and given up again.
+/// Model and estimated cost of the stage. Training is set up for its first step, then dropped.
 pub struct IntrinsicPlan {
     gaussians: usize,
-    /// Whether the scene's points stand in for what the geometry stage will come to.
+    /// Whether the scene's initial points stand in for trained geometry.
     points: bool,
     options: IntrinsicOptions,
     resolution: Option<u32>,
@@ -23,14 +23,14 @@ pub struct IntrinsicPlan {
     compares: [bool; 2],
     kept: bool,
     interval: u32,
-    /// Losses that have a weight and cannot run.
+    /// Losses that have a weight but cannot run.
     idle: Vec<IdleLoss>,
     needs: IntrinsicNeeds,
-    /// What was decided about the model before the first step.
+    /// Decisions about the model before the first step.
     decisions: Vec<Decision>,
-    /// A plain step.
+    /// Graph of a step that compares nothing with other views.
     pub graph: Arc<Plan>,
-    /// What it computes and moves.
+    /// Operations and bytes of that step.
     cost: Cost,
 }
 
@@ -102,10 +102,10 @@ impl IntrinsicPlan {
             if self.points { ", the scene's points: what geometry comes to needs more (--start)" } else { "" };
         println!("Gaussians   {}, standing still{stand_in}", self.gaussians);
         let names = ["albedo", "roughness", "metallic"];
-        let told: Vec<&str> = names.iter().zip(self.priors).filter(|(_, there)| *there).map(|(n, _)| *n).collect();
+        let answers: Vec<&str> = names.iter().zip(self.priors).filter(|(_, there)| *there).map(|(n, _)| *n).collect();
         let metallic = if o.metallic { "albedo, roughness, metallic" } else { "albedo, roughness" };
         println!("materials   {metallic} (intrinsic.metallic)");
-        println!("priors      {}", if told.is_empty() { "none".to_owned() } else { told.join(", ") });
+        println!("priors      {}", if answers.is_empty() { "none".to_owned() } else { answers.join(", ") });
         match &o.lights {
             Some((model, _)) => println!("lights      {} of {} lobes (intrinsic.lights)", model.lights, model.lobes),
             None => println!("lights      none (intrinsic.lights.enabled)"),

@@ -1,4 +1,4 @@
-//! `sgs priors`: networks over a scene's photographs.
+//! Priors from networks that run over a scene's photographs: `sgs priors`.
 
 use crate::common::Common;
 use crate::failure::refuse_usage;
@@ -12,31 +12,31 @@ use std::sync::atomic::Ordering;
 pub struct Args {
     /// Scene directory.
     scene: PathBuf,
-    /// Command line of the provider, for instance "tools/priors/serve stable-normal=WEIGHTS" (see docs/guide/priors.md).
+    /// Command line of the provider (docs/guide/priors.md). For instance "tools/priors/serve stable-normal=WEIGHTS".
     #[arg(long, value_name = "CMD")]
     provider: String,
-    /// Kinds of priors: normal, semantic, masks, albedo, roughness, metallic; by default all that the provider offers.
+    /// Kinds of priors: normal, semantic, masks, albedo, roughness, metallic; by default all kinds of the provider.
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]
     only: Vec<Prior>,
     /// Test views, as for training: "every:N", "linspace:N", a file like split.json, or "auto".
     #[arg(long, value_name = "every:N|linspace:N|FILE", default_value = "auto")]
     split: SplitRule,
-    /// Which views.
+    /// Views to process.
     #[arg(long, value_enum, default_value = "train")]
     views: Views,
     /// Replace existing files.
     #[arg(long)]
     force: bool,
-    /// Names of the classes, separated by commas; by default the existing ones, or those that the provider finds.
+    /// Class names, separated by commas; by default the existing ones, or those that the provider finds.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     labels: Vec<String>,
-    /// Time limit of an answer, in seconds.
+    /// Time limit of an answer of the provider, in seconds.
     #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().answer_seconds)]
     answer_seconds: f64,
     /// Time limit of the provider's start, in seconds.
     #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().start_seconds)]
     start_seconds: f64,
-    /// Seed of the answers.
+    /// Seed that is sent to the provider.
     #[arg(long, value_name = "S", default_value_t = ProviderOptions::default().seed)]
     seed: u64,
     /// Factor on linear (EXR) photographs; by default chosen from the training views, as for training.

@@ -1,4 +1,4 @@
-//! Progress of a training for people: a bar, messages, and the page of `--watch`.
+//! Progress of a training: a bar, log messages, and the page of `--watch`.
 
 use crate::common::Common;
 use crate::ui::Bar;
@@ -8,20 +8,22 @@ use sgs_train::{Event, IdleLoss, Observer, RollBack, Stage, TrainError};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Shows the progress of a training, and stops it when the flag is raised.
+/// Observer that shows the progress of a training.
+///
+/// Stops the training when the flag is raised.
 pub struct Progress<'a> {
     common: &'a Common,
     stop: &'a AtomicBool,
-    /// Name of the run, where there are several.
+    /// Name of the run in a series.
     name: Option<String>,
-    /// Where results go; said at the end of a stage where there is one run.
+    /// Output directory, printed at the end of a stage; `None` in a series.
     output: Option<PathBuf>,
     watch: Option<&'a mut Watch>,
     bar: Option<Bar>,
 }
 
 impl<'a> Progress<'a> {
-    /// Progress of one run into `output`.
+    /// Creates the progress of one run into `output`.
     pub fn of_run(
         common: &'a Common,
         stop: &'a AtomicBool,
@@ -31,7 +33,7 @@ impl<'a> Progress<'a> {
         Progress { common, stop, name: None, output: Some(output), watch, bar: None }
     }
 
-    /// Progress of one of several runs.
+    /// Creates the progress of one run of a series.
     pub fn of_series(common: &'a Common, stop: &'a AtomicBool, name: String) -> Progress<'a> {
         Progress { common, stop, name: Some(name), output: None, watch: None, bar: None }
     }

@@ -1,4 +1,4 @@
-//! `sgs pseudo`: the cameras of the pseudo-views, to be rendered and segmented outside.
+//! Cameras of the pseudo-views for external rendering and segmentation: `sgs pseudo`.
 
 use super::train::{Options, settings};
 use crate::common::Common;
@@ -14,7 +14,7 @@ pub struct Args {
     /// Transforms file to write. Its cameras have the names of the masks in priors/masks/pseudo.
     #[arg(short, long, value_name = "FILE.json")]
     output: PathBuf,
-    /// Those of the training: geometry.pseudo says where pseudo-views are, views and scale matter too.
+    /// Options of the training. geometry.pseudo places the pseudo-views; views and scale matter, too.
     #[command(flatten)]
     options: Options,
 }

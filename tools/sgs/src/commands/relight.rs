@@ -1,12 +1,12 @@
-//! `sgs relight`: pictures of a run under other light, of other materials, with other things in it.
+//! Images of a run under other light, with other materials or inserted objects: `sgs relight`.
 
 use super::train::validated;
 use crate::cameras::splats_of;
 use crate::classes::head_of;
 use crate::common::Common;
 use crate::failure::refuse_usage;
+use crate::images::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::output;
-use crate::pictures::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::ui::Bar;
 use crate::video::VideoArgs;
 use crate::viewpoints::ViewpointArgs;
@@ -31,8 +31,8 @@ pub struct Args {
     output: Option<PathBuf>,
     #[command(flatten)]
     video: VideoArgs,
-    /// Also write the relit scene as a PLY with plain spherical harmonics, for any 3DGS viewer. Colors are fitted to relit
-    /// images from and between the training views, or from --cameras if the source is a PLY.
+    /// Also write the relit scene as a PLY for any 3DGS viewer. Its colors are plain spherical harmonics. They are
+    /// fitted to relit images from and between the training views, or from --cameras if the source is a PLY.
     #[arg(long, value_name = "FILE.ply")]
     bake: Option<PathBuf>,
     /// Highest band of the harmonics of --bake; by default that of the scene.
@@ -41,7 +41,7 @@ pub struct Args {
     /// Steps of the fit of --bake; 0 shades each Gaussian alone.
     #[arg(long, value_name = "N", requires = "bake", default_value_t = 600)]
     bake_steps: u32,
-    /// Channels to write. "relit": all light.
+    /// Channels to write. "relit" is the image under all lighting.
     #[arg(long, value_delimiter = ',', default_value = "relit")]
     channels: Vec<Channel>,
     /// Write into a directory with other files.
@@ -164,10 +164,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
                 let name = if part == Part::Pbr { "relit" } else { part.name() };
                 let image = part.of(&shaded, background);
                 if let Some(output) = &a.output {
-                    written.push(pictures::write(a.format, output, &camera.name, name, &image)?);
+                    written.push(images::write(a.format, output, &camera.name, name, &image)?);
                 }
                 if let Some(video) = &mut video {
-                    video.push(&pictures::shown(&image))?;
+                    video.push(&images::shown(&image))?;
                 }
             }
             bar.set(i as u64 + 1, || camera.name.clone());
@@ -180,13 +180,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let lights = relit.light.lights.as_ref().map_or(0, |l| l.lights.iter().filter(|l| l.gain > 0.0).count());
     let mut answer = serde_json::json!({"gaussians": relit.splats.len(), "lights": lights, "files": written});
     if let Some(file) = &a.bake {
-        answer["bake"] = baked(common, a, &device, &relit.splats, &mut shading, [&from, &cameras], background, file)?;
+        let target = BakeTarget { from: &from, others: &cameras, background, file };
+        answer["bake"] = baked(common, a, &device, &relit.splats, &mut shading, &target)?;
     }
     common.answer(&answer)?;
     validated(&device)
 }
 
-/// Refuses what baking cannot do, before any work.
+/// Refuses impossible bakes before any work is done.
 fn check_bake(a: &Args, file: &Path, run: bool) -> anyhow::Result<()> {
     if file.extension().is_none_or(|e| !e.eq_ignore_ascii_case("ply")) {
         refuse_usage!("\"{}\" does not end in .ply, the format that is written.", file.display());
@@ -201,22 +202,34 @@ fn check_bake(a: &Args, file: &Path, run: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Bakes, writes, and says how near it comes: at the views of the fit, and at those of `--cameras` if they are others.
+/// Views and file of a bake.
+struct BakeTarget<'a> {
+    /// Cameras of the fit.
+    from: &'a [Camera],
+    /// Other cameras at which the result is measured.
+    others: &'a [Camera],
+    /// Background color, display-referred.
+    background: [f32; 3],
+    /// PLY file.
+    file: &'a Path,
+}
+
+/// Bakes the relit scene, writes it, and returns its PSNR against the relit images.
+///
+/// Measures at the views of the fit, and at the views of `--cameras` if they differ.
 fn baked(
     common: &Common,
     a: &Args,
     device: &Device,
     splats: &Splats,
     shading: &mut Shading,
-    [from, others]: [&[Camera]; 2],
-    background: [f32; 3],
-    file: &Path,
+    &BakeTarget { from, others, background, file }: &BakeTarget<'_>,
 ) -> anyhow::Result<serde_json::Value> {
     let degree = a.bake_degree.unwrap_or(splats.sh_degree() as u32);
     let options = BakeOptions { degree, steps: a.bake_steps, background };
     let mut bar = Bar::new(common, "baking", u64::from(a.bake_steps), 0);
     let made = bake(device, splats, shading, from, &options, |step| {
-        bar.set(u64::from(step), || format!("{} pictures", from.len()));
+        bar.set(u64::from(step), || format!("{} images", from.len()));
     })?;
     bar.finish();
     made.splats.write_ply(file)?;
@@ -230,12 +243,14 @@ fn baked(
     }
     if !common.quiet {
         let (file, views) = (file.display(), from.len());
-        eprintln!("wrote {file}: {psnr:.2} dB from the relit pictures at the {views} views of the fit{also}");
+        eprintln!("wrote {file}: {psnr:.2} dB from the relit images at the {views} views of the fit{also}");
     }
     Ok(answer)
 }
 
-/// The scene, if regions of its views are asked for, or its cameras.
+/// Opens the scene if the edit or the bake needs it.
+///
+/// Edits that select regions need its views, bakes of a run its cameras.
 fn scene_of(a: &Args, edit: &Edit, settings: Option<&Settings>) -> anyhow::Result<Option<Scene>> {
     let cameras = a.bake.is_some() && settings.is_some();
     if edit.materials.iter().all(|m| m.place.region.is_none()) && !cameras {
@@ -244,7 +259,7 @@ fn scene_of(a: &Args, edit: &Edit, settings: Option<&Settings>) -> anyhow::Resul
     Ok(Some(a.viewpoints.open_scene(&a.source, settings)?))
 }
 
-/// What an insertion names.
+/// Loads the splats of an insertion.
 fn loaded(insert: &Insert) -> sgs_relight::Result<Splats> {
     let (splats, _) = splats_of(&insert.source).map_err(|e| RelightError::Edit(e.to_string()))?;
     Ok(splats)

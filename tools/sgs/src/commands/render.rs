@@ -1,20 +1,21 @@
-//! `sgs render`: images or a video of a run or a PLY from any cameras: what is trained (color, depth, normals, classes),
-//! materials, and light part by part.
+//! Images or a video of a run or file from any cameras: `sgs render`.
+//!
+//! Channels: trained values (color, depth, normals, classes), materials, and lighting terms.
 
 use super::train::validated;
 use crate::cameras::{splats_of, upload};
 use crate::classes::{Legend, Scale, file_part, head_of, write_labels_exr, write_relevance_exr, write_relevance_png};
 use crate::common::Common;
 use crate::failure::refuse_usage;
+use crate::images::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::output;
-use crate::pictures::{self, Format, Part, background_of, check_materials, light_of_source};
 use crate::ui::Bar;
 use crate::video::{Video, VideoArgs};
 use crate::viewpoints::ViewpointArgs;
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::pipeline::{RenderedImage, Renderer};
 use sgs_passes::splat::Channels;
 use sgs_run::{Classes, Classifier, RunLight, SemanticHead, Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Image, Splats, write_exr, write_png};
@@ -85,7 +86,7 @@ enum Channel {
 }
 
 impl Channel {
-    /// As part of a shaded view.
+    /// Returns the channel of a shaded view; `None` for other channels.
     fn part(self) -> Option<Part> {
         Some(match self {
             Channel::Albedo => Part::Albedo,
@@ -115,12 +116,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.channels.contains(&Channel::Normal) && splats.normals.is_none() {
         refuse_usage!("\"{}\" holds no normals; leave \"normal\" out of --channels.", a.source.display());
     }
-    let asked = Asked::of(a, &splats)?;
+    let requested = RequestedViews::of(a, &splats)?;
     let light = Light::of(a, &splats, settings.as_ref())?;
     let device = common.open_device()?;
     let mut light = light.map(|light| light.ready(&device, &splats)).transpose()?;
-    let gaussians = upload(&device, &splats, asked.is_some())?;
-    let mut meaning = asked.map(|asked| Meaning::new(&device, asked)).transpose()?;
+    let gaussians = upload(&device, &splats, requested.is_some())?;
+    let mut meaning = requested.map(|requested| Meaning::new(&device, requested)).transpose()?;
     let channels = Channels {
         colors: true,
         normals: a.channels.contains(&Channel::Normal),
@@ -133,13 +134,13 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let mut bar = Bar::new(common, "rendering", cameras.len() as u64, 0);
     let mut written = Vec::new();
-    // Depth of a video has the scale of its first frame: otherwise it would flicker.
+    // All frames of a video share the depth scale of the first, to avoid flicker.
     let mut far = None;
     for (i, camera) in cameras.iter().enumerate() {
         let c = sgs_run::camera(camera);
-        let picture = renderer.render(&gaussians, &c, gaussians.model.sh_degree, background)?;
+        let rendered = renderer.render(&gaussians, &c, gaussians.model.sh_degree, background)?;
         for channel in &a.channels {
-            let Some(blended) = Blended::of(*channel, &picture, channels) else { continue };
+            let Some(blended) = Blended::of(*channel, &rendered, channels) else { continue };
             if let Some(output) = &a.output {
                 written.push(blended.write(a.format, output, &camera.name)?);
             }
@@ -151,8 +152,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             written.extend(light.write(&device, a, camera, background, video.as_mut())?);
         }
         if let (Some(meaning), Some(output)) = (&mut meaning, &a.output) {
-            let classes = meaning.classifier.classify(&renderer, &picture)?;
-            written.extend(meaning.write(a, output, &camera.name, picture.size, classes)?);
+            let classes = meaning.classifier.classify(&renderer, &rendered)?;
+            written.extend(meaning.write(a, output, &camera.name, rendered.size, classes)?);
         }
         bar.set(i as u64 + 1, || camera.name.clone());
     }
@@ -168,7 +169,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     validated(&device)
 }
 
-/// Refuses what a video cannot show, and images without a directory.
+/// Refuses channels that a video cannot show, and images without a directory.
 fn check_video(a: &Args) -> anyhow::Result<()> {
     if a.video.video.is_none() {
         return Ok(());
@@ -185,7 +186,7 @@ fn check_video(a: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A channel of a blended image.
+/// Channel of a blended image.
 struct Blended {
     channel: Channel,
     name: &'static str,
@@ -195,8 +196,8 @@ struct Blended {
 }
 
 impl Blended {
-    /// Takes it from an image; none if the channel is classified or shaded.
-    fn of(channel: Channel, p: &Picture, channels: Channels) -> Option<Blended> {
+    /// Extracts a channel from an image; `None` if the channel is classified or shaded.
+    fn of(channel: Channel, p: &RenderedImage, channels: Channels) -> Option<Blended> {
         let c = p.channels as usize;
         let pixels = p.transmittance.len();
         let pick = |from: usize, count: usize| -> Vec<f32> {
@@ -213,12 +214,12 @@ impl Blended {
         Some(Blended { channel, name, names, image })
     }
 
-    /// The largest value.
+    /// Returns the largest value, at least 1e-6.
     fn largest(&self) -> f32 {
         self.image.data.iter().fold(1e-6, |m: f32, v| m.max(*v))
     }
 
-    /// Display-referred values; `far` is the depth that is shown white.
+    /// Returns display-referred values; `far` is the depth shown as white.
     fn shown(&self, far: f32) -> Image {
         let value = |v: &f32| match self.channel {
             Channel::Normal => *v * 0.5 + 0.5,
@@ -228,7 +229,7 @@ impl Blended {
         Image { data: self.image.data.iter().map(|v| value(v).clamp(0.0, 1.0)).collect(), ..self.image.clone() }
     }
 
-    /// Writes it; returns the file's path.
+    /// Writes the channel; returns the path.
     fn write(&self, format: Format, dir: &Path, stem: &str) -> anyhow::Result<PathBuf> {
         let path = format.file(dir, stem, self.name);
         match format {
@@ -239,16 +240,16 @@ impl Blended {
     }
 }
 
-/// What is asked about materials and light.
+/// Requested channels of materials and light.
 struct Light {
     parts: Vec<Part>,
-    /// Also each light by itself.
+    /// Whether each light is rendered by itself.
     each: bool,
     light: RunLight,
 }
 
 impl Light {
-    /// Nothing, if nothing of that kind is asked for.
+    /// Returns the request; `None` if no channel of materials or light is requested.
     fn of(a: &Args, splats: &Splats, settings: Option<&Settings>) -> anyhow::Result<Option<Light>> {
         let source = a.source.display();
         let parts: Vec<Part> = a.channels.iter().filter_map(|c| c.part()).collect();
@@ -287,7 +288,7 @@ impl Light {
     }
 }
 
-/// What shades.
+/// Shading of the requested channels.
 struct Lit {
     parts: Vec<Part>,
     each: bool,
@@ -296,7 +297,7 @@ struct Lit {
 }
 
 impl Lit {
-    /// Writes what was asked for; gives the files' paths.
+    /// Writes the requested images; returns their paths.
     fn write(
         &mut self,
         device: &Device,
@@ -312,21 +313,21 @@ impl Lit {
             for part in &self.parts {
                 let image = part.of(&shaded, background);
                 if let Some(dir) = &a.output {
-                    written.push(pictures::write(a.format, dir, stem, part.name(), &image)?);
+                    written.push(images::write(a.format, dir, stem, part.name(), &image)?);
                 }
                 if let Some(video) = &mut video {
-                    video.push(&pictures::shown(&image))?;
+                    video.push(&images::shown(&image))?;
                 }
             }
         }
         if let Some(dir) = a.output.as_ref().filter(|_| self.each) {
-            // As wide as the last number, so that names stand in order.
+            // As wide as the last number, so that names sort in order.
             let digits = self.gains.len().saturating_sub(1).to_string().len().max(2);
             for i in 0..self.gains.len() {
                 let alone: Vec<f32> = (0..).zip(&self.gains).map(|(k, g)| if k == i { *g } else { 0.0 }).collect();
                 self.shading.set_gains(device, &alone)?;
                 let image = self.shading.direct(camera)?;
-                written.push(pictures::write(a.format, dir, stem, &format!("light_{i:0digits$}"), &image)?);
+                written.push(images::write(a.format, dir, stem, &format!("light_{i:0digits$}"), &image)?);
             }
             self.shading.set_gains(device, &self.gains)?;
         }
@@ -334,15 +335,15 @@ impl Lit {
     }
 }
 
-/// What is asked about classes.
-struct Asked {
+/// Requested semantic classes.
+struct RequestedViews {
     head: SemanticHead,
     queries: Vec<usize>,
 }
 
-impl Asked {
-    /// Nothing, if neither the channel nor a class is asked for.
-    fn of(a: &Args, splats: &Splats) -> anyhow::Result<Option<Asked>> {
+impl RequestedViews {
+    /// Returns the request; `None` if neither the channel nor a class is requested.
+    fn of(a: &Args, splats: &Splats) -> anyhow::Result<Option<RequestedViews>> {
         if !a.channels.contains(&Channel::Semantic) && a.query.is_empty() {
             return Ok(None);
         }
@@ -361,26 +362,26 @@ impl Asked {
                 queries.push(class);
             }
         }
-        Ok(Some(Asked { head, queries }))
+        Ok(Some(RequestedViews { head, queries }))
     }
 }
 
-/// The classes of pictures, and how they are written.
+/// Classifier of images, and the legend of its output.
 struct Meaning {
     classifier: Classifier,
     legend: Legend,
-    /// Parts of files' names, and how relevance is shown, by query.
+    /// File name part and gray scale of each query.
     queries: Vec<(String, Scale)>,
 }
 
 impl Meaning {
-    fn new(device: &Device, Asked { head, queries }: Asked) -> anyhow::Result<Meaning> {
+    fn new(device: &Device, RequestedViews { head, queries }: RequestedViews) -> anyhow::Result<Meaning> {
         let classifier = Classifier::new(device, &head, &queries)?;
         let queries = queries.iter().map(|q| (file_part(&head.text.labels[*q]), Scale::of(&head, *q))).collect();
         Ok(Meaning { classifier, legend: Legend::new(&head.text.labels), queries })
     }
 
-    /// Writes what was asked for; gives the files' paths.
+    /// Writes the requested images; returns their paths.
     fn write(
         &self,
         a: &Args,

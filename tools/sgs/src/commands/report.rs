@@ -1,10 +1,12 @@
-//! `sgs report`: a run as one self-contained page: images, figures, tables, curves, lights, times, settings.
+//! Self-contained page of a run: `sgs report`.
+//!
+//! The page has images, metrics, lights, curves, step times and settings.
 
-use super::eval::{Split, measure};
+use super::eval::{MeasureOptions, Split, measure};
 use super::train::validated;
 use crate::cameras::splats_of;
 use crate::common::Common;
-use crate::report::lamps::{self, Lamps};
+use crate::report::lights::{self as light_marks, LightTable};
 use crate::report::views;
 use crate::scenes::open_scene_of_run;
 use anyhow::{Context, bail};
@@ -20,13 +22,13 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Run directory.
     run: PathBuf,
-    /// The page to write.
+    /// HTML file to write.
     #[arg(short, long, value_name = "FILE.html")]
     output: PathBuf,
     /// Scene directory, if the scene has moved.
     #[arg(long)]
     scene: Option<PathBuf>,
-    /// Which views.
+    /// Split of the views in the report.
     #[arg(long, value_enum, default_value = "test")]
     split: Split,
     /// Number of views with images, spread evenly; tables have all views.
@@ -58,14 +60,23 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let metrics = metrics(&device, &scene, &run, &splats, &settings, a.split, &files)?;
     let light = light_of(&run, &settings)?;
-    let lamps = Lamps::measure(&device, &scene, &splats, &light, &chosen)?;
-    let shown = views::Shown { width: a.width, lamps: &lamps, most: a.lights as usize };
-    let pictures = views::html(common, &device, &scene, &run, &splats, &settings, &light, &chosen, &metrics, &shown)?;
+    let light_table = LightTable::measure(&device, &scene, &splats, &light, &chosen)?;
+    let shown = views::Shown { width: a.width, light_table: &light_table, most: a.lights as usize };
+    let of_run = views::ShownRun {
+        scene: &scene,
+        run: &run,
+        splats: &splats,
+        settings: &settings,
+        light: &light,
+        views: &chosen,
+        metrics: &metrics,
+    };
+    let images = views::html(common, &device, &of_run, &shown)?;
 
     let name = run.root().canonicalize().ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
     let mut page = Page::new(&format!("SGS: {}", name.unwrap_or_else(|| a.run.display().to_string())));
     let cards = table::cards(&metrics, &facts(&files, &splats));
-    page.section("images", "Images", format!("{}{cards}", pictures.first));
+    page.section("images", "Images", format!("{}{cards}", images.first));
     let what = if a.split == Split::Test { "views that training never saw" } else { "views of training" };
     let table = table::views(&metrics);
     let relit = table::relit(&metrics);
@@ -78,10 +89,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         "Views",
         format!(
             "<p>Move the sliders: truth is left, the render right. Images enlarge on a click.{note}</p>\n{}",
-            pictures.views
+            images.views
         ),
     );
-    page.section("lights", "Lights", lights(&run, &splats, &scene, &lamps, a.width)?);
+    page.section("lights", "Lights", lights(&run, &splats, &scene, &light_table, a.width)?);
     page.section("curves", "Curves", chart::log(&files.log));
     page.section("profile", "Profile", profile(&files));
     page.section("summary", "Run", summary(&files, &settings, &splats, &scene, device.info().name.as_str()));
@@ -97,7 +108,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     validated(&device)
 }
 
-/// Minutes of work are not to end in a file that cannot be written.
+/// Checks that the page can be written, before minutes of work.
 fn check_output(path: &Path) -> anyhow::Result<()> {
     let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if path.is_dir() {
@@ -114,13 +125,13 @@ fn check_output(path: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// At most so many of them, spread evenly.
+/// Returns at most `most` elements, spread evenly.
 fn spread(all: &[usize], most: usize) -> Vec<usize> {
     let count = all.len().min(most);
     (0..count).map(|i| all[(2 * i + 1) * all.len() / (2 * count)]).collect()
 }
 
-/// What the run's files say beside the pictures.
+/// Contents of the run's files for the page.
 struct Files {
     config: String,
     log: String,
@@ -155,7 +166,10 @@ impl Files {
     }
 }
 
-/// The metrics of a split: as recorded, if that was after the Gaussians were written; else measured and recorded now.
+/// Returns the metrics of a split.
+///
+/// Recorded metrics are used if they are newer than the Gaussians. Otherwise the run is measured and the result
+/// recorded.
 fn metrics(
     device: &Device,
     scene: &Scene,
@@ -170,7 +184,14 @@ fn metrics(
     if known.is_object() && changed("metrics.json") >= changed("scene.ply") {
         return Ok(known.clone());
     }
-    Ok(serde_json::to_value(measure(device, scene, run, splats, settings, split, None, None)?)?)
+    Ok(serde_json::to_value(measure(
+        device,
+        scene,
+        run,
+        splats,
+        settings,
+        &MeasureOptions { split, lpips: None, images: None },
+    )?)?)
 }
 
 fn summary(files: &Files, settings: &Settings, splats: &Splats, scene: &Scene, device: &str) -> String {
@@ -193,7 +214,7 @@ fn summary(files: &Files, settings: &Settings, splats: &Splats, scene: &Scene, d
     table::facts(&rows)
 }
 
-/// Facts that stand beside the means: number of Gaussians, time of training.
+/// Returns the facts beside the means: number of Gaussians, training time.
 fn facts(files: &Files, splats: &Splats) -> Vec<(String, String)> {
     let seconds: f64 =
         [&files.training, &files.training["intrinsic"]].iter().filter_map(|t| t["seconds"].as_f64()).sum();
@@ -204,7 +225,7 @@ fn facts(files: &Files, splats: &Splats) -> Vec<(String, String)> {
     all
 }
 
-/// A time as people write it.
+/// Formats a duration with readable units.
 fn duration(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;
     match (whole / 3600, whole / 60 % 60, whole % 60) {
@@ -227,21 +248,28 @@ fn profile(files: &Files) -> String {
     out
 }
 
-/// Lights in the room and their shares, and the surroundings.
-fn lights(run: &RunDirectory, splats: &Splats, scene: &Scene, lamps: &Lamps, width: u32) -> anyhow::Result<String> {
+/// Returns the lights with their shares in the room, and the environment map.
+fn lights(
+    run: &RunDirectory,
+    splats: &Splats,
+    scene: &Scene,
+    light_table: &LightTable,
+    width: u32,
+) -> anyhow::Result<String> {
     let mut out = String::new();
-    let all = lamps.rows();
+    let all = light_table.rows();
     if !all.is_empty() {
-        let eyes: Vec<room::Eye> = scene.split.train.iter().map(|v| lamps::eye(&scene.views[*v].camera)).collect();
+        let eyes: Vec<room::Eye> =
+            scene.split.train.iter().map(|v| light_marks::eye(&scene.views[*v].camera)).collect();
         out.push_str("<p>Blue: cameras of training. Circles: lights, as large as their share of the light of all lamps in the views shown, in their color.</p>\n");
-        out.push_str(&room::drawing(&lamps::opaque(splats), &eyes, &all));
-        out.push_str(&lamps.table());
+        out.push_str(&room::drawing(&light_marks::opaque(splats), &eyes, &all));
+        out.push_str(&light_table.table());
     }
     let environment = run.path("environment.exr");
     if environment.is_file() {
         let image = displayed(&read_environment(&environment)?);
         out.push_str("<h3>Environment map</h3>\n<div class=\"grid large\">\n");
-        out.push_str(&figure::picture(
+        out.push_str(&figure::rendered(
             "environment.exr",
             &figure::data_uri(&image, width)?,
             [image.width, image.height],
@@ -264,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn views_are_spread() {
+    fn views_are_spread_evenly() {
         let all: Vec<usize> = (10..22).collect();
         assert_eq!(spread(&all, 12), all);
         assert_eq!(spread(&all, 99), all);

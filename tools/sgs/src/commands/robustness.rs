@@ -1,4 +1,4 @@
-//! `sgs robustness`: training from noisy inputs, one kind after another, and a table of what it came to.
+//! Robustness study: `sgs robustness` trains from noisy inputs and writes a table of metrics.
 
 use super::series::{self, About, Row};
 use super::train::Stage;
@@ -10,11 +10,11 @@ use sgs_study::Case;
 pub struct Args {
     #[command(flatten)]
     series: series::Series,
-    /// Cases: clean, positions (initial points), normals, semantics (priors), poses (training cameras); by default all that
-    /// differ on this scene. noise.* sets the amounts.
+    /// Cases to train: clean, positions (initial points), normals, semantics (priors), poses (training cameras). By
+    /// default all that differ on this scene. noise.* sets the amounts.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
-    /// Stages to train: geometry, or all to measure materials, too.
+    /// Stages to train: geometry, or all, which also measures materials.
     #[arg(long, value_enum, default_value = "all")]
     stage: Stage,
 }

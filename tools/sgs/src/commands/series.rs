@@ -1,8 +1,8 @@
-//! Trainings one after another, and a table of what they came to: what `sgs ablate` and `sgs robustness` share.
+//! Series of trainings with a table of metrics; shared by `sgs ablate` and `sgs robustness`.
 //!
-//! Promises: what is done is recognized and not done again; the table is on the disk after every run.
+//! Guarantees: finished runs are recognized and not repeated. The table on disk is updated after every run.
 
-use super::eval::{Split, measure};
+use super::eval::{MeasureOptions, Split, measure};
 use super::progress::Progress;
 use super::train::{Options, Stage, settings, validated};
 use crate::cameras::splats_of;
@@ -31,47 +31,47 @@ pub struct Series {
     /// Directory for the runs, and for the table as Markdown and JSON.
     #[arg(short, long, value_name = "DIR")]
     pub output: PathBuf,
-    /// Number of seeds, from --seed on.
+    /// Number of seeds, starting at --seed.
     #[arg(long, value_name = "N", default_value = "3", value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: u64,
-    /// Weights of LPIPS, to measure it.
+    /// Weights of LPIPS; enables this metric.
     #[arg(long, value_name = "FILE.safetensors")]
     pub lpips: Option<PathBuf>,
-    /// Replace runs with other settings.
+    /// Replace existing runs whose settings differ.
     #[arg(long)]
     pub force: bool,
     #[command(flatten)]
     pub options: Options,
 }
 
-/// What all trainings have in common.
+/// Settings and scene shared by all trainings.
 pub struct Base {
     pub settings: Settings,
     pub scene: Scene,
 }
 
-/// A row of the table.
+/// Row of the table.
 pub struct Row {
     pub entry: Entry,
-    /// Its settings, but for the seed.
+    /// Settings except for the seed.
     pub settings: Settings,
-    /// Whether it is to be trained; else it stays in the table where it was measured before.
+    /// Whether to train the row. Otherwise the table shows it only if it was measured before.
     pub wanted: bool,
-    /// The geometry of its materials, where that is not its own.
+    /// Geometry on which materials are trained; `None` for the row's own geometry.
     pub start: Option<Start>,
 }
 
-/// Geometry that rows have in common.
+/// Geometry shared by several rows.
 #[derive(Clone)]
 pub enum Start {
-    /// A file.
+    /// Geometry from a file.
     File(PathBuf),
-    /// What this training comes to, of each seed; its folder may be that of a row.
+    /// Geometry of a training per seed. Its folder may belong to a row.
     Training { entry: Entry, settings: Box<Settings> },
 }
 
 impl Start {
-    /// Its file for a seed.
+    /// Returns the geometry file for a seed.
     fn file(&self, output: &Path, seed: u64) -> PathBuf {
         match self {
             Start::File(path) => path.clone(),
@@ -80,7 +80,7 @@ impl Start {
     }
 }
 
-/// Settings and scene, which must have test views.
+/// Opens settings and scene. Refuses a scene without test views.
 pub fn base(a: &Series) -> anyhow::Result<Base> {
     let settings = settings(&a.scene, &a.options)?;
     let scene = open_scene(&settings)?;
@@ -91,9 +91,10 @@ pub fn base(a: &Series) -> anyhow::Result<Base> {
     Ok(Base { settings, scene })
 }
 
-/// Those that differ from the others on this scene. Who asks for another by name is told.
+/// Returns the entries that differ from all others on this scene.
 ///
-/// `what`: what rows are called; `lacks`: why one would differ from no other.
+/// Logs a warning for each entry left out. Refuses such an entry if the user named entries. `what`: name of an entry
+/// in messages. `lacks`: name of an entry and the reason why it equals another.
 pub fn possible<T: Copy>(
     what: &str,
     all: Vec<T>,
@@ -111,17 +112,17 @@ pub fn possible<T: Copy>(
     Ok(kept)
 }
 
-/// What the table of a series is.
+/// Description of a series and its table.
 pub struct About<'a> {
-    /// Its files' name.
+    /// Base name of the table files.
     pub name: &'a str,
-    /// Up to where rows are trained.
+    /// Last stage that rows are trained to.
     pub stage: Stage,
-    /// What all begin with, if it is a file.
+    /// Geometry file shared by all rows.
     pub start: Option<&'a Path>,
 }
 
-/// Trains and measures what is wanted and was not done before; writes `NAME.json` and `NAME.md`.
+/// Trains and measures the rows that are wanted and not done. Writes `NAME.json` and `NAME.md`.
 pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows: &[Row]) -> anyhow::Result<()> {
     let Some(last) = base.seed.checked_add(a.seeds - 1) else {
         refuse_usage!("--seeds {} goes beyond the largest seed from --seed {} on.", a.seeds, base.seed);
@@ -140,7 +141,8 @@ pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows
     };
     let _lock = output::lock(&a.output)?;
     let runs = Runs { common, goal, lpips: lpips.as_ref(), stop: &stop, output: &a.output, force: a.force };
-    // Seed by seed, so that an early look compares all rows. One that was measured before stays in the table.
+    // Seeds are the outer loop, so that an unfinished table already compares all rows. Rows measured before are
+    // included.
     for seed in base.seed..=last {
         for row in rows {
             let root = a.output.join(row.entry.folder(seed));
@@ -161,17 +163,17 @@ pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows
     Ok(())
 }
 
-/// What became of a run.
+/// Result of a run.
 enum Came {
-    /// The device that trained it, and what it came to.
+    /// Device that trained the run, and its metrics.
     To(String, Box<Measures>),
-    /// It was not done before and is not wanted now.
+    /// Neither measured before nor wanted now.
     Nowhere,
-    /// Somebody wanted to stop.
+    /// Stopped by the user.
     Stopped,
 }
 
-/// How runs are made.
+/// Context for training and measuring runs.
 struct Runs<'a> {
     common: &'a Common,
     goal: Goal,
@@ -183,15 +185,15 @@ struct Runs<'a> {
 }
 
 impl Runs<'_> {
-    /// Trains and measures a run as far as that is wanted and was not done before.
+    /// Trains and measures a run; skips steps that are done or not wanted.
     fn come_to(&self, row: &Row, seed: u64, root: &Path) -> anyhow::Result<Came> {
-        // A run of another row says nothing of whether this one was trained before.
+        // A folder shared with another row does not show whether this row was trained.
         let shared = row.entry.run != row.entry.name;
         if !row.wanted && (shared || !root.is_dir()) {
             return Ok(Came::Nowhere);
         }
-        let (scene, asked) = of_seed(&row.settings, seed)?;
-        let mut state = State::of(root, &asked, &self.goal);
+        let (scene, requested) = of_seed(&row.settings, seed)?;
+        let mut state = State::of(root, &requested, &self.goal);
         let start = row.start.as_ref().map(|start| start.file(self.output, seed));
         if start.as_deref().is_some_and(|start| state != State::Absent && !is_on(root, start)) {
             state = State::Absent;
@@ -210,17 +212,17 @@ impl Runs<'_> {
         if self.stop.load(Ordering::SeqCst) {
             return Ok(Came::Stopped);
         }
-        // Materials are gone on with if they were begun with the same settings.
+        // Training of materials resumes only if it began with the same settings.
         let began = RunDirectory::open(root).and_then(|run| run.settings()).ok();
-        let same = state != State::Absent && began.is_some_and(|began| began.intrinsic == asked.intrinsic);
+        let same = state != State::Absent && began.is_some_and(|began| began.intrinsic == requested.intrinsic);
         let others = self.goal.materials && state == State::Formed && !same;
         self.check(root, state == State::Absent, others)?;
         let _lock = output::lock(root)?;
-        // A device of its own, so that its memory's peak is that of this run.
+        // A new device per run, so that its peak memory is that of this run.
         let device = self.common.open_device()?;
         let scene = Arc::new(scene);
         let name = format!("{}, seed {seed}", row.entry.name);
-        let train = |options: TrainerOptions| self.train(&device, &scene, &asked, &name, root, options);
+        let train = |options: TrainerOptions| self.train(&device, &scene, &requested, &name, root, options);
         if row.start.is_none() && matches!(state, State::Absent | State::Begun) {
             let resume = state == State::Begun;
             if !train(TrainerOptions { stages: vec![StageKind::Geometry], resume, ..Default::default() })? {
@@ -244,7 +246,8 @@ impl Runs<'_> {
         }
         let (splats, _) = splats_of(root)?;
         let run = RunDirectory::open(root)?;
-        measure(&device, &scene, &run, &splats, &asked, Split::Test, self.lpips, None)?;
+        let options = MeasureOptions { split: Split::Test, lpips: self.lpips, images: None };
+        measure(&device, &scene, &run, &splats, &requested, &options)?;
         validated(&device)?;
         match Measures::read(&run) {
             Some(measures) => Ok(Came::To(trained_on(root), Box::new(measures))),
@@ -252,7 +255,7 @@ impl Runs<'_> {
         }
     }
 
-    /// Refuses to replace a run or its materials, unless `--force` allows it.
+    /// Refuses to replace a run or its materials without `--force`.
     fn check(&self, root: &Path, run: bool, materials: bool) -> anyhow::Result<()> {
         let there = RunContents::of(root).unwrap_or_default();
         if !self.force && (run && there.is_trained() || materials && there.materials) {
@@ -264,11 +267,11 @@ impl Runs<'_> {
         Ok(())
     }
 
-    /// Trains the geometry that rows have in common, as far as that was not done before; whether it is whole.
+    /// Trains the shared geometry unless it is finished. Returns whether it is finished.
     fn formed(&self, entry: &Entry, settings: &Settings, seed: u64) -> anyhow::Result<bool> {
         let root = self.output.join(entry.folder(seed));
-        let (scene, asked) = of_seed(settings, seed)?;
-        let state = State::of(&root, &asked, &Goal::default());
+        let (scene, requested) = of_seed(settings, seed)?;
+        let state = State::of(&root, &requested, &Goal::default());
         if !matches!(state, State::Absent | State::Begun) {
             return Ok(true);
         }
@@ -277,12 +280,12 @@ impl Runs<'_> {
         let device = self.common.open_device()?;
         let name = format!("{}, seed {seed}", entry.name);
         let options = TrainerOptions { resume: state == State::Begun, ..Default::default() };
-        let finished = self.train(&device, &Arc::new(scene), &asked, &name, &root, options)?;
+        let finished = self.train(&device, &Arc::new(scene), &requested, &name, &root, options)?;
         validated(&device)?;
         Ok(finished)
     }
 
-    /// Trains a stage into a run directory. Returns whether it is finished.
+    /// Trains a stage into a run directory. Returns whether it finished.
     fn train(
         &self,
         device: &Device,
@@ -299,16 +302,16 @@ impl Runs<'_> {
     }
 }
 
-/// Scene and settings of a run. Random points are drawn by the seed.
+/// Returns scene and settings for a seed. The seed determines the random points.
 fn of_seed(settings: &Settings, seed: u64) -> anyhow::Result<(Scene, Settings)> {
-    let mut asked = Settings { seed, ..settings.clone() };
-    let scene = Scene::open(&asked.scene, &asked.scene_options())?;
-    asked.exposure = scene.exposure();
-    asked.check()?;
-    Ok((scene, asked))
+    let mut requested = Settings { seed, ..settings.clone() };
+    let scene = Scene::open(&requested.scene, &requested.scene_options())?;
+    requested.exposure = scene.exposure();
+    requested.check()?;
+    Ok((scene, requested))
 }
 
-/// Whether the materials of a run lie on the geometry of a file, as far as both are there.
+/// Returns whether a run has the geometry of a file. Missing files count as equal.
 fn is_on(root: &Path, start: &Path) -> bool {
     let own = root.join("scene.ply");
     if !own.is_file() || !start.is_file() {
@@ -323,7 +326,7 @@ fn is_on(root: &Path, start: &Path) -> bool {
     }
 }
 
-/// The device that a run names.
+/// Returns the name of the device that trained a run.
 fn trained_on(root: &Path) -> String {
     let text = std::fs::read_to_string(root.join("training.json")).unwrap_or_default();
     let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
@@ -331,7 +334,7 @@ fn trained_on(root: &Path) -> String {
     named.unwrap_or("an unknown device").to_owned()
 }
 
-/// Writes what is known so far.
+/// Writes the current table as JSON and Markdown.
 fn write(dir: &Path, name: &str, table: &Ablation) -> anyhow::Result<()> {
     let json = serde_json::to_string_pretty(table)?;
     for (end, text) in [("json", json), ("md", table.markdown())] {

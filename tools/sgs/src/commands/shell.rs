@@ -1,5 +1,6 @@
-//! `sgs completions` and `sgs man`: what shells and `man` read, made from the command line itself, so that it never says
-//! anything else.
+//! Shell completions and manual pages: `sgs completions` and `sgs man`.
+//!
+//! Both are generated from the clap definitions, so that they always agree with the command line.
 
 use crate::common::Common;
 use anyhow::Context;
@@ -11,29 +12,29 @@ use std::path::PathBuf;
 
 #[derive(clap::Args)]
 pub struct Completions {
-    /// Shell.
+    /// Shell that reads the script.
     #[arg(value_enum)]
     shell: Shell,
 }
 
 #[derive(clap::Args)]
 pub struct Pages {
-    /// Directory for the pages, made where it is missing.
+    /// Directory for the pages; created if missing.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
 }
 
-/// Prints what completes the command line.
+/// Prints the completion script.
 pub fn completions(a: &Completions, mut command: Command) -> anyhow::Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(a.shell, &mut command, "sgs", &mut script);
     std::io::stdout().write_all(&script).context("while printing")
 }
 
-/// Writes a page for the program and one for every command.
+/// Writes a manual page for the program and for every command.
 pub fn man(common: &Common, a: &Pages, command: Command) -> anyhow::Result<()> {
     crate::output::make(&a.output)?;
-    // What is built knows the options of all commands, too.
+    // `build` copies the global options into all commands.
     let mut command = command.disable_help_subcommand(true);
     command.build();
     let subs: Vec<Command> = command.get_subcommands().cloned().collect();

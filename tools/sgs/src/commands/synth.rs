@@ -1,4 +1,4 @@
-//! `sgs synth`: an indoor scene to try things on.
+//! Synthetic indoor scenes for trials: `sgs synth`.
 
 use crate::common::Common;
 use crate::ui::Bar;
@@ -7,27 +7,27 @@ use std::sync::Mutex;
 
 #[derive(clap::Args)]
 pub struct Args {
-    /// Directory to make.
+    /// Scene directory to create.
     out: PathBuf,
-    /// Which scene.
+    /// Name of the scene.
     #[arg(long, value_name = "NAME", default_value = "livingroom")]
     scene: String,
     /// Layout of the directory: nerfstudio, tensoir or fipt.
     #[arg(long, value_name = "NAME", default_value = "nerfstudio")]
     layout: String,
-    /// Training views; test views come on top.
+    /// Number of training views; test views are additional.
     #[arg(long, value_name = "N")]
     views: Option<usize>,
-    /// Columns and rows of the images.
+    /// Width and height of the images in pixels.
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<(usize, usize)>,
     /// Pixels along a cell of the semantic priors; 1 for maps at image resolution.
     #[arg(long, value_name = "PIXELS", default_value_t = 8)]
     semantic_cell: usize,
-    /// Share of the regions of the semantic priors whose class is wrong, 0 to 1.
+    /// Fraction of the regions of the semantic priors whose class is wrong, 0 to 1.
     #[arg(long, value_name = "SHARE", default_value_t = 0.0)]
     semantic_wrong: f32,
-    /// Replace a scene that is there.
+    /// Replace an existing scene.
     #[arg(long)]
     force: bool,
     /// Seed of furniture and noise.

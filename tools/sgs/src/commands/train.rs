@@ -1,4 +1,4 @@
-//! `sgs train`: from a scene directory to a run directory.
+//! Training from a scene directory into a run directory: `sgs train`.
 
 use super::progress::Progress;
 use crate::common::Common;
@@ -19,7 +19,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Names that shells complete; another name is refused where it is used, with a suggestion.
+/// Names for shell completion. Unknown names are refused later, with a suggestion.
 #[derive(Clone)]
 struct Names(fn() -> Vec<&'static str>);
 
@@ -35,7 +35,7 @@ impl TypedValueParser for Names {
     }
 }
 
-/// Options that shape training; `sgs plan` takes them too.
+/// Options of training, shared with `sgs plan`.
 #[derive(clap::Args)]
 pub struct Options {
     /// Steps of the geometry stage.
@@ -44,27 +44,28 @@ pub struct Options {
     /// Steps of the intrinsic stage.
     #[arg(long, value_name = "N")]
     pub intrinsic_steps: Option<u32>,
-    /// Which views are held out for tests: "every:N" (views 0, N, 2N and so on), "linspace:N" (N views, spread evenly between the
-    /// first and the last), a file like split.json, or "auto" (split.json of the scene, else its layout's own split, else every:8).
+    /// Views held out for tests: "every:N" (views 0, N, 2N and so on), "linspace:N" (N views, spread evenly between the
+    /// first and the last), a file like split.json, or "auto" (split.json of the scene, else its layout's own split,
+    /// else every:8).
     #[arg(long, value_name = "every:N|linspace:N|FILE")]
     pub split: Option<SplitRule>,
-    /// Training views, spread evenly over those that are not held out; all by default.
+    /// Number of training views; all by default. Spread evenly over the views that are not held out.
     #[arg(long, value_name = "N")]
     pub views: Option<usize>,
     /// Factor on the size of the images, at most 1.
     #[arg(long, value_name = "F")]
     pub scale: Option<f64>,
-    /// Keep the number of Gaussians as it is.
+    /// Disable densification; the number of Gaussians stays constant.
     #[arg(long)]
     pub no_densify: bool,
     /// Seed of all random numbers.
     #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
-    /// Device memory of training at most, as bytes or as 512M, 4G (memory.budget in config.toml). Limits growth and thins
-    /// points. Refuses only a start that does not fit.
+    /// Maximum device memory of training, as bytes or as 512M, 4G. Sets memory.budget of config.toml. Limits growth and
+    /// thins points. Refuses only a start that does not fit.
     #[arg(long, visible_alias = "vram", value_name = "BYTES|4G", value_parser = sgs_config::parse_bytes)]
     pub memory_budget: Option<u64>,
-    /// Preset: "draft" (quick, on a processor), "default", "paper" (the paper's sizes and weights), "parity" (those of the
+    /// Preset: "draft" (quick, on a CPU), "default", "paper" (the paper's sizes and weights), "parity" (those of the
     /// published code). --config, --set and other options override it.
     #[arg(long, value_name = "NAME", value_parser = Names(|| PRESETS.iter().map(|p| p.name).collect()))]
     pub preset: Option<String>,
@@ -75,7 +76,7 @@ pub struct Options {
     /// Settings from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
-    /// One setting by its name in config.toml, as geometry.rates.scales=0.01; may be repeated.
+    /// Set one setting of config.toml, as geometry.rates.means=0.0001; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 }
@@ -101,8 +102,8 @@ pub struct Args {
     /// Replace the run in the directory.
     #[arg(long, conflicts_with = "resume")]
     force: bool,
-    /// Serve a page of the training to this machine: curves and images of held-back views. Takes at most 5 % of the time. 0
-    /// chooses a free port.
+    /// Serve a live page of the training to this machine: curves and images of held-back views. Takes at most 5 % of
+    /// the time. 0 chooses a free port.
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8117", require_equals = true)]
     watch: Option<u16>,
 }
@@ -115,7 +116,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// The stages that it names.
+    /// Returns the selected stages.
     pub fn kinds(self) -> Vec<StageKind> {
         match self {
             Stage::Geometry => vec![StageKind::Geometry],
@@ -125,7 +126,9 @@ impl Stage {
     }
 }
 
-/// Settings from preset, then from level of accuracy, then from file, then from `--set`, then from the options of their own.
+/// Returns the settings of the command line.
+///
+/// Later sources override earlier ones: preset, accuracy level, file, `--set`, dedicated options.
 pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     let mut table = preset_of(o)?;
     overlay(&mut table, accuracy_of(o)?);
@@ -133,7 +136,7 @@ pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     settings_over(table, scene, o)
 }
 
-/// What `--preset` says.
+/// Returns the settings of `--preset`.
 fn preset_of(o: &Options) -> anyhow::Result<toml::Table> {
     match &o.preset {
         None => Ok(toml::Table::new()),
@@ -141,7 +144,7 @@ fn preset_of(o: &Options) -> anyhow::Result<toml::Table> {
     }
 }
 
-/// What `--accuracy` says.
+/// Returns the settings of `--accuracy`.
 fn accuracy_of(o: &Options) -> anyhow::Result<toml::Table> {
     match &o.accuracy {
         None => Ok(toml::Table::new()),
@@ -149,7 +152,7 @@ fn accuracy_of(o: &Options) -> anyhow::Result<toml::Table> {
     }
 }
 
-/// What `--config` says.
+/// Returns the settings of `--config`.
 fn file_of(o: &Options) -> anyhow::Result<toml::Table> {
     let Some(path) = &o.config else { return Ok(toml::Table::new()) };
     let text = std::fs::read_to_string(path).map_err(|e| usage(format!("\"{}\": {e}.", path.display())))?;
@@ -157,12 +160,14 @@ fn file_of(o: &Options) -> anyhow::Result<toml::Table> {
     text.parse().map_err(|e| usage(format!("\"{}\": {}.", path.display(), wrong(e))))
 }
 
-/// Settings of the intrinsic stage on the geometry of a run: the run's, whose geometry they made, and over them what preset,
-/// level of accuracy and file say about the stage, in this order.
+/// Returns settings of the intrinsic stage on the geometry of a run.
+///
+/// The base is the settings of the run, which produced the geometry. Preset, accuracy level and file override
+/// settings of the intrinsic stage, in this order.
 fn settings_of_stage(run: &Settings, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     let mut table = run.to_table()?;
     let of_stage = |mut over: toml::Table| -> anyhow::Result<toml::Table> {
-        // A misspelled name is still one.
+        // Checks the names of the other settings, too, before dropping them.
         Settings::from_table(over.clone())?;
         over.retain(|key, _| key == "intrinsic");
         Ok(over)
@@ -173,7 +178,7 @@ fn settings_of_stage(run: &Settings, scene: &Path, o: &Options) -> anyhow::Resul
     settings_over(table, scene, o)
 }
 
-/// The settings of a table, changed by `--set` and the options.
+/// Returns the settings of a table, overridden by `--set` and dedicated options.
 fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     for pair in &o.set {
         let Some((key, value)) = pair.split_once('=') else {
@@ -182,7 +187,7 @@ fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::R
         set(&mut table, key.trim(), value.trim())?;
     }
     let mut s = Settings::from_table(table)?;
-    // Whoever opens the run may stand in another directory.
+    // The run may be opened from another directory.
     s.scene = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
     if let Some(n) = o.geometry_steps {
         s.geometry.steps = n;
@@ -240,11 +245,12 @@ fn set(table: &mut toml::Table, key: &str, value: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The settings that a run was begun with. What the command line says must agree with them, since other settings would
-/// give neither the old run nor a new one.
+/// Returns the settings with which a run began. Refuses differing options.
+///
+/// Changed settings would produce neither the old run nor a new one.
 fn resumed(a: &Args) -> anyhow::Result<Settings> {
     let began = RunDirectory::open(&a.output)?.settings()?;
-    let mut asked = match (&a.options.config, &a.options.preset) {
+    let mut requested = match (&a.options.config, &a.options.preset) {
         (None, None) => {
             let mut table = began.to_table()?;
             overlay(&mut table, accuracy_of(&a.options)?);
@@ -253,22 +259,22 @@ fn resumed(a: &Args) -> anyhow::Result<Settings> {
         _ if a.stage == Stage::Intrinsic => settings_of_stage(&began, &a.scene, &a.options)?,
         _ => settings(&a.scene, &a.options)?,
     };
-    // What was left to measurement has been measured.
-    if asked.geometry.backward == Backward::Auto {
-        asked.geometry.backward = began.geometry.backward;
+    // Automatic values were decided when the run began.
+    if requested.geometry.backward == Backward::Auto {
+        requested.geometry.backward = began.geometry.backward;
     }
-    if asked.exposure == 0.0 {
-        asked.exposure = began.exposure;
+    if requested.exposure == 0.0 {
+        requested.exposure = began.exposure;
     }
-    // The scene may have moved, and there may be more memory than before.
-    let mut began = Settings { scene: asked.scene.clone(), memory: asked.memory, ..began };
-    // What has diverged goes on with lower rates.
+    // The scene may have moved, and the memory budget may have changed.
+    let mut began = Settings { scene: requested.scene.clone(), memory: requested.memory, ..began };
+    // A diverged run may continue with lower rates.
     if RunDirectory::open(&a.output)?.has_diverged() {
-        began.train = asked.train;
-        began.geometry.rates = asked.geometry.rates;
-        began.intrinsic.rates = asked.intrinsic.rates;
+        began.train = requested.train;
+        began.geometry.rates = requested.geometry.rates;
+        began.intrinsic.rates = requested.intrinsic.rates;
     }
-    if let Some((name, was, is)) = difference("", &began.to_table()?, &asked.to_table()?) {
+    if let Some((name, was, is)) = difference("", &began.to_table()?, &requested.to_table()?) {
         refuse_usage!(
             "\"{}\" was begun with {name} = {was}, not {is}; resume it as it was begun, or train into another directory.",
             a.output.display()
@@ -277,7 +283,7 @@ fn resumed(a: &Args) -> anyhow::Result<Settings> {
     Ok(began)
 }
 
-/// The first setting that differs: its name and both values.
+/// Returns the first setting that differs: its name and both values.
 fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String, String, String)> {
     a.iter().find_map(|(key, x)| match (x, b.get(key)) {
         (toml::Value::Table(x), Some(toml::Value::Table(y))) => difference(&format!("{prefix}{key}."), x, y),
@@ -306,7 +312,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let settings = if resuming {
         resumed(a)?
     } else if begin == Begin::Materials && there {
-        // The geometry is the run's, and so are the settings that it came from.
+        // The geometry and its settings belong to the run.
         settings_of_stage(&RunDirectory::open(&a.output)?.settings()?, &a.scene, &a.options)?
     } else {
         settings(&a.scene, &a.options)?
@@ -331,7 +337,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         warn_without_priors(&scene)?;
     }
     let _lock = output::lock(&a.output)?;
-    // Another training may have ended since.
+    // Another training may have ended before the lock was acquired.
     output::check_run(&a.output, begin, permission)?;
     let device = common.open_device()?;
     let stop = Stop::on_signals()?;
@@ -371,14 +377,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     validated(&device)
 }
 
-/// Says on the page of a training how it has ended.
+/// Reports on the page of a training how it ended.
 fn end_watch(watch: &mut Option<Watch>, how: &str) {
     if let Some(watch) = watch {
         watch.end(how);
     }
 }
 
-/// In validation mode any message is a failure.
+/// Fails if Vulkan validation reported any message.
 pub fn validated(device: &Device) -> anyhow::Result<()> {
     let messages = device.messages().take();
     if let Some(first) = messages.first() {

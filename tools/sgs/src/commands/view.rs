@@ -1,4 +1,4 @@
-//! `sgs view`: a window that shows a run, a PLY or a glTF file.
+//! Window that shows a run, a PLY or a glTF file: `sgs view`.
 
 use crate::common::Common;
 use crate::failure::refuse_usage;
@@ -11,22 +11,22 @@ use std::path::PathBuf;
 pub struct Args {
     /// Run directory, or a PLY or glTF file.
     source: PathBuf,
-    /// Cameras to start from and step through: a transforms file; by default those of the run's scene.
+    /// Transforms file with cameras to start from and step through. By default the cameras of the run's scene.
     #[arg(long, value_name = "FILE.json")]
     cameras: Option<PathBuf>,
-    /// First channel, by its name in `sgs render --channels`.
+    /// Initial channel, by its name in `sgs render --channels`.
     #[arg(long, value_name = "NAME", value_parser = channel)]
     channel: Option<Channel>,
-    /// Size of the window's inside; by default the shape of the first camera.
+    /// Size of the window's content; by default the shape of the first camera.
     #[arg(long, value_name = "WxH", value_parser = size)]
     size: Option<[u32; 2]>,
     /// Directory for images (P) and edits (E).
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     output: PathBuf,
-    /// Draw so many frames, then close the window.
+    /// Number of frames after which the window closes.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
-    /// Write the last of these frames.
+    /// File for the last of these frames.
     #[arg(long, value_name = "FILE.png", requires = "frames")]
     save: Option<PathBuf>,
 }

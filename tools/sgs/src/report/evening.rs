@@ -1,4 +1,4 @@
-//! The other light that a report shows a run under: warm lights at dusk.
+//! Second lighting in which a report shows a run: warm lights at dusk.
 
 use sgs_run::RunLight;
 use sgs_scene::Image;
@@ -6,16 +6,18 @@ use sgs_scene::Image;
 /// Factors of the lights' red, green and blue.
 const WARM: [f32; 3] = [1.5, 0.9, 0.45];
 
-/// Factors of the environment's red, green and blue.
+/// Factors of the environment map's red, green and blue.
 const DUSK: [f32; 3] = [0.12, 0.18, 0.4];
 
-/// The light of a run with its lights warm and its environment at dusk; none where it has neither.
+/// Returns the light of a run with warm lights and a dusk environment map.
+///
+/// Returns `None` if the run has neither lights nor an environment map. Without lights, the environment map is warm.
 pub fn light(run: &RunLight) -> Option<RunLight> {
     let mut light = run.clone();
     if light.lights.is_none() && light.environment.is_none() {
         return None;
     }
-    // Without lights nothing would be bright.
+    // A dusk environment map alone would be too dark.
     let factors = if light.lights.is_some() { DUSK } else { WARM };
     for light in light.lights.iter_mut().flat_map(|file| &mut file.lights) {
         for lobe in &mut light.lobes {
@@ -28,12 +30,12 @@ pub fn light(run: &RunLight) -> Option<RunLight> {
     Some(light)
 }
 
-/// The exposure that brings an image to the mean of another one, within two stops.
+/// Returns the exposure that scales an image to the mean `like`, within 2 stops.
 pub fn exposure(relit: &Image, like: f32) -> f32 {
     (like / mean(relit).max(1e-9)).clamp(0.25, 4.0)
 }
 
-/// Mean of all finite values.
+/// Returns the mean of all finite values.
 pub fn mean(image: &Image) -> f32 {
     let finite = image.data.iter().filter(|v| v.is_finite());
     let (sum, count) = finite.fold((0.0_f64, 0.0_f64), |(sum, n), v| (sum + f64::from(*v), n + 1.0));
@@ -46,7 +48,7 @@ mod tests {
     use sgs_run::{LightFile, LightRow, LobeRow, Visibility};
 
     #[test]
-    fn evening_changes_colors_and_nothing_else() {
+    fn evening_changes_only_colors() {
         let lobe = LobeRow { axis: [0.0, 0.0, 1.0], sharpness: 1.0, amplitude: [2.0; 3] };
         let row = LightRow { position: [1.0; 3], gain: 3.0, lobes: vec![lobe] };
         let lights = Some(LightFile::new(1.0, vec![row]));

@@ -1,5 +1,5 @@
-//! What `sgs report` shows: pictures of views, and what each light does.
+//! Content of `sgs report`: images of views, and the contribution of each light.
 
 pub mod evening;
-pub mod lamps;
+pub mod lights;
 pub mod views;

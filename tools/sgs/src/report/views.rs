@@ -1,8 +1,10 @@
-//! The images of a report: first photograph, render, albedo and relit side by side, then every channel view by view. Channels
-//! with truth have a slider.
+//! Images of a report.
+//!
+//! The head shows photograph, render, albedo and relit image side by side. Every channel of every view follows.
+//! Channels with ground truth have a slider.
 
 use super::evening;
-use super::lamps::Lamps;
+use super::lights::LightTable;
 use crate::cameras::upload;
 use crate::classes::head_of;
 use crate::common::Common;
@@ -11,60 +13,63 @@ use crate::ui::Bar;
 use serde_json::Value;
 use sgs_config::Settings;
 use sgs_engine::Device;
-use sgs_evaluate::{EvaluateError, Rendered, evaluate_classes, evaluate_shaded};
+use sgs_evaluate::{EvaluateError, EvaluateOptions, Rendered, evaluate_classes, evaluate_shaded};
 use sgs_report::depth;
 use sgs_report::escape;
-use sgs_report::figure::{data_uri, picture, slider};
+use sgs_report::figure::{data_uri, rendered, slider};
 use sgs_run::{RunDirectory, RunLight, ShadedView, Shading, displayed, shaded_scene};
 use sgs_scene::{GroundTruth, GroundTruthKind as Kind, Image, Scene, Splats};
 use std::collections::BTreeMap;
 
-/// How they are shown.
+/// Display options of the images.
 pub struct Shown<'a> {
-    /// Pixels across at most.
+    /// Maximum width in pixels.
     pub width: u32,
-    /// The lights.
-    pub lamps: &'a Lamps,
-    /// How many of them are shown alone.
+    /// Lights of the run.
+    pub light_table: &'a LightTable,
+    /// Number of lights that are shown one by one.
     pub most: usize,
 }
 
-/// Views that stand side by side at the head of a report.
+/// Number of views that are shown side by side at the head of a report.
 const FIRST: usize = 3;
 
-/// The images as HTML.
+/// Images as HTML.
 pub struct Html {
-    /// Those at the head.
+    /// Images at the head.
     pub first: String,
     /// All channels of all views.
     pub views: String,
 }
 
-/// Figures of a view: side by side, of what is trained, of materials, of light, of single lights.
+/// Figures of a view: side by side, geometry, materials, lighting and single lights.
 #[derive(Default)]
 struct Figures {
     strip: String,
     main: String,
     materials: String,
     light: String,
-    lamps: String,
+    light_table: String,
     /// Mean radiance of the shaded image.
     mean: f32,
 }
 
-/// Renders the views.
-pub fn html(
-    common: &Common,
-    device: &Device,
-    scene: &Scene,
-    run: &RunDirectory,
-    splats: &Splats,
-    settings: &Settings,
-    light: &RunLight,
-    views: &[usize],
-    metrics: &Value,
-    shown: &Shown,
-) -> anyhow::Result<Html> {
+/// Run whose views are shown.
+pub struct ShownRun<'a> {
+    pub scene: &'a Scene,
+    pub run: &'a RunDirectory,
+    pub splats: &'a Splats,
+    pub settings: &'a Settings,
+    pub light: &'a RunLight,
+    /// Indices of the shown views.
+    pub views: &'a [usize],
+    /// Measures of the run, as in `metrics.json`.
+    pub metrics: &'a Value,
+}
+
+/// Renders the views as HTML.
+pub fn html(common: &Common, device: &Device, run: &ShownRun<'_>, shown: &Shown) -> anyhow::Result<Html> {
+    let &ShownRun { scene, run, splats, settings, light, views, metrics } = run;
     let truth = GroundTruth::of(scene);
     let classified = splats.semantic.is_some() && run.semantics().exists();
     let head = if classified { Some(head_of(run.root(), splats)?) } else { None };
@@ -72,11 +77,12 @@ pub fn html(
     let gaussians = upload(device, splats, head.is_some())?;
     let background = settings.geometry.background;
     let materials = splats.albedo.is_some() && splats.roughness.is_some() && splats.normals.is_some();
-    let mut bar = Bar::new(common, "pictures", views.len() as u64 * if materials { 2 } else { 1 }, 0);
+    let mut bar = Bar::new(common, "images", views.len() as u64 * if materials { 2 } else { 1 }, 0);
     let mut done = 0;
     let mut all: BTreeMap<String, Figures> = BTreeMap::new();
     let mut next = views.iter();
-    let mut result = evaluate_classes(device, scene, &gaussians, views, background, head.as_ref(), None, |name, r| {
+    let options = EvaluateOptions { views, background, head: head.as_ref(), lpips: None };
+    let mut result = evaluate_classes(device, scene, &gaussians, &options, |name, r| {
         let Some(&view) = next.next() else { return Ok(()) };
         let psnr = noted(metrics, name, "nvs");
         let photo = scene.load_image(view)?;
@@ -96,8 +102,12 @@ pub fn html(
         evaluate_shaded(&mut shading, scene, views, background, None, &mut result, |name, s| {
             let Some(&view) = next.next() else { return Ok(()) };
             let figures = all.entry(name.to_owned()).or_default();
-            let has =
-                Has { metallic: splats.metallic.is_some(), lit, lamps: lights.is_some(), sky: environment.is_some() };
+            let has = Has {
+                metallic: splats.metallic.is_some(),
+                lit,
+                light_table: lights.is_some(),
+                sky: environment.is_some(),
+            };
             let albedo = displayed(&s.albedo());
             figures.strip.push_str(&one("albedo", &albedo, "", shown)?);
             if lit {
@@ -113,15 +123,15 @@ pub fn html(
             bar.set(done, || name.to_owned());
             Ok(())
         })?;
-        for (name, gains) in shown.lamps.brightest(shown.most) {
+        for (name, gains) in shown.light_table.brightest(shown.most) {
             shading.set_gains(device, &gains)?;
             for &view in views {
                 let camera = &scene.views[view].camera;
                 let image = displayed(&shading.shade(camera)?.direct());
-                all.entry(camera.name.clone()).or_default().lamps.push_str(&one(&name, &image, "", shown)?);
+                all.entry(camera.name.clone()).or_default().light_table.push_str(&one(&name, &image, "", shown)?);
             }
         }
-        // There may be no memory for both.
+        // The device may lack memory for both renderers.
         drop(shading);
         if let Some(evening) = evening::light(light) {
             let (lights, environment) = (evening.lights.as_ref(), evening.environment.as_ref());
@@ -152,31 +162,31 @@ pub fn html(
                 html.views.push_str(&format!("<div class=\"{class}\">\n{figures}</div>\n"));
             }
         }
-        if !f.lamps.is_empty() {
+        if !f.light_table.is_empty() {
             html.views.push_str(&format!(
                 "<details><summary>Light by light</summary><div class=\"grid small\">\n{}</div></details>\n",
-                f.lamps
+                f.light_table
             ));
         }
     }
     Ok(html)
 }
 
-/// What a run has beside albedo and roughness.
+/// Channels that a run has besides albedo and roughness.
 struct Has {
     metallic: bool,
     lit: bool,
-    lamps: bool,
+    light_table: bool,
     sky: bool,
 }
 
 type Figured = Result<String, EvaluateError>;
 
 fn one(name: &str, image: &Image, note: &str, shown: &Shown) -> Figured {
-    Ok(picture(name, &data_uri(image, shown.width)?, [image.width, image.height], note))
+    Ok(rendered(name, &data_uri(image, shown.width)?, [image.width, image.height], note))
 }
 
-/// Photograph and render; without materials also normal and depth.
+/// Returns photograph and render; without materials also normal and depth.
 fn strip(photo: &Image, r: &Rendered, materials: bool, shown: &Shown) -> Figured {
     let mut out = one("photograph", photo, "", shown)?;
     out.push_str(&one("render", &r.rgb, "", shown)?);
@@ -195,7 +205,7 @@ fn pair(name: &str, truth: &Image, ours: &Image, note: &str, shown: &Shown) -> F
     Ok(slider(name, &t, &o, [ours.width, ours.height], note))
 }
 
-/// A slider where there is truth.
+/// Returns a slider if ground truth exists, else a single image.
 fn maybe(name: &str, truth: Option<Image>, ours: &Image, note: &str, shown: &Shown) -> Figured {
     match truth {
         Some(truth) => pair(name, &truth, ours, note, shown),
@@ -203,7 +213,7 @@ fn maybe(name: &str, truth: Option<Image>, ours: &Image, note: &str, shown: &Sho
     }
 }
 
-/// Color, normals, depth and classes.
+/// Returns the figures of color, normals, depth and classes.
 fn geometry(
     truth: &GroundTruth,
     view: usize,
@@ -232,7 +242,7 @@ fn geometry(
     Ok(out)
 }
 
-/// Materials.
+/// Returns the figures of materials.
 fn material_parts(truth: &GroundTruth, view: usize, s: &ShadedView, has: &Has, note: &str, shown: &Shown) -> Figured {
     let albedo = truth.load(Kind::Albedo, view)?.map(|t| displayed(&t));
     let mut out = maybe("albedo", albedo, &displayed(&s.albedo()), note, shown)?;
@@ -243,30 +253,30 @@ fn material_parts(truth: &GroundTruth, view: usize, s: &ShadedView, has: &Has, n
     Ok(out)
 }
 
-/// Parts of light.
+/// Returns the figures of the lighting terms.
 fn light_parts(s: &ShadedView, has: &Has, shown: &Shown) -> Figured {
     let mut parts = Vec::new();
-    if has.lamps {
+    if has.light_table {
         parts.push(("direct", displayed(&s.direct())));
     }
     if has.sky {
-        parts.push(("environment", displayed(&s.surroundings())));
+        parts.push(("environment", displayed(&s.environment_map())));
     }
     if has.lit {
         parts.extend([("diffuse", displayed(&s.diffuse())), ("specular", displayed(&s.specular()))]);
     }
-    if let Some(visibility) = s.visibility().filter(|_| has.lamps) {
+    if let Some(visibility) = s.visibility().filter(|_| has.light_table) {
         parts.push(("visibility", visibility));
     }
     parts.iter().map(|(name, image)| one(name, image, "", shown)).collect()
 }
 
-/// Unit vectors as colors.
+/// Maps unit vectors to colors.
 fn colored(normal: &Image) -> Image {
     Image { data: normal.data.iter().map(|v| v * 0.5 + 0.5).collect(), ..normal.clone() }
 }
 
-/// The decibels of a view, if they are known.
+/// Returns the PSNR of a view as text; empty if `metrics` does not contain it.
 fn noted(metrics: &Value, view: &str, what: &str) -> String {
     let views = metrics["views"].as_array();
     let found = views.and_then(|all| all.iter().find(|v| v["name"] == view));

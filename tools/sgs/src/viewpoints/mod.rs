@@ -14,13 +14,13 @@ use std::path::{Path, PathBuf};
 /// Options that choose cameras.
 #[derive(clap::Args)]
 pub struct ViewpointArgs {
-    /// Cameras: a transforms file. The scene's views by default.
+    /// Transforms file with the cameras; by default the scene's views.
     #[arg(long, value_name = "FILE.json", conflicts_with_all = ["views", "orbit", "path"])]
     pub cameras: Option<PathBuf>,
-    /// The scene's own views of this split; test by default.
+    /// Split of the scene's own views; test by default.
     #[arg(long, value_enum, value_name = "SPLIT", conflicts_with_all = ["orbit", "path"])]
     views: Option<Views>,
-    /// N cameras on a circle around the scene's center, at the training cameras' height and distance.
+    /// N cameras on a circle around the scene's center. Height and distance are those of the training cameras.
     #[arg(long, value_name = "N", conflicts_with = "path", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     orbit: Option<u32>,
     /// Cameras on a smooth path through the training cameras.
@@ -43,12 +43,12 @@ enum Views {
 }
 
 impl ViewpointArgs {
-    /// Whether an option names cameras, so that their absence is no wish to have none.
+    /// Returns whether an option chooses cameras.
     pub fn are_given(&self) -> bool {
         self.cameras.is_some() || self.views.is_some() || self.orbit.is_some() || self.path
     }
 
-    /// Opens the scene that `--scene` or the run names.
+    /// Opens the scene named by `--scene` or by the run.
     pub fn open_scene(&self, source: &Path, settings: Option<&Settings>) -> anyhow::Result<Scene> {
         if settings.is_none() && self.scene.is_none() {
             refuse_usage!("\"{}\" is no run and has no views of its own; give --cameras or --scene.", source.display());
@@ -66,7 +66,7 @@ impl ViewpointArgs {
         open_scene(&settings)
     }
 
-    /// The cameras that the options choose; `scene` is opened if it is needed and absent.
+    /// Returns the cameras that the options choose. Opens the scene if `scene` is `None` and a scene is needed.
     pub fn cameras(
         &self,
         source: &Path,
@@ -111,10 +111,11 @@ impl ViewpointArgs {
     }
 }
 
-/// The world's up: perpendicular to the cameras' horizontal axes, and near the mean of their own up.
+/// Returns the world's up direction.
 ///
-/// The mean alone is tilted where all cameras look down in much the same direction. Where their horizontal axes are parallel,
-/// the mean's part perpendicular to them remains.
+/// The direction is perpendicular to the cameras' horizontal axes and close to the mean of the cameras' up
+/// directions. The mean alone is tilted if all cameras look down in similar directions. If the horizontal axes are
+/// parallel, the component of the mean perpendicular to them remains.
 fn up_of(cameras: &[Camera]) -> DVec3 {
     let count = cameras.len().max(1) as f64;
     let (mut level, mut mean) = (DMat3::IDENTITY * 1e-3, DVec3::ZERO);
@@ -127,7 +128,7 @@ fn up_of(cameras: &[Camera]) -> DVec3 {
     (level.inverse() * mean).try_normalize().unwrap_or(DVec3::NEG_Y)
 }
 
-/// A name with a number as wide as the largest, so that files sort in order.
+/// Returns `word` and a zero-padded index, so that files sort in order.
 fn numbered(word: &str, index: u32, count: u32) -> String {
     let digits = count.saturating_sub(1).to_string().len().max(3);
     format!("{word}_{index:0digits$}")
@@ -138,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_as_wide_as_the_largest() {
+    fn indices_are_padded_to_the_largest() {
         assert_eq!(numbered("path", 7, 120), "path_007");
         assert_eq!(numbered("path", 7, 1001), "path_0007");
     }

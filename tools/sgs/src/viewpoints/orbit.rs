@@ -4,14 +4,15 @@ use super::{numbered, up_of};
 use glam::{DMat3, DVec3};
 use sgs_scene::Camera;
 
-/// Share of the cameras that must look toward a common point for it to be the center.
+/// Fraction of the cameras that must face a point for it to be the center.
 const FACING: f64 = 0.6;
 
-/// `count` cameras with the intrinsics of the first training camera, level, all looking at the center.
+/// Returns `count` level cameras on a circle that look at its center.
 ///
-/// The center is the point nearest to the training cameras' viewing axes. Where most cameras look away from that point, as
-/// from the middle of a room, the center is the median of the Gaussians. Height and distance are medians over the training
-/// cameras. Cameras that all stand at the center turn in place instead.
+/// Intrinsics are those of the first training camera. The center is the point nearest to the training cameras'
+/// viewing axes. If most cameras face away from that point, for example in the middle of a room, the center is the
+/// median of the Gaussians. Height and distance are medians over the training cameras. If all training cameras stand
+/// in the same place, the new cameras turn in that place.
 pub fn cameras(train: &[Camera], means: &[[f32; 3]], count: u32) -> Vec<Camera> {
     let Some(first) = train.first() else { return Vec::new() };
     let up = up_of(train);
@@ -37,7 +38,7 @@ pub fn cameras(train: &[Camera], means: &[[f32; 3]], count: u32) -> Vec<Camera> 
         .collect()
 }
 
-/// `like` at another position, looking along `forward` with a level horizon.
+/// Returns `like` at `position`, looking along `forward` with a level horizon.
 fn facing(like: &Camera, name: String, position: DVec3, forward: DVec3, up: DVec3) -> Camera {
     let forward = forward.normalize_or(DVec3::Z);
     let right = forward.cross(up).try_normalize().unwrap_or_else(|| forward.any_orthonormal_vector());
@@ -45,7 +46,9 @@ fn facing(like: &Camera, name: String, position: DVec3, forward: DVec3, up: DVec
     Camera { name, rotation, translation: -(rotation * position), ..like.clone() }
 }
 
-/// The point nearest to all viewing axes in the least-squares sense, if most cameras look toward it.
+/// Returns the least-squares intersection of the viewing axes.
+///
+/// Returns `None` if the axes are parallel or if too few cameras face the point.
 fn focus(cameras: &[Camera]) -> Option<DVec3> {
     let (mut matrix, mut right) = (DMat3::ZERO, DVec3::ZERO);
     for camera in cameras {
@@ -54,7 +57,7 @@ fn focus(cameras: &[Camera]) -> Option<DVec3> {
         matrix += across;
         right += across * camera.position();
     }
-    // Parallel axes have no nearest point; the determinant is relative to the number of cameras.
+    // Parallel axes have no nearest point. The determinant grows with the cube of the number of cameras.
     let count = cameras.len() as f64;
     if matrix.determinant() < 1e-4 * count.powi(3) {
         return None;
@@ -64,7 +67,7 @@ fn focus(cameras: &[Camera]) -> Option<DVec3> {
     (point.is_finite() && toward as f64 >= FACING * count).then_some(point)
 }
 
-/// The median of positions, axis by axis.
+/// Returns the median of positions for each axis.
 fn middle(means: &[[f32; 3]]) -> DVec3 {
     let along = |axis: usize| median(means.iter().map(|m| f64::from(m[axis])).filter(|v| v.is_finite()).collect());
     DVec3::new(along(0), along(1), along(2))
@@ -98,7 +101,7 @@ mod tests {
         facing(&like, "a".into(), position, forward, DVec3::Y)
     }
 
-    /// Cameras on an arc of radius 3 at height 1 that look at a point, or away from it.
+    /// Returns cameras on an arc of radius 3 at height 1. They face its center (`sign` 1) or away from it (-1).
     fn arc(center: DVec3, sign: f64) -> Vec<Camera> {
         let place = |i: i32| {
             let angle = 0.3 * f64::from(i);
@@ -125,14 +128,14 @@ mod tests {
     }
 
     #[test]
-    fn cameras_that_look_outward_orbit_the_gaussians() {
+    fn outward_cameras_orbit_the_median_of_the_gaussians() {
         let all = cameras(&arc(DVec3::ZERO, -1.0), &[[0.5, 0.0, 0.0]], 4);
         let means = DVec3::new(0.5, 0.0, 0.0);
         assert!(all.iter().all(|c| (means - c.position()).dot(c.forward()) > 2.0));
     }
 
     #[test]
-    fn one_place_is_turned_in() {
+    fn cameras_in_one_place_turn_in_place() {
         let place = DVec3::new(1.0, 2.0, 3.0);
         let train: Vec<Camera> = [DVec3::X, DVec3::Z, DVec3::NEG_X].map(|f| camera(place, f)).to_vec();
         let all = cameras(&train, &[], 4);

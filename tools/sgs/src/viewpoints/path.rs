@@ -4,27 +4,28 @@ use super::numbered;
 use glam::{DMat3, DQuat, DVec3, DVec4};
 use sgs_scene::Camera;
 
-/// Frames between two key cameras at least; denser captures contribute every n-th camera.
+/// Minimum number of frames between two key cameras; denser captures contribute every n-th camera.
 const FRAMES_PER_KEY: u32 = 6;
 
-/// Cameras up to which the order is improved beyond the nearest neighbor.
+/// Number of cameras up to which the order is improved beyond the nearest neighbor.
 const IMPROVED: usize = 400;
 
-/// A pose, camera to world.
+/// Pose from camera to world space.
 #[derive(Clone, Copy, Debug)]
 struct Key {
     position: DVec3,
     rotation: DVec4,
 }
 
-/// `frames` cameras from the first to the last, with the intrinsics of the first training camera.
+/// Returns `frames` cameras along a path, with the first camera's intrinsics.
 ///
-/// The path visits training cameras in the order of their names, or in a shorter order if there is one, as for photographs
-/// taken in no order. Position and orientation follow Catmull-Rom curves at an even pace of translation and rotation.
+/// The path visits training cameras in the order of their names, or in a clearly shorter order if one is found, as
+/// for unordered photographs. Position and orientation follow Catmull-Rom curves with a constant rate of translation
+/// and rotation.
 pub fn cameras(train: &[Camera], frames: u32) -> Vec<Camera> {
     let Some(like) = train.first() else { return Vec::new() };
     let keys = keys(train, (frames / FRAMES_PER_KEY).max(2) as usize);
-    let at = pace(&keys);
+    let at = speeds(&keys);
     let total = at.last().copied().unwrap_or(0.0);
     let pose = |i: u32| {
         let s = total * f64::from(i) / f64::from(frames.max(2) - 1);
@@ -42,7 +43,7 @@ pub fn cameras(train: &[Camera], frames: u32) -> Vec<Camera> {
         .collect()
 }
 
-/// At most `most` poses of the cameras in order; signs of quaternions agree from one to the next.
+/// Returns at most `most` key poses in order. Consecutive quaternions have a non-negative dot product.
 fn keys(train: &[Camera], most: usize) -> Vec<Key> {
     let order = order(train);
     let count = order.len().min(most);
@@ -56,12 +57,14 @@ fn keys(train: &[Camera], most: usize) -> Vec<Key> {
     keys
 }
 
-/// Distance of two cameras: of their positions, and of their directions in units of `radius`.
+/// Returns the distance of two cameras: positions, plus `radius` times the difference of directions.
 fn apart(a: &Camera, b: &Camera, radius: f64) -> f64 {
     a.position().distance(b.position()) + radius * (a.forward() - b.forward()).length()
 }
 
-/// The order of the names, or a shorter one.
+/// Returns the order of the names, or a clearly shorter one.
+///
+/// Another order is taken if its path is shorter than 0.8 of the path in order of the names.
 fn order(train: &[Camera]) -> Vec<usize> {
     let named: Vec<usize> = (0..train.len()).collect();
     let mean: DVec3 = train.iter().map(Camera::position).sum::<DVec3>() / train.len().max(1) as f64;
@@ -75,7 +78,7 @@ fn order(train: &[Camera]) -> Vec<usize> {
         let best = (0..left.len()).min_by(|&a, &b| cost(last, left[a]).total_cmp(&cost(last, left[b]))).unwrap_or(0);
         near.push(left.remove(best));
     }
-    // Reverses stretches while that shortens the path.
+    // 2-opt: reverses sections while this shortens the path.
     let mut shorter = near.len() <= IMPROVED;
     while shorter {
         shorter = false;
@@ -93,29 +96,31 @@ fn order(train: &[Camera]) -> Vec<usize> {
     if length(&near) < 0.8 * length(&named) { near } else { named }
 }
 
-/// Where each key lies along the path: translation and rotation count alike over the whole of it.
-fn pace(keys: &[Key]) -> Vec<f64> {
+/// Returns the parameter of each key along the path.
+///
+/// Translation and rotation contribute equally over the whole path.
+fn speeds(keys: &[Key]) -> Vec<f64> {
     let moved = |w: &[Key]| w[0].position.distance(w[1].position);
     let turned = |w: &[Key]| 2.0 * w[0].rotation.dot(w[1].rotation).clamp(-1.0, 1.0).acos();
     let sum = |of: &dyn Fn(&[Key]) -> f64| keys.windows(2).map(of).sum::<f64>().max(1e-12);
     let (way, turn) = (sum(&moved), sum(&turned));
     let mut at = vec![0.0];
     for w in keys.windows(2) {
-        // Keys in one place would divide by nothing.
+        // Keys in the same place would divide by zero.
         let step = (moved(w) / way + turned(w) / turn).max(1e-9);
         at.push(at[at.len() - 1] + step);
     }
     at
 }
 
-/// The pose at `s` between key `k` and the next.
+/// Returns the pose at `s` between key `k` and the next.
 fn between(keys: &[Key], at: &[f64], k: usize, s: f64) -> Key {
     let (a, b) = (k.saturating_sub(1), (k + 2).min(keys.len() - 1));
     let width = at[k + 1] - at[k];
     let t = ((s - at[k]) / width).clamp(0.0, 1.0);
     let (t2, t3) = (t * t, t * t * t);
     let weights = [2.0 * t3 - 3.0 * t2 + 1.0, t3 - 2.0 * t2 + t, 3.0 * t2 - 2.0 * t3, t3 - t2];
-    // Slopes are those between the neighbors, in units of this stretch.
+    // Tangents are the slopes between the neighbors, in units of this interval.
     let (from, to) = (width / (at[k + 1] - at[a]), width / (at[b] - at[k]));
     let [p, q] = [&keys[k], &keys[k + 1]];
     let position = weights[0] * p.position
@@ -133,7 +138,7 @@ fn between(keys: &[Key], at: &[f64], k: usize, s: f64) -> Key {
 mod tests {
     use super::*;
 
-    /// A walk along a quarter circle that looks at its center.
+    /// Returns cameras along an arc of 1.5 rad that look at its center.
     fn walk(count: usize) -> Vec<Camera> {
         (0..count)
             .map(|i| {
@@ -167,7 +172,7 @@ mod tests {
         let steps: Vec<f64> = path.windows(2).map(|w| w[0].position().distance(w[1].position())).collect();
         let mean = steps.iter().sum::<f64>() / 60.0;
         assert!(steps.iter().all(|s| (s / mean - 1.0).abs() < 0.3), "{steps:?}");
-        // On the circle, looking at its center, in between too.
+        // Interpolated cameras stay on the circle and look at its center.
         for c in &path {
             assert!((c.position().length() - 4.0).abs() < 0.02 && c.problem().is_none());
             assert!((c.forward() + c.position().normalize()).length() < 0.02);
@@ -185,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn few_and_equal_cameras_make_a_path() {
+    fn single_and_equal_cameras_make_a_path() {
         let one = walk(2).remove(0);
         assert!(cameras(std::slice::from_ref(&one), 3).iter().all(|c| c.position().distance(one.position()) < 1e-9));
         let still = cameras(&[one.clone(), one.clone(), one.clone()], 5);

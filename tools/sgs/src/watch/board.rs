@@ -1,4 +1,4 @@
-//! What a page of a training that goes on shows, and the parts of that page.
+//! Content of the live page of a training, and its sections as HTML.
 
 use serde_json::json;
 use sgs_evaluate::metrics::psnr;
@@ -10,10 +10,10 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 use std::time::{Duration, Instant};
 
-/// Pixels across that pictures have at most.
+/// Maximum width of the images in pixels.
 pub const WIDTH: u32 = 480;
 
-/// A view that is held back: what is to be seen, and what is.
+/// Held-back view: the photograph and its render.
 #[derive(Clone, Debug)]
 pub struct Shot {
     pub name: String,
@@ -21,12 +21,12 @@ pub struct Shot {
     pub render: Image,
 }
 
-/// What the training says and the server tells.
+/// State of a training, written by the trainer and read by the server.
 pub struct Board {
     title: String,
-    /// The run's directory.
+    /// Directory of the run.
     run: PathBuf,
-    /// What does not change.
+    /// Rows of the summary that do not change.
     facts: Vec<(String, String)>,
     now: Mutex<Now>,
 }
@@ -39,18 +39,18 @@ struct Now {
     text: String,
     since: Option<(Instant, u32)>,
     shots: Vec<Shot>,
-    /// At which step they were made, and what share of the time that takes.
+    /// Text above the images: their step, and the fraction of the training time spent on images.
     made: String,
-    /// How often there were pictures so far.
-    pictures: u64,
-    /// The pictures as HTML, once somebody has asked for them.
+    /// Number of times that images were rendered.
+    images: u64,
+    /// Images as HTML, encoded at the first request.
     html: Option<String>,
-    /// PSNR of the held-back views, as lines of a log.
+    /// PSNR of the held-back views, as lines of a JSON log.
     quality: String,
-    /// How the training has ended.
+    /// How the training ended.
     ended: Option<String>,
-    /// When a page has asked last, and whether a page knows that the training has ended.
-    asked: Option<Instant>,
+    /// Time of the last request of a page. `end_seen`: a page has received the end of the training.
+    requested: Option<Instant>,
     end_seen: bool,
 }
 
@@ -63,7 +63,7 @@ impl Board {
         self.now.lock().unwrap_or_else(|e| e.into_inner())
     }
 
-    /// So many steps of a stage are done. `text` writes what else there is to be said, into memory that is there.
+    /// Reports that `step` of `steps` steps of a stage are done. `text` writes the figures into a reused buffer.
     pub fn step(&self, stage: &str, step: u32, steps: u32, text: impl FnOnce(&mut String)) {
         let mut now = self.now();
         if now.stage != stage {
@@ -78,18 +78,20 @@ impl Board {
         text(&mut now.text);
     }
 
-    /// Says how the training has ended.
+    /// Sets how the training ended.
     pub fn end(&self, how: &str) {
         self.now().ended = Some(how.to_owned());
     }
 
-    /// Whether a page that still asks does not know yet that the training has ended.
+    /// Returns whether an open page has not yet received the end of the training.
+    ///
+    /// A page is open if its last request is less than `within` ago.
     pub fn is_awaited(&self, within: Duration) -> bool {
         let now = self.now();
-        !now.end_seen && now.asked.is_some_and(|at| at.elapsed() < within)
+        !now.end_seen && now.requested.is_some_and(|at| at.elapsed() < within)
     }
 
-    /// Shows other images, and adds the PSNR of their renders to its curve.
+    /// Replaces the images and appends the mean PSNR of their renders to its curve.
     pub fn show(&self, stage: &str, step: u32, shots: Vec<Shot>, made: String) {
         let all: Vec<f64> =
             shots.iter().filter_map(|s| psnr(&s.render, &s.truth, None).ok()).filter(|v| v.is_finite()).collect();
@@ -101,29 +103,29 @@ impl Board {
         }
         now.shots = shots;
         now.made = made;
-        now.pictures += 1;
+        now.images += 1;
         now.html = None;
     }
 
-    /// The whole page.
+    /// Returns the whole page.
     pub fn page(&self) -> String {
         let mut page = Page::new(&self.title);
         page.live_section("summary", "Summary", &self.summary());
-        page.live_section("views", "Views", "<p>There are no pictures yet.</p>");
+        page.live_section("views", "Views", "<p>There are no images yet.</p>");
         page.live_section("curves", "Curves", "<p>There are no curves yet.</p>");
         page.live()
     }
 
-    /// What has changed for somebody who has seen so many pictures.
+    /// Returns the changed sections for a page that has received `seen` sets of images.
     pub fn changes(&self, seen: u64) -> String {
         let mut parts = json!({"summary": self.summary()});
         let mut log = std::fs::read_to_string(self.run.join("log.jsonl")).unwrap_or_default();
-        // The last line may be in the making.
+        // The trainer may still be writing the last line.
         log.push('\n');
         let ended = {
             let mut now = self.now();
             log.push_str(&now.quality);
-            now.asked = Some(Instant::now());
+            now.requested = Some(Instant::now());
             now.end_seen = now.ended.is_some();
             now.end_seen
         };
@@ -131,11 +133,11 @@ impl Board {
         if !curves.is_empty() {
             parts["curves"] = curves.into();
         }
-        let (pictures, views) = self.views(seen);
+        let (images, views) = self.views(seen);
         if let Some(html) = views {
             parts["views"] = html.into();
         }
-        json!({"parts": parts, "pictures": pictures, "ended": ended}).to_string()
+        json!({"parts": parts, "images": images, "ended": ended}).to_string()
     }
 
     fn summary(&self) -> String {
@@ -158,19 +160,19 @@ impl Board {
         table::facts(&rows)
     }
 
-    /// The pictures, unless they were seen; and how often there were any.
+    /// Returns the number of image sets, and the images as HTML unless already seen.
     fn views(&self, seen: u64) -> (u64, Option<String>) {
-        // Encoding takes a while, in which the training is not to be kept waiting.
-        let (pictures, shots, made, html) = {
+        // Encodes outside the lock, so that the training does not wait.
+        let (images, shots, made, html) = {
             let now = self.now();
-            if now.pictures == seen {
+            if now.images == seen {
                 return (seen, None);
             }
             let shots = if now.html.is_some() { Vec::new() } else { now.shots.clone() };
-            (now.pictures, shots, now.made.clone(), now.html.clone())
+            (now.images, shots, now.made.clone(), now.html.clone())
         };
         if html.is_some() {
-            return (pictures, html);
+            return (images, html);
         }
         let mut out =
             format!("<p>{}. Truth is left, the render right.</p>\n<div class=\"grid large\">\n", escape(&made));
@@ -183,10 +185,10 @@ impl Board {
         }
         out.push_str("</div>\n");
         let mut now = self.now();
-        if now.pictures == pictures {
+        if now.images == images {
             now.html = Some(out.clone());
         }
-        (pictures, Some(out))
+        (images, Some(out))
     }
 }
 
@@ -195,7 +197,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn changes_are_told_once() {
+    fn each_set_of_images_is_sent_once() {
         let folder = std::env::temp_dir().join(format!("sgs-board-{}", std::process::id()));
         let board = Board::new("a <run>".into(), folder, vec![("scene".into(), "<x>".into())]);
         let changes = |seen| serde_json::from_str::<serde_json::Value>(&board.changes(seen)).expect("JSON");
@@ -205,19 +207,19 @@ mod tests {
         let shot = |render: Image| vec![Shot { name: "<a>".into(), truth: image.clone(), render }];
         board.show("geometry", 3, shot(image.clone()), "At step 3".into());
         let first = changes(0);
-        assert_eq!(first["pictures"], 1);
-        let html = first["parts"]["views"].as_str().expect("pictures");
+        assert_eq!(first["images"], 1);
+        let html = first["parts"]["views"].as_str().expect("images");
         assert!(
             html.contains("<p>At step 3. Truth") && html.contains("&lt;a&gt;") && html.contains("slider"),
             "{html}"
         );
         assert_eq!(changes(0)["parts"]["views"], first["parts"]["views"]);
         let later = changes(1);
-        assert!(later["parts"]["views"].is_null() && later["pictures"] == 1);
+        assert!(later["parts"]["views"].is_null() && later["images"] == 1);
         let summary = later["parts"]["summary"].as_str().expect("a summary");
         assert!(summary.contains("step 3 of 10") && summary.contains("loss 0.5") && summary.contains("&lt;x&gt;"));
         assert!(later["parts"]["curves"].is_null());
-        // Two measurements make a curve.
+        // A curve needs two measurements.
         let gray = |v: f32| Image { data: vec![v; 24], ..image.clone() };
         board.show("geometry", 5, shot(gray(0.1)), "At step 5".into());
         board.show("geometry", 9, shot(gray(0.01)), "At step 9".into());
@@ -226,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_reaches_a_page_that_asks() {
+    fn end_of_training_reaches_an_open_page() {
         let board = Board::new("run".into(), PathBuf::from("none"), Vec::new());
         board.step("geometry", 9, 10, |text| text.push_str("loss 0.5"));
         let soon = Duration::from_secs(60);

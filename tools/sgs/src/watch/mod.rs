@@ -1,16 +1,19 @@
-//! `sgs train --watch`: the page of a training that goes on.
+//! Live page of a training: `sgs train --watch`.
 //!
-//! Promises: nothing is listened on unless it is asked for; the training does the same steps as without, and is stopped for
-//! pictures no longer than [`pace::SHARE`] of its time; what goes wrong with a picture ends the pictures and not the training.
+//! Guarantees:
+//! - No port is opened unless requested.
+//! - The training performs the same steps as without `--watch`.
+//! - Rendering images pauses the training for at most [`page_rate::SHARE`] of its time.
+//! - An error while rendering ends the images, not the training.
 
 mod board;
-mod pace;
+mod rate;
 mod server;
 
 pub use server::Port;
 
 use board::{Board, Shot, WIDTH};
-use pace::Pace;
+use rate::PageRate;
 use sgs_engine::Device;
 use sgs_report::serve::Serving;
 use sgs_scene::{Camera, Image, Scene, resize};
@@ -20,20 +23,20 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Views that are shown.
+/// Maximum number of views shown.
 const VIEWS: usize = 3;
 
-/// A page that has not asked for so long is gone; one that is there asks every two seconds.
+/// Time without a request after which a page counts as closed. An open page polls every two seconds.
 const ASKS_WITHIN: Duration = Duration::from_secs(6);
 
-/// A training that is watched.
+/// Training that is shown on a live page.
 pub struct Watch {
     board: Arc<Board>,
     views: Vec<(Camera, Image)>,
-    pace: Pace,
+    page_rate: PageRate,
     begun: Instant,
-    /// Nothing goes wrong twice.
-    pictures: bool,
+    /// Whether images are still rendered. The first error disables them.
+    renderings: bool,
     ended: bool,
     _serving: Serving,
 }
@@ -45,7 +48,7 @@ impl Drop for Watch {
 }
 
 impl Watch {
-    /// Opens the page of a training into `run`.
+    /// Opens the page of a training that writes into `run`.
     pub fn begin(port: Port, scene: &Scene, run: &Path, device: &Device) -> anyhow::Result<Watch> {
         let held = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };
         let mut views = Vec::new();
@@ -72,25 +75,25 @@ impl Watch {
         Ok(Watch {
             board,
             views,
-            pace: Pace::new(),
+            page_rate: PageRate::new(),
             begun: Instant::now(),
-            pictures: true,
+            renderings: true,
             ended: false,
             _serving: serving,
         })
     }
 
-    /// Whether the training is to be stopped for pictures.
+    /// Returns whether the training should pause to render images.
     pub fn is_due(&self) -> bool {
-        self.pictures && !self.views.is_empty() && self.pace.is_due(Instant::now())
+        self.renderings && !self.views.is_empty() && self.page_rate.is_due(Instant::now())
     }
 
-    /// Whether there are pictures to be made of a stage that has just ended.
+    /// Returns whether images of a stage that has just ended should be rendered.
     pub fn shows_end(&self) -> bool {
-        self.pictures && !self.views.is_empty()
+        self.renderings && !self.views.is_empty()
     }
 
-    /// Says how the training has ended. Waits a moment for a page that is open, so that it shows the end and stops asking.
+    /// Reports how the training ended. Waits briefly until an open page has received the end and stops polling.
     pub fn end(&mut self, how: &str) {
         if std::mem::replace(&mut self.ended, true) {
             return;
@@ -101,7 +104,7 @@ impl Watch {
         }
     }
 
-    /// Shows the state of a stage in the held-back views.
+    /// Renders the held-back views from the current state of a stage and shows them.
     pub fn show(&mut self, stage: &dyn Stage) {
         let begun = Instant::now();
         let (name, step) = (stage.kind().name(), stage.step());
@@ -114,14 +117,14 @@ impl Watch {
                     render,
                 };
                 let shots = self.views.iter().zip(images).map(shot).collect();
-                self.pace.made(begun, Instant::now());
-                let share = 100.0 * self.pace.spent.as_secs_f64() / self.begun.elapsed().as_secs_f64().max(1e-9);
+                self.page_rate.made(begun, Instant::now());
+                let share = 100.0 * self.page_rate.spent.as_secs_f64() / self.begun.elapsed().as_secs_f64().max(1e-9);
                 let text = format!("After step {step} of {name}. Images took {share:.1} % of the time.");
                 self.board.show(name, step, shots, text);
             }
             Err(error) => {
                 tracing::warn!("--watch shows no more images: {error}");
-                self.pictures = false;
+                self.renderings = false;
             }
         }
     }

@@ -1,4 +1,4 @@
-//! What there is to be asked for at which path.
+//! Routes of the live page.
 
 use super::board::Board;
 use anyhow::anyhow;
@@ -6,11 +6,11 @@ use sgs_report::serve::{self, Content, Serving};
 use std::io::ErrorKind;
 use std::sync::Arc;
 
-/// A port that is taken before anything begins.
+/// Port that is bound before the training begins.
 pub struct Port(serve::Port);
 
 impl Port {
-    /// Takes a port; 0 is any that is free.
+    /// Binds a port; 0 selects any free port.
     pub fn take(port: u16) -> anyhow::Result<Port> {
         let taken = serve::Port::take(port).map_err(|e| match e.kind() {
             ErrorKind::AddrInUse => {
@@ -21,12 +21,12 @@ impl Port {
         Ok(Port(taken?))
     }
 
-    /// Where the page is.
+    /// Returns the URL of the page.
     pub fn address(&self) -> String {
         self.0.address()
     }
 
-    /// Begins to answer.
+    /// Starts to serve the page of `board`.
     pub fn serve(self, board: Arc<Board>) -> anyhow::Result<Serving> {
         let pages = move |path: &str, query: &str| content(&board, path, query);
         self.0.serve(pages).map_err(|e| anyhow!("The page cannot be served: {e}."))
@@ -41,9 +41,9 @@ fn content(board: &Board, path: &str, query: &str) -> Option<Content> {
     }
 }
 
-/// How many pictures somebody has seen who asks for changes.
+/// Parses the number of image sets that the client has received from the query.
 fn seen(query: &str) -> u64 {
-    query.split('&').find_map(|p| p.strip_prefix("pictures=")?.parse().ok()).unwrap_or(0)
+    query.split('&').find_map(|p| p.strip_prefix("images=")?.parse().ok()).unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -51,20 +51,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn there_is_a_page_and_what_has_changed() {
+    fn page_and_changes_are_served() {
         let board = Board::new("t".into(), "none".into(), Vec::new());
         let at = |path: &str, query: &str| content(&board, path, query).map(|c| (c.kind, c.body));
         assert!(at("/", "").is_some_and(|(kind, body)| kind.starts_with("text/html") && body.contains("<!doctype")));
-        for query in ["", "pictures=0", "a=1&pictures=0", "pictures=-1", "pictures=99999999999999999999"] {
+        for query in ["", "images=0", "a=1&images=0", "images=-1", "images=99999999999999999999"] {
             let changes = at("/live", query).expect("it is there");
-            assert!(changes.0 == "application/json" && changes.1.contains("\"pictures\":0"), "{query}: {changes:?}");
+            assert!(changes.0 == "application/json" && changes.1.contains("\"images\":0"), "{query}: {changes:?}");
         }
-        assert!(at("/live", "pictures=7").is_some_and(|(_, body)| body.contains("\"pictures\":0")));
+        assert!(at("/live", "images=7").is_some_and(|(_, body)| body.contains("\"images\":0")));
         assert_eq!(at("/none", ""), None);
     }
 
     #[test]
-    fn a_port_that_is_taken_is_named() {
+    fn error_names_a_port_in_use() {
         let port = Port::take(0).expect("a port");
         let number: u16 = port.address().trim_end_matches('/').rsplit(':').next().unwrap().parse().unwrap();
         let taken = Port::take(number).err().expect("it is taken").to_string();

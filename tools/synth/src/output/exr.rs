@@ -1,4 +1,4 @@
-//! OpenEXR files as other tools of the field write them: scan lines, ZIP, channels R G B or a single Y.
+//! OpenEXR files in the usual form: scan lines, ZIP, channels R G B or a single Y.
 
 use std::path::Path;
 
@@ -14,20 +14,20 @@ use crate::error::SynthError;
 const ENCODING: Encoding =
     Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
 
-/// Three half-precision channels.
+/// Writes three half-precision channels.
 pub(crate) fn rgb(path: &Path, width: usize, height: usize, map: &[Vec3]) -> Result<(), SynthError> {
     let plane = |channel: usize| FlatSamples::F16(map.iter().map(|c| f16::from_f32(c[channel])).collect());
     let planes = [("R", plane(0)), ("G", plane(1)), ("B", plane(2))];
     write(path, width, height, planes)
 }
 
-/// One half-precision channel.
+/// Writes one half-precision channel.
 pub(crate) fn half(path: &Path, width: usize, height: usize, map: &[f32]) -> Result<(), SynthError> {
     let samples = FlatSamples::F16(map.iter().map(|v| f16::from_f32(*v)).collect());
     write(path, width, height, [("Y", samples)])
 }
 
-/// One single-precision channel.
+/// Writes one single-precision channel.
 pub(crate) fn single(path: &Path, width: usize, height: usize, map: &[f32]) -> Result<(), SynthError> {
     write(path, width, height, [("Y", FlatSamples::F32(map.to_vec()))])
 }

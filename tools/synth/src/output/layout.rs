@@ -1,4 +1,4 @@
-//! Where a layout keeps the files of a view, and its cameras.
+//! File names of a view in each layout, and the camera files.
 
 use glam::Vec3;
 use serde_json::{Value, json};
@@ -12,17 +12,17 @@ use crate::trace::denoise::Image;
 use crate::trace::film::Film;
 use crate::views::{FOV_X, Views};
 
-/// The names of one view in a layout.
+/// File names of one view in a layout.
 pub(crate) struct Names {
     layout: SynthLayout,
-    /// The folder of its split, where the layout has one.
+    /// Folder of the view's split, in layouts that have one.
     split: &'static str,
-    /// Its number, within the split where the layout counts so.
+    /// Number of the view; within its split except in the Nerfstudio layout.
     number: usize,
 }
 
 impl Names {
-    /// The names of the view with this number, of which the first `train` are training views.
+    /// Returns the names of view `index`. The first `train` views are training views.
     pub(crate) fn new(layout: SynthLayout, index: usize, train: usize) -> Self {
         let test = index >= train;
         let number = if test && layout != SynthLayout::Nerfstudio { index - train } else { index };
@@ -34,7 +34,7 @@ impl Names {
         Self { layout, split, number }
     }
 
-    /// The name that priors and ground truth of the view share.
+    /// Returns the base name of the view's priors and ground truth.
     pub(crate) fn stem(&self) -> String {
         let number = meta::stem(self.number);
         match self.layout {
@@ -43,7 +43,7 @@ impl Names {
         }
     }
 
-    /// The `file_path` of its frame in a file of cameras, relative to the scene.
+    /// Returns the `file_path` of the view's frame, relative to the scene.
     fn file_path(&self) -> String {
         match self.layout {
             SynthLayout::Nerfstudio => format!("images/{}.png", self.stem()),
@@ -84,7 +84,7 @@ impl Names {
         exr::rgb(&stage.file(path)?, film.width, film.height, &albedo)
     }
 
-    /// Writes normals of the world.
+    /// Writes world-space normals.
     pub(crate) fn normal(&self, stage: &Stage, film: &Film) -> Result<(), SynthError> {
         let normal: Vec<Vec3> = film.features.iter().map(|f| f.normal).collect();
         if self.layout == SynthLayout::TensoIr {
@@ -108,12 +108,12 @@ impl Names {
         exr::half(&stage.file(path)?, film.width, film.height, &roughness)
     }
 
-    /// A file of FIPT's release.
+    /// Returns the path of an HDR file in FIPT's naming.
     fn hdr(&self, folder: &str) -> String {
         format!("{}/{folder}/{}_0001.exr", self.split, meta::stem(self.number))
     }
 
-    /// Writes a file of TensoIR's folder of the view; alpha is 1 where a pixel counts.
+    /// Writes a file of the view's TensoIR folder. Alpha is 1 where `counts` holds for a pixel.
     fn rgba(
         &self,
         stage: &Stage,
@@ -132,7 +132,7 @@ fn display(image: &Image) -> Vec<Vec3> {
     image.iter().map(|c| crate::color::encode3(*c)).collect()
 }
 
-/// Writes the files of cameras and of the split.
+/// Writes the camera files and the split.
 pub(crate) fn cameras(stage: &Stage, layout: SynthLayout, views: &Views) -> Result<(), SynthError> {
     if layout == SynthLayout::Nerfstudio {
         stage.write("transforms.json", &meta::text(&meta::transforms(views)))?;
@@ -155,7 +155,7 @@ pub(crate) fn cameras(stage: &Stage, layout: SynthLayout, views: &Views) -> Resu
     Ok(())
 }
 
-/// A frame: OpenGL axes, but those of Mitsuba (x left, y up, z forward) for FIPT.
+/// Returns a camera frame with OpenGL axes; FIPT gets Mitsuba's (x left, y up, z forward).
 fn frame(names: &Names, camera: &Camera) -> Value {
     let m = camera.matrix();
     let sign = if names.layout == SynthLayout::Fipt { [-1.0, 1.0, -1.0, 1.0] } else { [1.0; 4] };
@@ -171,7 +171,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn views_have_the_names_of_their_layout() {
+    fn view_names_match_the_layout() {
         let of = |layout, index| {
             let names = Names::new(layout, index, 3);
             (names.stem(), names.file_path())

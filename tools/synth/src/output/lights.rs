@@ -1,4 +1,4 @@
-//! The true lights, and the other lightings under which test views are rendered.
+//! Ground-truth lights and the relightings of the test views.
 
 use glam::Vec3;
 use serde_json::{Map, Value, json};
@@ -6,16 +6,16 @@ use serde_json::{Map, Value, json};
 use crate::scene::light::{Emission, Light, Shape};
 use crate::scene::{MAX_GROUPS, Scene};
 
-/// Another lighting: a factor for each light group.
+/// Lighting that differs from training: a factor for each light group.
 #[derive(Debug, Clone)]
 pub(crate) struct Relighting {
-    /// The folder's name under `gt/relit`.
+    /// Name of the folder under `gt/relit`.
     pub(crate) name: &'static str,
     /// Factors by group.
     pub(crate) weights: [Vec3; MAX_GROUPS],
 }
 
-/// The relightings that mean something for a scene: none when it has a single group of lights.
+/// Returns the relightings of a scene. A scene with a single group of lights has none.
 pub(crate) fn relightings(scene: &Scene) -> Vec<Relighting> {
     let groups = &scene.groups;
     let lamps = groups.iter().filter(|g| !g.window).count();
@@ -51,7 +51,7 @@ pub(crate) fn relightings(scene: &Scene) -> Vec<Relighting> {
     out
 }
 
-/// The contents of `gt/lights.json`.
+/// Returns the contents of `gt/lights.json`.
 pub(crate) fn describe(scene: &Scene, relightings: &[Relighting]) -> Value {
     let under = |weights: &[Vec3; MAX_GROUPS]| -> Vec<Value> {
         let lights = scene.lights.iter();

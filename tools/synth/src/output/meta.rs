@@ -1,4 +1,4 @@
-//! The JSON files that tie a scene directory together.
+//! JSON files of a scene directory.
 
 use serde_json::{Value, json};
 
@@ -8,12 +8,12 @@ use crate::scene::classes::CLASSES;
 use crate::trace::camera::Camera;
 use crate::views::{FOV_X, Views};
 
-/// The name that a view's files share.
+/// Returns the base name of a view's files.
 pub(crate) fn stem(view: usize) -> String {
     format!("{view:03}")
 }
 
-/// `transforms.json`: the shared projection and every view's OpenGL camera-to-world matrix.
+/// Returns `transforms.json`: the shared projection and each view's OpenGL camera-to-world matrix.
 pub(crate) fn transforms(views: &Views) -> Value {
     let first: &Camera = &views.train[0];
     let center = first.center();
@@ -44,7 +44,7 @@ pub(crate) fn transforms(views: &Views) -> Value {
     })
 }
 
-/// `split.json`.
+/// Returns `split.json`.
 pub(crate) fn split(views: &Views) -> Value {
     let train = views.train.len();
     let test = train + views.test.len();
@@ -54,7 +54,7 @@ pub(crate) fn split(views: &Views) -> Value {
     })
 }
 
-/// `priors/semantic/labels.json`.
+/// Returns `priors/semantic/labels.json`.
 pub(crate) fn labels(dim: usize, cell: usize) -> Value {
     json!({
         "labels": CLASSES,
@@ -64,7 +64,7 @@ pub(crate) fn labels(dim: usize, cell: usize) -> Value {
     })
 }
 
-/// `scene.json`: where the directory came from, and what its ids mean.
+/// Returns `scene.json`: the options of the scene and the meaning of its ids.
 pub(crate) fn scene(scene: &Scene, options: &SynthOptions) -> Value {
     let classes: Vec<Value> = CLASSES.iter().enumerate().map(|(id, name)| json!({ "id": id, "name": name })).collect();
     let instances: Vec<Value> = scene
@@ -96,7 +96,7 @@ pub(crate) fn scene(scene: &Scene, options: &SynthOptions) -> Value {
     })
 }
 
-/// JSON with a final newline.
+/// Returns pretty-printed JSON with a final newline.
 pub(crate) fn text(value: &Value) -> Vec<u8> {
     let mut out = format!("{value:#}").into_bytes();
     out.push(b'\n');

@@ -1,7 +1,7 @@
-//! Files: what is written where, in which encoding.
+//! Output files and their encodings.
 //!
-//! Everything goes into a sibling of the output directory that is renamed into place at the end, so an output
-//! directory is either complete or absent.
+//! Everything is written to a sibling of the output directory, which is renamed into place at the end. An output
+//! directory is therefore either complete or absent.
 
 pub(crate) mod exr;
 pub(crate) mod layout;

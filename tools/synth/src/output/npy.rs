@@ -1,10 +1,12 @@
 //! NumPy array files, version 1.0, little-endian, row by row.
 
-/// The bytes of an array file: `kind` is NumPy's type text (`<f2`, `<f4`), `data` the values' little-endian bytes.
+/// Returns the bytes of an array file.
+///
+/// `kind` is NumPy's type string (`<f2`, `<f4`). `data` holds the little-endian bytes of the values.
 pub(crate) fn encode(kind: &str, shape: &[usize], data: &[u8]) -> Vec<u8> {
     let dims: Vec<String> = shape.iter().map(ToString::to_string).collect();
     let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({},), }}", dims.join(", "));
-    // The format wants data to begin at a multiple of 64 bytes, after a newline.
+    // The format requires data to begin at a multiple of 64 bytes, after a newline.
     let before = 10;
     let padded = (before + header.len() + 1).next_multiple_of(64);
     header.push_str(&" ".repeat(padded - before - header.len() - 1));

@@ -2,7 +2,7 @@
 
 use crate::points::Point;
 
-/// The bytes of a point cloud.
+/// Returns the bytes of a point cloud.
 pub(crate) fn encode(points: &[Point]) -> Vec<u8> {
     let mut out = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", points.len()).into_bytes();
     for name in ["x", "y", "z", "nx", "ny", "nz"] {

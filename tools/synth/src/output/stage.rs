@@ -1,11 +1,13 @@
-//! A directory under construction, renamed into place when it is complete and removed when it is not.
+//! Directory under construction, renamed into place when complete.
+//!
+//! An incomplete directory is removed.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::error::SynthError;
 
-/// The directory under construction.
+/// Directory under construction.
 pub(crate) struct Stage {
     out: PathBuf,
     work: PathBuf,
@@ -13,7 +15,7 @@ pub(crate) struct Stage {
 }
 
 impl Stage {
-    /// Makes the temporary sibling of `out`, after checking that `out` may be written.
+    /// Checks that `out` may be written and creates its temporary sibling.
     pub(crate) fn open(out: &Path, replace: bool) -> Result<Self, SynthError> {
         let name = out.file_name().ok_or_else(|| SynthError::BadPath(out.to_owned()))?;
         check(out, replace)?;
@@ -29,7 +31,7 @@ impl Stage {
         Ok(Self { out: out.to_owned(), work, committed: false })
     }
 
-    /// The path of a file under construction; its folder is made.
+    /// Returns the path of a file under construction and creates its folder.
     pub(crate) fn file(&self, relative: impl AsRef<Path>) -> Result<PathBuf, SynthError> {
         let path = self.work.join(relative);
         if let Some(folder) = path.parent() {
@@ -44,7 +46,7 @@ impl Stage {
         fs::write(&path, bytes).map_err(SynthError::io("write", path))
     }
 
-    /// Renames the directory into place; what was there before is removed last.
+    /// Renames the directory into place. Removes the previous directory last.
     pub(crate) fn commit(mut self) -> Result<(), SynthError> {
         let old = self.work.with_extension("old");
         remove(&old)?;
@@ -60,13 +62,15 @@ impl Stage {
 impl Drop for Stage {
     fn drop(&mut self) {
         if !self.committed {
-            // Best effort: there is nobody left to tell.
+            // Best effort: no caller can receive an error here.
             let _ = fs::remove_dir_all(&self.work);
         }
     }
 }
 
-/// Refuses an output path that holds something else than an empty directory or a scene that may be replaced.
+/// Refuses an existing output path that may not be replaced.
+///
+/// Permits an empty directory, and with `replace` a scene directory.
 fn check(out: &Path, replace: bool) -> Result<(), SynthError> {
     if !out.exists() {
         return Ok(());

@@ -1,4 +1,4 @@
-//! The files of one view.
+//! Files of one view.
 
 use glam::Vec3;
 
@@ -10,7 +10,7 @@ use crate::priors::maps::Maps;
 use crate::priors::semantic::{DIM, Features};
 use crate::trace::film::{Feature, Film};
 
-/// Writes the ground truth: reflectance as averaged over pixels, geometry and ids at pixel centers.
+/// Writes the ground truth. Reflectance is averaged over pixels; geometry and ids hold at pixel centers.
 pub(crate) fn truth(stage: &Stage, names: &Names, film: &Film) -> Result<(), SynthError> {
     let (w, h, stem) = (film.width, film.height, names.stem());
     let file = |kind: &str, extension: &str| stage.file(format!("gt/{kind}/{stem}.{extension}"));
@@ -26,7 +26,7 @@ pub(crate) fn truth(stage: &Stage, names: &Names, film: &Film) -> Result<(), Syn
     png::bytes(&file("semantic", "png")?, w, h, &features(|f| f.class as u8))
 }
 
-/// Writes the imitated priors other than semantic features.
+/// Writes the simulated priors other than semantic features.
 pub(crate) fn priors(stage: &Stage, stem: &str, film: &Film, maps: &Maps, masks: &[u16]) -> Result<(), SynthError> {
     let (w, h) = (film.width, film.height);
     let file = |kind: &str| stage.file(format!("priors/{kind}/{stem}.png"));

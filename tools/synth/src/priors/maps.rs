@@ -1,4 +1,4 @@
-//! Imitated normal, albedo, roughness and metallic maps.
+//! Simulated normal, albedo, roughness and metallic maps.
 
 use glam::{Quat, Vec3};
 
@@ -9,7 +9,7 @@ use crate::trace::camera::Camera;
 use crate::trace::denoise::Image;
 use crate::trace::film::Film;
 
-/// The maps of one view, rows from the top.
+/// Maps of one view, rows from the top.
 pub(crate) struct Maps {
     /// Unit normals in the camera's OpenGL axes.
     pub(crate) normal: Vec<Vec3>,
@@ -21,12 +21,12 @@ pub(crate) struct Maps {
     pub(crate) metallic: Vec<f32>,
 }
 
-/// Imitates the networks for one view; `view` and `seed` key the errors.
+/// Simulates the prior maps of one view. `seed` and `view` key the errors.
 pub(crate) fn imitate(film: &Film, image: &Image, camera: &Camera, seed: u64, view: u64) -> Maps {
     let count = film.pixels.len();
     let (w, h) = (film.width, film.height);
     let keyed = |salt: u64| Rng::new(&[seed, view, salt]);
-    // Networks see at a coarser scale than the image: everything is averaged with its neighbors.
+    // Networks predict at a coarser scale than the image, so every map is averaged with its neighbors.
     let normal = blur(&film.features.iter().map(|f| f.normal).collect::<Vec<_>>(), w, h);
     let albedo = blur(&film.pixels.iter().map(|p| p.albedo).collect::<Vec<_>>(), w, h);
     let material = blur(&film.pixels.iter().map(|p| Vec3::new(p.roughness, p.metallic, 0.0)).collect::<Vec<_>>(), w, h);
@@ -58,7 +58,7 @@ pub(crate) fn imitate(film: &Film, image: &Image, camera: &Camera, seed: u64, vi
         let drift = wear.at(x, y);
         let rough = material[index].x + 0.055 * offset.x + 0.12 * drift.x + 0.01 * noise.normal();
         maps.roughness.push(rough.clamp(0.02, 1.0));
-        // Metals are underestimated; other things shimmer a little.
+        // Metals are underestimated; other materials get small positive errors.
         let metal =
             0.88 * material[index].y + (0.03 * offset.y).abs() + (0.09 * drift.y).max(0.0) + 0.01 * noise.normal();
         maps.metallic.push(metal.clamp(0.0, 1.0));
@@ -66,7 +66,9 @@ pub(crate) fn imitate(film: &Film, image: &Image, camera: &Camera, seed: u64, vi
     maps
 }
 
-/// Brightness that the albedo does not explain, relative to the view's middle value.
+/// Returns the brightness that albedo does not explain.
+///
+/// Values are relative to the view's median.
 fn shading(film: &Film, image: &Image) -> Vec<f32> {
     let ratio: Vec<f32> = film
         .pixels
@@ -83,7 +85,7 @@ fn shading(film: &Film, image: &Image) -> Vec<f32> {
     ratio.into_iter().map(|r| r / middle).collect()
 }
 
-/// A 3×3 mean with more weight on the center.
+/// Applies a 3×3 mean with a larger weight on the center.
 fn blur(map: &[Vec3], width: usize, height: usize) -> Vec<Vec3> {
     (0..map.len())
         .map(|index| {

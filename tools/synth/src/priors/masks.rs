@@ -1,13 +1,13 @@
-//! Imitated region masks: instance ids with ragged borders set to 0 and small regions left out.
+//! Simulated region masks: instance ids with ragged borders set to 0 and small regions removed.
 
 use crate::noise::cell;
 use crate::rng::Rng;
 use crate::trace::film::Film;
 
-/// Regions of fewer pixels (of an image of 160×120) are left out.
+/// Smallest retained region, as a fraction of the pixels: 14 pixels of a 160×120 image.
 const SMALLEST: f32 = 14.0 / 19_200.0;
 
-/// The region ids of one view.
+/// Returns the region ids of one view; 0 marks pixels of no region.
 pub(crate) fn imitate(film: &Film, seed: u64, view: u64) -> Vec<u16> {
     let (w, h) = (film.width as i32, film.height as i32);
     let salt = Rng::new(&[seed, view, 21]).next_u32();
@@ -16,7 +16,7 @@ pub(crate) fn imitate(film: &Film, seed: u64, view: u64) -> Vec<u16> {
         .flat_map(|y| (0..w).map(move |x| (x, y)))
         .map(|(x, y)| {
             let own = id(x, y);
-            // How far a foreign neighbor must be wanders along the border, in steps of a few pixels.
+            // The width of the removed border varies along it, in steps of a few pixels.
             let ragged = cell(glam::IVec2::new(x / 3, y / 3), salt);
             let reach = if ragged < 0.35 {
                 0

@@ -1,8 +1,7 @@
-//! What pretrained networks would say about a view, imitated from ground truth.
+//! Simulated predictions of pretrained networks, derived from ground truth.
 //!
-//! The errors have the shapes that networks' errors have: blurred borders, biases that belong to an object, slow
-//! drifts over the image, shading that leaks into albedo, and a little noise. Everything is a function of the view's
-//! film and of seeds.
+//! The errors resemble those of networks: blurred borders, biases per object, slow drifts over the image, shading that
+//! leaks into albedo, and a little noise. Everything is a function of the view's film and of seeds.
 
 pub(crate) mod maps;
 pub(crate) mod masks;
@@ -22,12 +21,12 @@ pub(crate) struct Drift {
 }
 
 impl Drift {
-    /// Drifts with features about `size` of the image's width across.
+    /// Creates drifts with features about `size` of the image's width across.
     pub(crate) fn new(key: &[u64], width: usize, size: f32) -> Self {
         Self { seed: Rng::new(key).next_u32(), scale: 1.0 / (size * width as f32) }
     }
 
-    /// The drift at a pixel.
+    /// Returns the drift at a pixel.
     pub(crate) fn at(&self, x: usize, y: usize) -> Vec3 {
         let p = Vec2::new(x as f32, y as f32) * self.scale;
         let channel = |salt: u32| 2.0 * fractal(p, 2, self.seed ^ salt) - 1.0;

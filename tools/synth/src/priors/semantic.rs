@@ -1,5 +1,6 @@
-//! Imitated language-aligned features: class embeddings on a grid, mixed at borders, with noise. Whole regions may have a wrong
-//! class.
+//! Simulated language-aligned features: class embeddings on a grid.
+//!
+//! Features are mixed at borders and have noise. Whole regions may have a wrong class.
 
 use half::f16;
 
@@ -10,10 +11,14 @@ use crate::trace::film::Film;
 
 /// Length of an embedding.
 pub(crate) const DIM: usize = 512;
-/// Pixels along the side of the regions that have a wrong class, and of the cells that features' noise is made for.
+/// Side in pixels of a region that may have a wrong class.
+///
+/// The correlated noise of features varies over about three regions.
 const REGION: usize = 8;
 
-/// One unit vector a class. A label has the same vector in every scene, so features compare across scenes.
+/// Returns one unit vector per class.
+///
+/// A label has the same vector in every scene, so features are comparable across scenes.
 pub(crate) fn embeddings() -> Vec<Vec<f32>> {
     CLASSES
         .iter()
@@ -24,26 +29,26 @@ pub(crate) fn embeddings() -> Vec<Vec<f32>> {
         .collect()
 }
 
-/// A feature map: height, width and values, cell by cell.
+/// Feature map: height, width and values, cell by cell.
 pub(crate) struct Features {
-    /// Cells down.
+    /// Number of rows of cells.
     pub(crate) height: usize,
-    /// Cells across.
+    /// Number of columns of cells.
     pub(crate) width: usize,
     /// `height × width ×` [`DIM`] values.
     pub(crate) values: Vec<f16>,
 }
 
-/// How feature maps are made.
+/// Parameters of a feature map.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Grid {
-    /// Pixels along the side of a cell.
+    /// Side of a cell in pixels.
     pub(crate) cell: usize,
-    /// Share of the regions that have the class of another place in the view.
+    /// Fraction of the regions that have the class of another pixel of the view.
     pub(crate) wrong: f32,
 }
 
-/// The features of one view.
+/// Simulates the features of one view.
 pub(crate) fn imitate(film: &Film, embeddings: &[Vec<f32>], grid: Grid, seed: u64, view: u64) -> Features {
     let (height, width) = (film.height.div_ceil(grid.cell), film.width.div_ceil(grid.cell));
     let classes = classes(film, grid.wrong, seed, view);
@@ -60,7 +65,7 @@ pub(crate) fn imitate(film: &Film, embeddings: &[Vec<f32>], grid: Grid, seed: u6
                 }
             }
             let mut feature = unit(feature);
-            // Half of the noise is shared with neighbors, as features of large receptive fields are.
+            // Half of the noise is shared with neighbors, as with features of large receptive fields.
             let place = glam::Vec2::new(column as f32, row as f32) * (grid.cell as f32 / REGION as f32) / 3.0;
             let scale = 1.0 / (DIM as f32).sqrt();
             for (k, f) in feature.iter_mut().enumerate() {
@@ -73,14 +78,16 @@ pub(crate) fn imitate(film: &Film, embeddings: &[Vec<f32>], grid: Grid, seed: u6
     Features { height, width, values }
 }
 
-/// The class of every pixel, after some regions got that of another place in the view.
+/// Returns the class of every pixel, after replacing that of some regions.
+///
+/// The replacement is the class of another pixel of the view.
 fn classes(film: &Film, wrong: f32, seed: u64, view: u64) -> Vec<usize> {
     let truth: Vec<usize> = film.features.iter().map(|f| f.class as usize).collect();
     let mut rng = Rng::new(&[seed, view, 32]);
     let across = film.width.div_ceil(REGION);
     let moved: Vec<Option<usize>> = (0..across * film.height.div_ceil(REGION))
         .map(|_| {
-            // Both numbers are always drawn, so that a larger share makes the same regions wrong and more.
+            // Both numbers are always drawn, so that a larger fraction makes the same regions wrong and adds others.
             let (chance, place) = (rng.uniform(), rng.index(truth.len()));
             (chance < wrong).then(|| truth[place])
         })
@@ -89,7 +96,9 @@ fn classes(film: &Film, wrong: f32, seed: u64, view: u64) -> Vec<usize> {
     truth.iter().enumerate().map(|(i, class)| moved[region(i)].unwrap_or(*class)).collect()
 }
 
-/// How much of a cell and a margin of a quarter around it belongs to each class.
+/// Returns each class's fraction of a cell.
+///
+/// The counted area includes a margin of a quarter cell.
 fn shares(film: &Film, classes: &[usize], cell: usize, row: usize, column: usize) -> Vec<f32> {
     let mut share = vec![0.0; CLASSES.len()];
     let span = |i: usize, limit: usize| {
@@ -106,7 +115,7 @@ fn shares(film: &Film, classes: &[usize], cell: usize, row: usize, column: usize
     share
 }
 
-/// The vector scaled to unit length.
+/// Scales a vector to unit length.
 fn unit(mut v: Vec<f32>) -> Vec<f32> {
     let length = v.iter().map(|x| x * x).sum::<f32>().sqrt().max(1e-9);
     v.iter_mut().for_each(|x| *x /= length);

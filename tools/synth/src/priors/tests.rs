@@ -1,4 +1,6 @@
-//! How far the imitated priors are from the truth: about as far as real networks on real rooms.
+//! Tests of the errors of simulated priors.
+//!
+//! The errors are near those of networks on real rooms.
 
 use glam::{Vec2, Vec3};
 
@@ -15,7 +17,7 @@ use crate::trace::render::render;
 use crate::views;
 
 #[test]
-fn errors_are_those_of_networks() {
+fn prior_errors_match_those_of_networks() {
     let mut scene = Scene::build(SceneName::LivingRoom, 5);
     let options = SynthOptions { seed: 5, views: 6, width: 120, height: 90, ..SynthOptions::default() };
     let views = views::place(&scene, &options);
@@ -67,7 +69,9 @@ fn errors_are_those_of_networks() {
     assert!(kept > 0.6 && wrong_regions == 0, "{report}");
 }
 
-/// Cells whose class is that of their middle, and all.
+/// Returns the number of correctly labeled cells and the number of cells.
+///
+/// A cell's best class must equal the class at its center.
 fn labels_right(scene: &Scene, camera: &Camera, features: &Features, table: &[Vec<f32>], cell: usize) -> (f64, f64) {
     let (mut right, mut cells) = (0.0, 0.0);
     for row in 0..features.height {
@@ -87,7 +91,7 @@ fn labels_right(scene: &Scene, camera: &Camera, features: &Features, table: &[Ve
 }
 
 #[test]
-fn maps_at_image_resolution_have_their_share_of_wrong_regions() {
+fn wrong_regions_lower_label_accuracy_at_image_resolution() {
     let mut scene = Scene::build(SceneName::Box, 3);
     let options = SynthOptions { seed: 3, views: 1, width: 64, height: 48, ..SynthOptions::default() };
     let views = views::place(&scene, &options);
@@ -104,13 +108,13 @@ fn maps_at_image_resolution_have_their_share_of_wrong_regions() {
     let clean = right(0.0);
     let (some, all) = (right(0.3), right(1.0));
     println!("{clean:.3} {some:.3} {all:.3}");
-    // A region may get the class that it has: of few classes many do.
+    // A region may be reassigned its own class, which is common when the view has few classes.
     assert!(clean > 0.99 && (0.69..0.93).contains(&some) && all < some, "{clean} {some} {all}");
     assert_eq!(right(0.3), some, "the seed decides");
 }
 
 #[test]
-fn embeddings_are_unit_and_apart() {
+fn embeddings_are_unit_and_nearly_orthogonal() {
     let table = semantic::embeddings();
     for (i, a) in table.iter().enumerate() {
         for (j, b) in table.iter().enumerate() {

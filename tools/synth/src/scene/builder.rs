@@ -1,7 +1,7 @@
-//! Collects triangles, materials, lights and objects, and closes them into a [`Scene`].
+//! Builder that collects triangles, materials, lights and objects into a [`Scene`].
 //!
-//! Shapes are given in the frame of the object that is being built; [`Builder::object`] opens one. How shapes become
-//! triangles is left to [`super::mesh`].
+//! Shapes are given in the frame of the open object; [`Builder::object`] opens one. [`super::mesh`] turns shapes into
+//! triangles.
 
 use glam::{Affine3A, Vec2, Vec3};
 use obvhs::triangle::Triangle;
@@ -13,7 +13,7 @@ use crate::scene::sky::Sky;
 use crate::scene::surfaces::{Attributes, Surfaces};
 use crate::scene::{Bounds, Group, Instance, MAX_GROUPS, Scene};
 
-/// A corner of a triangle in the object's frame.
+/// Vertex of a triangle in the object's frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Vertex {
     /// Position.
@@ -24,7 +24,7 @@ pub(crate) struct Vertex {
     pub(crate) uv: Vec2,
 }
 
-/// A scene under construction.
+/// Scene under construction.
 pub(crate) struct Builder {
     triangles: Vec<Triangle>,
     attributes: Vec<Attributes>,
@@ -40,7 +40,7 @@ pub(crate) struct Builder {
 }
 
 impl Builder {
-    /// An empty scene.
+    /// Creates an empty scene.
     pub(crate) fn new() -> Self {
         Self {
             triangles: Vec::new(),
@@ -69,7 +69,7 @@ impl Builder {
         self.material = material;
     }
 
-    /// Opens an object: what follows belongs to it and is placed by `frame`. Names are made unique by a number.
+    /// Opens an object, which owns the following shapes; `frame` places them. A number makes a repeated name unique.
     pub(crate) fn object(&mut self, name: &str, class: &str, frame: Affine3A) -> u16 {
         let taken = |candidate: &str| self.instances.iter().any(|i| i.name == candidate);
         let mut unique = name.to_owned();
@@ -93,12 +93,12 @@ impl Builder {
         }
     }
 
-    /// Moves the frame of the object that is open.
+    /// Sets the frame of the open object.
     pub(crate) fn frame(&mut self, frame: Affine3A) {
         self.frame = frame;
     }
 
-    /// Declares everything of the open object an obstacle to cameras.
+    /// Adds the bounds of the open object to the obstacles of cameras.
     pub(crate) fn obstacle(&mut self) {
         let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
         for t in &self.triangles[self.opened_at..] {
@@ -112,7 +112,7 @@ impl Builder {
         }
     }
 
-    /// Adds a triangle in the open object's frame.
+    /// Adds a triangle in the open object's frame. Skips degenerate triangles.
     pub(crate) fn triangle(&mut self, corners: [Vertex; 3]) {
         let [a, b, c] = corners.map(|v| self.frame.transform_point3(v.position));
         if (b - a).cross(c - a).length_squared() < 1e-18 {
@@ -127,7 +127,9 @@ impl Builder {
         });
     }
 
-    /// The index of a light group, made when it does not exist; beyond the limit the last one is shared.
+    /// Returns the index of a light group and creates a missing one.
+    ///
+    /// Once [`MAX_GROUPS`] exist, further names share the last one.
     pub(crate) fn group(&mut self, name: &str, window: bool) -> usize {
         if let Some(found) = self.groups.iter().position(|g| g.name == name) {
             return found;
@@ -138,7 +140,7 @@ impl Builder {
         self.groups.len() - 1
     }
 
-    /// Adds a light in the open object's frame; it belongs to that object.
+    /// Adds a light in the open object's frame. The light belongs to that object.
     pub(crate) fn light(&mut self, name: &str, group: usize, shape: Shape, emission: Emission) {
         let shape = match shape {
             Shape::Sphere { center, radius } => Shape::Sphere { center: self.frame.transform_point3(center), radius },
@@ -151,7 +153,7 @@ impl Builder {
         self.lights.push(Light { name: name.to_owned(), group, shape, emission, instance: self.instance });
     }
 
-    /// Closes the scene.
+    /// Finishes the scene.
     pub(crate) fn finish(mut self, interior: Bounds, focus: Vec3, sky: Sky) -> Scene {
         if self.groups.is_empty() {
             self.group("lights", false);

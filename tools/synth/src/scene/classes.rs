@@ -1,6 +1,8 @@
-//! The semantic classes, fixed for all scenes so that ids and embeddings agree between them.
+//! Semantic classes, fixed for all scenes.
+//!
+//! Ids and embeddings therefore agree between scenes.
 
-/// Labels by class id; 0 is what belongs to nothing.
+/// Labels by class id; 0 is the background, which belongs to no object.
 pub(crate) const CLASSES: [&str; 22] = [
     "background",
     "wall",
@@ -26,7 +28,7 @@ pub(crate) const CLASSES: [&str; 22] = [
     "ornament",
 ];
 
-/// The id of a label of [`CLASSES`]; 0 for any other text.
+/// Returns the id of a label of [`CLASSES`], or 0 for any other text.
 pub(crate) fn class_id(label: &str) -> u16 {
     CLASSES.iter().position(|c| *c == label).unwrap_or(0) as u16
 }

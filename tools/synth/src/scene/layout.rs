@@ -1,8 +1,8 @@
-//! Furnishes a room: which pieces, where, in which colors.
+//! Furnishing of a room: items, positions and colors.
 //!
-//! The room is always readable (a seating group around a rug in the middle, a low cabinet under the windows, a
-//! bookcase and a dining corner), but mirrored, resized, recolored and rearranged by the seed. Cameras stand in the
-//! southern half; nothing tall is put there.
+//! Every room has a seating group around a rug in the middle, a low cabinet under the windows, a bookcase and a dining
+//! corner. The seed mirrors, resizes, recolors and rearranges them. Cameras stand in the southern half, which holds
+//! nothing tall.
 
 use std::f32::consts::{FRAC_PI_2, TAU};
 
@@ -19,7 +19,7 @@ use crate::scene::texture::Texture;
 use crate::scene::theme::Theme;
 use crate::scene::{Bounds, Scene};
 
-/// Materials shared between pieces.
+/// Materials shared between items.
 struct Shared {
     wood: u16,
     metal: u16,
@@ -33,7 +33,7 @@ pub(crate) fn build(style: Style, seed: u64) -> Scene {
     let rng = &mut rng;
     let theme = Theme::choose(rng);
     let size = Size { hx: rng.range(2.65, 3.1), hz: rng.range(2.35, 2.75), height: rng.range(2.5, 2.75) };
-    // +1 or −1: which way round the room is.
+    // +1, or −1 to mirror the room in x.
     let flip = if rng.chance(0.5) { 1.0 } else { -1.0 };
     let (sofa_side, case_side) = if flip > 0.0 { (Side::West, Side::East) } else { (Side::East, Side::West) };
     let holes = holes(&style, size, rng);
@@ -45,9 +45,10 @@ pub(crate) fn build(style: Style, seed: u64) -> Scene {
         Affine3A::from_rotation_translation(Quat::from_rotation_y(flip * yaw), Vec3::new(flip * x, 0.0, z))
     };
     seating(&mut b, &at, size, &theme, &style, &shared, rng);
-    north(&mut b, size, &theme, &style, &shared, &holes, flip, rng);
+    let setting = Setting { size, theme: &theme, style: &style, shared: &shared };
+    north(&mut b, &setting, &holes, flip, rng);
     dining(&mut b, &at, size, &theme, &shared, rng);
-    // Bookcase in the northern half of the wall across from the sofa.
+    // The bookcase stands in the northern half of the wall opposite the sofa.
     let width = rng.range(1.0, 1.3);
     let along = |side: Side, z: f32| if side == Side::West { -z } else { z };
     let case = along(case_side, -size.hz + 0.25 + 0.5 * width);
@@ -55,14 +56,12 @@ pub(crate) fn build(style: Style, seed: u64) -> Scene {
     shelves::bookcase(
         &mut b,
         size.wall(case_side) * Affine3A::from_translation(Vec3::new(case, 0.0, 0.02)),
-        width,
-        height,
+        [width, height],
         &theme,
-        shared.wood,
-        shared.metal,
+        [shared.wood, shared.metal],
         rng,
     );
-    pictures(&mut b, size, &theme, &style, &shared, sofa_side, case_side, rng);
+    pictures(&mut b, &setting, [sofa_side, case_side], rng);
     if style.specular == 0.0 {
         b.without_specular();
     }
@@ -111,7 +110,7 @@ fn materials(b: &mut Builder, theme: &Theme, style: &Style, rng: &mut Rng) -> Sh
     Shared { wood, metal, border, pad }
 }
 
-/// Sofa, armchair, rug, coffee table, floor lamp and pendant.
+/// Adds sofa, armchair, rug, coffee table, floor lamp and pendant.
 fn seating(
     b: &mut Builder,
     at: &dyn Fn(f32, f32, f32) -> Affine3A,
@@ -128,7 +127,8 @@ fn seating(
     let places = if size.hz > 2.5 { 3 } else { 2 };
     let mut cushions = theme.accents.to_vec();
     cushions.truncate(places);
-    seats::sofa(b, "sofa", at(sofa_x, center.y, FRAC_PI_2), places, theme.sofa, shared.wood, &cushions, rng);
+    let upholstery = seats::Upholstery { places, cloth: theme.sofa, wood: shared.wood, cushions: &cushions };
+    seats::sofa(b, "sofa", at(sofa_x, center.y, FRAC_PI_2), &upholstery, rng);
     tables::coffee_table(
         b,
         at(center.x, center.y, FRAC_PI_2 + rng.range(-0.1, 0.1)),
@@ -139,7 +139,9 @@ fn seating(
     );
     let (x, z) = (center.x + rng.range(1.3, 1.5), center.y - rng.range(0.0, 0.45));
     let yaw = (center.x - x).atan2(center.y - z) + rng.range(-0.2, 0.2);
-    seats::sofa(b, "armchair", at(x, z, yaw), 1, theme.armchair, shared.wood, &theme.accents[1..2], rng);
+    let cushions = &theme.accents[1..2];
+    let upholstery = seats::Upholstery { places: 1, cloth: theme.armchair, wood: shared.wood, cushions };
+    seats::sofa(b, "armchair", at(x, z, yaw), &upholstery, rng);
     lamps::floor_lamp(b, at(-size.hx + 0.38, -size.hz + 0.42, 0.0), shared.metal, style.lamps[0]);
     let drop = size.height - rng.range(1.95, 2.05);
     lamps::pendant(
@@ -151,17 +153,9 @@ fn seating(
     );
 }
 
-/// The wall with the windows: curtains, a sideboard with things on it, a plant.
-fn north(
-    b: &mut Builder,
-    size: Size,
-    theme: &Theme,
-    style: &Style,
-    shared: &Shared,
-    holes: &[Hole],
-    flip: f32,
-    rng: &mut Rng,
-) {
+/// Furnishes the window wall: curtains, sideboard with small objects, plant.
+fn north(b: &mut Builder, room: &Setting<'_>, holes: &[Hole], flip: f32, rng: &mut Rng) {
+    let &Setting { size, theme, style, shared } = room;
     let wall = size.wall(Side::North);
     for hole in holes {
         let middle = Vec3::new(hole.x, hole.sill + 0.5 * hole.height, 0.0);
@@ -189,7 +183,7 @@ fn north(
     b.obstacle();
 }
 
-/// The round table with chairs in the southern corner.
+/// Adds the round table with chairs in the southern corner.
 fn dining(
     b: &mut Builder,
     at: &dyn Fn(f32, f32, f32) -> Affine3A,
@@ -205,21 +199,22 @@ fn dining(
     for i in 0..3 {
         let angle = start + TAU * i as f32 / 3.0 + rng.range(-0.2, 0.2);
         let out = Vec2::new(angle.sin(), angle.cos()) * rng.range(0.62, 0.72);
-        // A chair faces the table it stands at.
+        // A chair faces the table.
         seats::chair(b, at(x + out.x, z + out.y, angle + TAU * 0.5), shared.wood, legs, shared.pad);
     }
 }
 
-fn pictures(
-    b: &mut Builder,
+/// Size and looks of a room.
+struct Setting<'a> {
     size: Size,
-    theme: &Theme,
-    style: &Style,
-    shared: &Shared,
-    sofa_side: Side,
-    case_side: Side,
-    rng: &mut Rng,
-) {
+    theme: &'a Theme,
+    style: &'a Style,
+    shared: &'a Shared,
+}
+
+/// Hangs pictures and a mirror on the walls of the sofa and of the bookcase.
+fn pictures(b: &mut Builder, room: &Setting<'_>, [sofa_side, case_side]: [Side; 2], rng: &mut Rng) {
+    let &Setting { size, theme, style, shared } = room;
     let hang = |b: &mut Builder, side: Side, x: f32, y: f32, half: Vec2, rng: &mut Rng| {
         let frame = size.wall(side) * Affine3A::from_translation(Vec3::new(x, y, 0.0));
         walls::picture(b, frame, half, theme, shared.border, rng);

@@ -1,7 +1,7 @@
-//! Lights with an area: spheres, one-sided rectangles, and windows onto an environment.
+//! Area lights: spheres, one-sided rectangles, and windows onto an environment map.
 //!
-//! Lights are not part of the triangle soup. They are intersected, sampled and weighed analytically, so that the two
-//! ways of finding a light (by choosing it, by running into it) agree exactly.
+//! Lights are not part of the triangle mesh. They are intersected, sampled and weighted analytically. Light sampling
+//! and BRDF sampling therefore agree exactly.
 
 use std::f32::consts::PI;
 
@@ -10,7 +10,7 @@ use glam::{Vec2, Vec3};
 use crate::color::luminance;
 use crate::scene::sky::Sky;
 
-/// The emitting surface.
+/// Emitting surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Shape {
     /// Emits outward, equally in all directions.
@@ -22,7 +22,7 @@ pub(crate) enum Shape {
     },
     /// Emits to the side of `u × v` only.
     Rect {
-        /// One corner.
+        /// Corner.
         corner: Vec3,
         /// First edge.
         u: Vec3,
@@ -31,43 +31,43 @@ pub(crate) enum Shape {
     },
 }
 
-/// What comes out of the surface.
+/// Emission of the surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Emission {
-    /// The same radiance everywhere and in all directions.
+    /// Equal radiance everywhere and in all directions.
     Constant(Vec3),
-    /// The environment behind the surface.
+    /// Environment map behind the surface.
     Sky,
 }
 
-/// One light.
+/// Area light.
 #[derive(Debug, Clone)]
 pub(crate) struct Light {
-    /// Its name in `gt/lights.json`.
+    /// Name in `gt/lights.json`.
     pub(crate) name: String,
-    /// The group it is switched with.
+    /// Index of the light group.
     pub(crate) group: usize,
-    /// Its surface.
+    /// Emitting surface.
     pub(crate) shape: Shape,
-    /// Its radiance.
+    /// Emitted radiance.
     pub(crate) emission: Emission,
-    /// The instance it belongs to.
+    /// Id of the instance that owns the light.
     pub(crate) instance: u16,
 }
 
-/// A direction towards a light.
+/// Sampled direction towards a light.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Toward {
     /// Unit direction from the shaded point.
     pub(crate) direction: Vec3,
     /// Distance to the light's surface.
     pub(crate) distance: f32,
-    /// Probability per solid angle.
+    /// Probability density per solid angle.
     pub(crate) pdf: f32,
 }
 
 impl Light {
-    /// Radiance that arrives along `direction` (pointing towards the light).
+    /// Returns the radiance along `direction`, which points towards the light.
     pub(crate) fn radiance(&self, direction: Vec3, sky: &Sky) -> Vec3 {
         match self.emission {
             Emission::Constant(radiance) => radiance,
@@ -75,7 +75,7 @@ impl Light {
         }
     }
 
-    /// The emitting area.
+    /// Returns the emitting area.
     pub(crate) fn area(&self) -> f32 {
         match self.shape {
             Shape::Sphere { radius, .. } => 4.0 * PI * radius * radius,
@@ -83,7 +83,7 @@ impl Light {
         }
     }
 
-    /// Outward unit normal at a point of the light.
+    /// Returns the outward unit normal at a point of the light.
     pub(crate) fn normal(&self, at: Vec3) -> Vec3 {
         match self.shape {
             Shape::Sphere { center, .. } => (at - center).normalize_or(Vec3::Y),
@@ -91,15 +91,16 @@ impl Light {
         }
     }
 
-    /// Distance along a ray at which it meets the light, if before `limit`; `front` tells whether it meets the
-    /// emitting side.
+    /// Returns the distance at which a ray meets the light before `limit`, if any.
+    ///
+    /// The flag is true if the ray meets the emitting side.
     pub(crate) fn intersect(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<(f32, bool)> {
         match self.shape {
             Shape::Sphere { center, radius } => {
                 let to = center - origin;
                 let along = to.dot(direction);
-                // The distance of closest approach is taken from the rejected part of the vector: the textbook
-                // discriminant cancels for small far spheres.
+                // The rejection of the vector gives the distance of closest approach: the textbook discriminant cancels
+                // for small, distant spheres.
                 let off = (to - along * direction).length_squared();
                 let inside = radius * radius - off;
                 if inside <= 0.0 {
@@ -125,7 +126,9 @@ impl Light {
         }
     }
 
-    /// Chooses a direction towards the light from a point; none when the light cannot be seen from there.
+    /// Samples a direction towards the light from a point.
+    ///
+    /// Returns none if the point cannot see the light.
     pub(crate) fn sample(&self, from: Vec3, random: Vec2) -> Option<Toward> {
         match self.shape {
             Shape::Sphere { center, radius } => {
@@ -159,8 +162,9 @@ impl Light {
         }
     }
 
-    /// The probability per solid angle with which [`Light::sample`] chooses a direction that meets the light at
-    /// `distance`.
+    /// Returns the probability density per solid angle of [`Light::sample`].
+    ///
+    /// The direction must meet the light at `distance`.
     pub(crate) fn pdf(&self, from: Vec3, direction: Vec3, distance: f32) -> f32 {
         match self.shape {
             Shape::Sphere { center, radius } => {
@@ -173,8 +177,9 @@ impl Light {
         }
     }
 
-    /// A guess at what the light contributes to a surface, for choosing between lights. Zero only where the light
-    /// certainly contributes nothing.
+    /// Estimates the light's contribution to a surface, to choose between lights.
+    ///
+    /// Zero only where the light certainly contributes nothing.
     pub(crate) fn importance(&self, from: Vec3, normal: Vec3, sky: &Sky) -> f32 {
         let strength = match self.emission {
             Emission::Constant(radiance) => luminance(radiance),
@@ -184,7 +189,7 @@ impl Light {
             Shape::Sphere { center, radius } => {
                 let to = center - from;
                 let d = to.length().max(radius);
-                // The sphere is below the horizon when even its nearest part is.
+                // The sphere is below the horizon only if its highest point is.
                 let height = to.dot(normal) + radius;
                 if height <= 0.0 {
                     return 0.0;
@@ -214,7 +219,9 @@ impl Light {
     }
 }
 
-/// One minus the cosine of the half angle under which a sphere is seen, free of cancellation; none from inside.
+/// Returns 1 − cos of the half angle that a sphere subtends, without cancellation.
+///
+/// Returns none inside the sphere.
 fn cap(radius: f32, distance_squared: f32) -> Option<f32> {
     let sin2 = radius * radius / distance_squared;
     (sin2 < 1.0).then(|| sin2 / (1.0 + (1.0 - sin2).sqrt()))

@@ -1,42 +1,44 @@
-//! What a surface is made of.
+//! Materials of surfaces.
 
 use glam::{Vec2, Vec3};
 
 use crate::noise::fractal;
 use crate::scene::texture::Texture;
 
-/// A surface's reflectance: GGX with alpha = roughness², F0 = 0.04 for dielectrics and the albedo for metals.
+/// Material of a surface: Lambert plus GGX.
+///
+/// alpha = roughness². F0 is 0.04 for dielectrics and the albedo for metals.
 #[derive(Debug, Clone)]
 pub(crate) struct Material {
     /// Base color.
     pub(crate) texture: Texture,
     /// Mean roughness.
     pub(crate) roughness: f32,
-    /// How far the roughness wanders around its mean over the surface.
+    /// Largest deviation of the roughness from its mean over the surface.
     pub(crate) spread: f32,
     /// 0 for dielectrics, 1 for metals.
     pub(crate) metallic: f32,
-    /// Scales the dielectric reflectance; 0 leaves a purely diffuse surface.
+    /// Scale of the dielectric reflectance. 0 gives a purely diffuse surface.
     pub(crate) specular: f32,
 }
 
 impl Material {
-    /// A dielectric.
+    /// Creates a dielectric.
     pub(crate) fn new(texture: Texture, roughness: f32) -> Self {
         Self { texture, roughness, spread: 0.0, metallic: 0.0, specular: 1.0 }
     }
 
-    /// A metal of one color.
+    /// Creates a metal of one color.
     pub(crate) fn metal(color: Vec3, roughness: f32) -> Self {
         Self { metallic: 1.0, ..Self::new(Texture::Solid(color), roughness) }
     }
 
-    /// The same material with a roughness that varies by the given amount.
+    /// Returns the material with a roughness that varies by the given amount.
     pub(crate) fn varied(self, spread: f32) -> Self {
         Self { spread, ..self }
     }
 
-    /// The reflectance at one point.
+    /// Returns the reflectance at one point.
     pub(crate) fn at(&self, uv: Vec2) -> Reflectance {
         let wander = if self.spread > 0.0 { self.spread * (2.0 * fractal(uv * 4.0, 2, 99) - 1.0) } else { 0.0 };
         Reflectance {
@@ -62,12 +64,12 @@ pub(crate) struct Reflectance {
 }
 
 impl Reflectance {
-    /// The share of the base color that reflects diffusely.
+    /// Returns the diffuse albedo.
     pub(crate) fn diffuse(&self) -> Vec3 {
         self.albedo * (1.0 - self.metallic)
     }
 
-    /// Reflectance at normal incidence.
+    /// Returns the reflectance at normal incidence.
     pub(crate) fn f0(&self) -> Vec3 {
         Vec3::splat(0.04 * self.specular * (1.0 - self.metallic)) + self.albedo * self.metallic
     }

@@ -1,6 +1,6 @@
-//! Shapes as triangles: boxes, rounded boxes, bodies of revolution, balls, rods, sheets.
+//! Triangulated shapes: boxes, rounded boxes, surfaces of revolution, balls, rods, sheets.
 //!
-//! All take positions in meters in the frame of the open object. Texture coordinates are meters on the surface, so a
+//! All positions are meters in the frame of the open object. Texture coordinates are meters on the surface, so a
 //! pattern has the same size on every shape.
 
 use std::f32::consts::{FRAC_PI_4, PI, TAU};
@@ -10,13 +10,13 @@ use glam::{Vec2, Vec3};
 use crate::scene::builder::{Builder, Vertex};
 
 impl Builder {
-    /// A flat parallelogram whose normal is `u × v`; texture coordinates start at the corner.
+    /// Adds a flat parallelogram whose normal is `u × v`. Texture coordinates start at the corner.
     pub(crate) fn quad(&mut self, corner: Vec3, u: Vec3, v: Vec3) {
         let (lu, lv) = (u.length(), v.length());
         self.quad_uv(corner, u, v, Vec2::ZERO, Vec2::new(lu, lv));
     }
 
-    /// [`Builder::quad`] with texture coordinates from `uv0` to `uv1`.
+    /// Adds a [`Builder::quad`] with texture coordinates from `uv0` to `uv1`.
     pub(crate) fn quad_uv(&mut self, corner: Vec3, u: Vec3, v: Vec3, uv0: Vec2, uv1: Vec2) {
         let normal = u.cross(v).normalize();
         let vertex = |a: f32, b: f32| Vertex {
@@ -29,7 +29,7 @@ impl Builder {
         self.triangle([p, r, s]);
     }
 
-    /// A box with sharp edges.
+    /// Adds a box with sharp edges.
     pub(crate) fn cuboid(&mut self, center: Vec3, half: Vec3) {
         for (axis, sign) in FACES {
             let (n, u, v) = face(axis, sign);
@@ -40,17 +40,17 @@ impl Builder {
         }
     }
 
-    /// A box standing on the plane y = `low`.
+    /// Adds a box with sharp edges between two corners.
     pub(crate) fn block(&mut self, min: Vec3, max: Vec3) {
         self.cuboid(0.5 * (min + max), 0.5 * (max - min));
     }
 
-    /// A box whose edges are rounded with a radius, shaded smoothly: cushions, upholstery.
+    /// Adds a smoothly shaded box with rounded edges, for cushions and upholstery.
     pub(crate) fn soft_box(&mut self, center: Vec3, half: Vec3, radius: f32) {
         let radius = radius.min(0.98 * half.min_element()).max(1e-4);
         let inner = half - Vec3::splat(radius);
         const STEPS: i32 = 3;
-        // Offsets beyond the inner box in the bevel, at equal angles of the normal.
+        // Offsets of the bevel beyond the inner box, at equal angles of the normal.
         let bevel = |i: i32| radius * (FRAC_PI_4 * i as f32 / STEPS as f32).tan();
         let line = |h: f32| -> Vec<f32> {
             let inner = h - radius;
@@ -82,8 +82,10 @@ impl Builder {
         }
     }
 
-    /// A body of revolution around the vertical through `base`: `profile` lists radius and height from bottom to top.
-    /// Smooth profiles are shaded smoothly along their height, others keep their edges.
+    /// Adds a surface of revolution around the vertical axis through `base`.
+    ///
+    /// `profile` lists radius and height from bottom to top. `smooth` interpolates normals along the height; otherwise
+    /// the profile has hard edges.
     pub(crate) fn lathe(&mut self, base: Vec3, profile: &[(f32, f32)], sides: usize, smooth: bool) {
         let slope = |i: usize| {
             let (a, b) = (profile[i], profile[i + 1]);
@@ -126,7 +128,7 @@ impl Builder {
         }
     }
 
-    /// A ball.
+    /// Adds a ball.
     pub(crate) fn ball(&mut self, center: Vec3, radius: f32) {
         const RINGS: usize = 16;
         const SIDES: usize = 28;
@@ -150,7 +152,7 @@ impl Builder {
         }
     }
 
-    /// A round rod between two points, with flat ends.
+    /// Adds a round rod between two points, with flat ends.
     pub(crate) fn rod(&mut self, from: Vec3, to: Vec3, radius: f32) {
         const SIDES: usize = 12;
         let axis = (to - from).normalize();
@@ -176,7 +178,7 @@ impl Builder {
         }
     }
 
-    /// A curved sheet over the unit square, shaded smoothly; `uv` gives the texture's extent.
+    /// Adds a curved, smoothly shaded sheet over the unit square. `uv` is the extent of the texture.
     pub(crate) fn sheet(&mut self, nu: usize, nv: usize, uv: Vec2, surface: impl Fn(f32, f32) -> Vec3) {
         const STEP: f32 = 1e-3;
         let vertex = |i: usize, j: usize| {
@@ -198,7 +200,7 @@ impl Builder {
 
 const FACES: [(usize, f32); 6] = [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0), (2, 1.0), (2, -1.0)];
 
-/// Normal and two tangents of a face of a box, with `u × v = n`.
+/// Returns the normal and two tangents of a face of a box, with `u × v = n`.
 fn face(axis: usize, sign: f32) -> (Vec3, Vec3, Vec3) {
     let (n, u, v) = match axis {
         0 => (Vec3::X, Vec3::NEG_Z, Vec3::Y),

@@ -1,7 +1,7 @@
-//! The room: triangles with materials, lights, the environment, and what belongs to which object.
+//! Scene: triangles with materials, lights, the environment map, and object instances.
 //!
-//! A scene is built once through [`builder::Builder`] and then only read. It knows nothing of cameras, samples or
-//! files.
+//! [`builder::Builder`] builds a scene once; after that the scene is read-only. It does not depend on cameras, samples
+//! or files.
 
 pub(crate) mod builder;
 pub(crate) mod classes;
@@ -27,28 +27,28 @@ use material::Material;
 use sky::Sky;
 use surfaces::Surfaces;
 
-/// How many light groups a scene may have; films keep one set of sums for each.
+/// Largest number of light groups in a scene. Films store one set of sums per group.
 pub(crate) const MAX_GROUPS: usize = 4;
 
-/// A thing that can be pointed at: its masks carry one id in every view.
+/// Object instance. Its masks have the same id in every view.
 #[derive(Debug, Clone)]
 pub(crate) struct Instance {
-    /// A name, unique in the scene.
+    /// Name, unique in the scene.
     pub(crate) name: String,
     /// Index into [`classes::CLASSES`].
     pub(crate) class: u16,
 }
 
-/// A light group's name and how it takes part in the relit sets.
+/// Light group.
 #[derive(Debug, Clone)]
 pub(crate) struct Group {
-    /// The name in `gt/lights.json`.
+    /// Name in `gt/lights.json`.
     pub(crate) name: String,
-    /// Windows are dimmed at night, lamps recolored.
+    /// True for windows. The night relighting dims windows and recolors lamps.
     pub(crate) window: bool,
 }
 
-/// An axis-aligned box.
+/// Axis-aligned box.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Bounds {
     /// Smallest corner.
@@ -57,9 +57,9 @@ pub(crate) struct Bounds {
     pub(crate) max: Vec3,
 }
 
-/// Everything a ray can meet.
+/// Scene that rays intersect.
 pub(crate) struct Scene {
-    /// Triangles behind an acceleration structure.
+    /// Triangles with an acceleration structure.
     pub(crate) surfaces: Surfaces,
     /// Materials by index.
     pub(crate) materials: Vec<Material>,
@@ -67,22 +67,22 @@ pub(crate) struct Scene {
     pub(crate) lights: Vec<Light>,
     /// Light groups by index, at most [`MAX_GROUPS`].
     pub(crate) groups: Vec<Group>,
-    /// The environment behind windows.
+    /// Environment map behind windows.
     pub(crate) sky: Sky,
-    /// Radiance of rays that escape; black in rooms, used by tests.
+    /// Radiance of rays that escape. Black in rooms; tests set other values.
     pub(crate) background: Vec3,
-    /// Instances by id; id 0 means nothing.
+    /// Instances by id. Id 0 means no instance.
     pub(crate) instances: Vec<Instance>,
-    /// The free space inside the walls.
+    /// Free space inside the walls.
     pub(crate) interior: Bounds,
-    /// Boxes around furniture that a camera must stay out of.
+    /// Boxes around furniture that cameras must not enter.
     pub(crate) obstacles: Vec<Bounds>,
-    /// The point that cameras look across.
+    /// Point that cameras look across.
     pub(crate) focus: Vec3,
 }
 
 impl Scene {
-    /// Builds a scene by name; the seed chooses what varies.
+    /// Builds a scene by name. The seed chooses its variation.
     pub(crate) fn build(name: SceneName, seed: u64) -> Self {
         match name {
             SceneName::Box => simple::build(seed),
@@ -90,7 +90,7 @@ impl Scene {
         }
     }
 
-    /// Multiplies all light by a factor.
+    /// Multiplies all emitted light by a factor.
     pub(crate) fn scale_light(&mut self, factor: f32) {
         self.sky = self.sky.scaled(factor);
         for light in &mut self.lights {
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_scene_is_complete_for_several_seeds() {
+    fn scenes_are_complete_for_several_seeds() {
         for name in SceneName::ALL {
             for seed in [0, 1, 2, 77] {
                 let scene = Scene::build(name, seed);
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn seeds_change_the_room() {
+    fn seed_changes_room_and_obstacles() {
         let a = Scene::build(SceneName::LivingRoom, 1);
         let b = Scene::build(SceneName::LivingRoom, 2);
         assert_ne!(a.interior, b.interior);

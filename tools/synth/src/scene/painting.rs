@@ -1,10 +1,10 @@
-//! Pictures for walls: a landscape, an abstract of circles, or a grid of blocks, by seed.
+//! Procedural wall pictures: a landscape, circles, or a grid of blocks, by seed.
 
 use glam::{IVec2, Vec2, Vec3};
 
 use crate::noise::{cell, fractal, smoothstep};
 
-/// The color of a picture over the unit square (second coordinate up).
+/// Returns the color of a picture over the unit square (second coordinate up).
 pub(crate) fn color(uv: Vec2, colors: &[Vec3; 5], seed: u32) -> Vec3 {
     match seed % 3 {
         0 => landscape(uv, colors, seed),

@@ -1,4 +1,4 @@
-//! The empty room: floor, ceiling, walls with window openings, skirting, frames and panes.
+//! Empty room: floor, ceiling, walls with window openings, skirting, frames and panes.
 
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -12,7 +12,7 @@ use crate::scene::style::{Style, Windows};
 use crate::scene::texture::Texture;
 use crate::scene::theme::Theme;
 
-/// Half width (x), half depth (z) and height of the room; the floor's middle is the origin.
+/// Half width (x), half depth (z) and height of the room. The origin is the floor's center.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Size {
     /// Half extent in x.
@@ -23,7 +23,7 @@ pub(crate) struct Size {
     pub(crate) height: f32,
 }
 
-/// One of the four walls.
+/// Wall of the room.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Side {
     /// At z = −hz.
@@ -36,10 +36,10 @@ pub(crate) enum Side {
     West,
 }
 
-/// A rectangle cut out of a wall, in the wall's frame.
+/// Rectangle cut out of a wall, in the wall's frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Hole {
-    /// Middle along the wall.
+    /// Center along the wall.
     pub(crate) x: f32,
     /// Lower edge.
     pub(crate) sill: f32,
@@ -50,7 +50,9 @@ pub(crate) struct Hole {
 }
 
 impl Size {
-    /// The frame of a wall: x to the right when one looks at it, y up, z into the room, origin at its foot.
+    /// Returns the frame of a wall.
+    ///
+    /// x points right as seen from inside, y up, z into the room. The origin lies at the foot of the wall.
     pub(crate) fn wall(&self, side: Side) -> Affine3A {
         let (yaw, at) = match side {
             Side::North => (0.0, Vec3::new(0.0, 0.0, -self.hz)),
@@ -61,7 +63,7 @@ impl Size {
         Affine3A::from_rotation_translation(Quat::from_rotation_y(yaw), at)
     }
 
-    /// Half the length of a wall.
+    /// Returns half the length of a wall.
     pub(crate) fn half_length(&self, side: Side) -> f32 {
         match side {
             Side::North | Side::South => self.hx,
@@ -73,7 +75,7 @@ impl Size {
 /// Depth of the window reveals.
 const REVEAL: f32 = 0.16;
 
-/// Builds floor, ceiling and walls; `papered` gets the patterned wall.
+/// Adds floor, ceiling and walls. The wall `papered` gets the pattern.
 pub(crate) fn shell(
     b: &mut Builder,
     size: Size,
@@ -145,7 +147,7 @@ fn floor(b: &mut Builder, size: Size, theme: &Theme, style: &Style, rng: &mut Rn
     b.quad(corner, u, v);
 }
 
-/// A wall in its frame, with pieces left out.
+/// Adds a wall in its frame, with holes left open.
 fn wall(b: &mut Builder, half: f32, height: f32, holes: &[Hole]) {
     let mut piece = |x0: f32, x1: f32, y0: f32, y1: f32| {
         if x1 - x0 > 1e-4 && y1 - y0 > 1e-4 {
@@ -169,7 +171,7 @@ fn wall(b: &mut Builder, half: f32, height: f32, holes: &[Hole]) {
     piece(from, half, 0.0, height);
 }
 
-/// Reveal, frame, bars and pane of one window.
+/// Adds reveal, frame, bars and pane of one window.
 fn window(b: &mut Builder, size: Size, style: &Style, hole: &Hole, index: usize, trim: u16) {
     let frame =
         size.wall(Side::North) * Affine3A::from_translation(Vec3::new(hole.x, hole.sill + 0.5 * hole.height, 0.0));
@@ -193,7 +195,7 @@ fn window(b: &mut Builder, size: Size, style: &Style, hole: &Hole, index: usize,
     bar(b, -0.02, 0.02, -h, h);
     bar(b, -w, w, 0.25 * h - 0.015, 0.25 * h + 0.015);
     b.block(Vec3::new(-w - 0.05, -h - 0.03, -0.02), Vec3::new(w + 0.05, -h, 0.06));
-    // A casing around the opening on the room's side.
+    // Casing around the opening on the room's side.
     for x in [-w - 0.07, w] {
         b.block(Vec3::new(x, -h, 0.0), Vec3::new(x + 0.07, h, 0.02));
     }

@@ -1,4 +1,4 @@
-//! A small box with two blocks and a ball under one ceiling light: few triangles, quick to render.
+//! Small box with two blocks and a ball under one ceiling light. Few triangles; quick to render.
 
 use glam::{Affine3A, Quat, Vec3};
 
@@ -11,7 +11,7 @@ use crate::scene::texture::Texture;
 use crate::scene::theme::Theme;
 use crate::scene::{Bounds, Scene};
 
-/// Builds the box; the seed chooses colors and where things stand.
+/// Builds the box. The seed chooses colors and the rotation of the blocks.
 pub(crate) fn build(seed: u64) -> Scene {
     let mut rng = Rng::new(&[seed, 0x0b0c]);
     let theme = Theme::choose(&mut rng);

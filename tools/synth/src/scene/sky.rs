@@ -1,30 +1,30 @@
-//! The environment outside the windows: sky, horizon, ground and a soft sun.
+//! Environment outside the windows: sky, horizon, ground and a soft sun.
 
 use glam::Vec3;
 
 use crate::noise::smoothstep;
 
-/// Radiance by direction, smooth enough to need no sampling scheme of its own.
+/// Radiance by direction, smooth enough to need no importance sampling.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sky {
-    /// Straight up.
+    /// Radiance straight up.
     pub(crate) zenith: Vec3,
-    /// At the horizon.
+    /// Radiance at the horizon.
     pub(crate) horizon: Vec3,
-    /// Below the horizon.
+    /// Radiance below the horizon.
     pub(crate) ground: Vec3,
-    /// Added around the sun.
+    /// Radiance added around the sun.
     pub(crate) sun: Vec3,
     /// Unit direction of the sun.
     pub(crate) sun_direction: Vec3,
 }
 
 impl Sky {
-    /// Nothing outside.
+    /// Black environment.
     pub(crate) const DARK: Self =
         Self { zenith: Vec3::ZERO, horizon: Vec3::ZERO, ground: Vec3::ZERO, sun: Vec3::ZERO, sun_direction: Vec3::Y };
 
-    /// Radiance from a unit direction.
+    /// Returns the radiance from a unit direction.
     pub(crate) fn radiance(&self, direction: Vec3) -> Vec3 {
         let up = direction.y;
         let above = self.horizon.lerp(self.zenith, up.max(0.0).sqrt());
@@ -33,12 +33,14 @@ impl Sky {
         base + self.sun * glow
     }
 
-    /// A rough mean luminance, for choosing between lights.
+    /// Estimates the mean luminance, to choose between lights.
     pub(crate) fn mean(&self) -> f32 {
         crate::color::luminance(0.4 * self.horizon + 0.2 * self.zenith + 0.4 * self.ground + 0.1 * self.sun)
     }
 
-    /// A latitude–longitude map, rows from straight up: direction (sin θ sin φ, cos θ, −sin θ cos φ), φ from −π to π.
+    /// Returns a latitude–longitude map, rows from straight up.
+    ///
+    /// The direction of a pixel is (sin θ sin φ, cos θ, −sin θ cos φ), with φ from −π to π.
     pub(crate) fn map(&self, width: usize, height: usize) -> Vec<Vec3> {
         use std::f32::consts::{PI, TAU};
         let rows = (0..height).map(|y| PI * (y as f32 + 0.5) / height as f32);
@@ -52,7 +54,7 @@ impl Sky {
         .collect()
     }
 
-    /// All radiance multiplied by a factor.
+    /// Returns the sky with all radiance multiplied by a factor.
     pub(crate) fn scaled(self, factor: f32) -> Self {
         Self {
             zenith: self.zenith * factor,

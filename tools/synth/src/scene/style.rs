@@ -1,37 +1,39 @@
-//! What distinguishes the named rooms: which lights they have and what their surfaces do.
+//! Styles of the named rooms: lights and surface properties.
 
 use glam::Vec3;
 
 use crate::options::SceneName;
 
-/// How the windows are lit.
+/// Emission of the windows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Windows {
     /// No windows.
     None,
     /// Panes that emit evenly.
     Panes,
-    /// Openings onto an environment.
+    /// Openings onto an environment map.
     Open,
 }
 
-/// The switches of one kind of room. Strengths are relative: exposure is set later from what cameras see.
+/// Style of a room. Strengths are relative, because exposure is set later from rendered views.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Style {
-    /// The windows.
+    /// Emission of the windows.
     pub(crate) windows: Windows,
     /// Radiance of the panes.
     pub(crate) daylight: Vec3,
-    /// Intensities (radiance × projected area) of the floor, ceiling and table lamp; zero leaves a lamp unlit.
+    /// Intensities (radiance × projected area) of floor, ceiling and table lamp.
+    ///
+    /// Zero leaves a lamp unlit.
     pub(crate) lamps: [Vec3; 3],
-    /// Scale of the dielectric reflectance; zero also turns metals into paint.
+    /// Scale of the dielectric reflectance. Zero also turns metals into dielectrics.
     pub(crate) specular: f32,
-    /// Mirror on the wall, glossy floor, chrome.
+    /// Enables a mirror on the wall, a glossy floor and polished metal.
     pub(crate) polished: bool,
 }
 
 impl Style {
-    /// The switches of a named room.
+    /// Returns the style of a named room.
     pub(crate) fn of(name: SceneName) -> Self {
         let day = Self {
             windows: Windows::Panes,

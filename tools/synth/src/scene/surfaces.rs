@@ -1,4 +1,4 @@
-//! Triangles with attributes behind a bounding-volume hierarchy.
+//! Triangles with attributes and a bounding-volume hierarchy.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use obvhs::ray::{Ray, RayHit};
 use obvhs::rt_triangle::RtTriangle;
 use obvhs::triangle::Triangle;
 
-/// What a triangle carries besides its corners.
+/// Attributes of a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Attributes {
     /// Unit normals at the corners.
@@ -23,7 +23,7 @@ pub(crate) struct Attributes {
     pub(crate) instance: u16,
 }
 
-/// One meeting of a ray with a triangle.
+/// Intersection of a ray with a triangle.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SurfaceHit {
     /// Distance along the ray.
@@ -32,7 +32,7 @@ pub(crate) struct SurfaceHit {
     pub(crate) triangle: usize,
 }
 
-/// A point on a surface, oriented towards whoever looks at it.
+/// Point on a surface, oriented towards the viewer.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SurfacePoint {
     /// World position.
@@ -61,19 +61,19 @@ impl Surfaces {
     pub(crate) fn new(triangles: &[Triangle], attributes: &[Attributes]) -> Self {
         let mut elapsed = Duration::ZERO;
         let bvh = build_cwbvh_from_tris(triangles, BvhBuildParams::slow_build(), &mut elapsed);
-        // The hierarchy may hold primitives in its own order: storing triangles the same way saves an indirection.
+        // Storing triangles in the hierarchy's primitive order saves an indirection.
         let order = bvh.primitive_indices.iter().map(|i| *i as usize);
         let corners = order.clone().map(|i| RtTriangle::from(&triangles[i])).collect();
         let attributes = order.map(|i| attributes[i]).collect();
         Self { bvh, corners, attributes }
     }
 
-    /// How many triangles there are.
+    /// Returns the number of triangles.
     pub(crate) fn len(&self) -> usize {
         self.corners.len()
     }
 
-    /// The nearest triangle before `limit`.
+    /// Returns the nearest intersection before `limit`.
     pub(crate) fn closest(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<SurfaceHit> {
         let ray = Ray::new(Vec3A::from(origin), Vec3A::from(direction), 0.0, limit);
         let mut hit = RayHit::none();
@@ -81,13 +81,13 @@ impl Surfaces {
         (hit.t < limit).then_some(SurfaceHit { distance: hit.t, triangle: hit.primitive_id as usize })
     }
 
-    /// Whether anything lies before `limit`.
+    /// Returns true if a triangle lies before `limit`.
     pub(crate) fn occluded(&self, origin: Vec3, direction: Vec3, limit: f32) -> bool {
         let ray = Ray::new(Vec3A::from(origin), Vec3A::from(direction), 0.0, limit);
         !self.bvh.ray_traverse_miss(ray, |ray, id| self.corners[id].intersect(ray))
     }
 
-    /// The point where a ray met a triangle.
+    /// Returns the surface point of an intersection.
     pub(crate) fn point(&self, origin: Vec3, direction: Vec3, hit: SurfaceHit) -> SurfacePoint {
         let corners = &self.corners[hit.triangle];
         let attributes = &self.attributes[hit.triangle];

@@ -1,7 +1,7 @@
 //! Procedural albedo: a color for every texture coordinate.
 //!
-//! Coordinates are meters on the surface unless a pattern says otherwise. Details are kept a few centimeters wide so
-//! that they survive at the resolutions the rooms are rendered at; anything finer would only be noise to a trainer.
+//! Coordinates are meters on the surface unless a pattern states otherwise. Details are a few centimeters wide, so that
+//! they survive at the resolution of the rendered views. Finer detail would act as noise in training.
 
 use std::f32::consts::TAU;
 
@@ -10,12 +10,12 @@ use glam::{IVec2, Vec2, Vec3};
 use crate::noise::{cell, cell_bits, fractal, smoothstep, value};
 use crate::scene::painting;
 
-/// A pattern with its colors (linear) and sizes.
+/// Pattern with its colors (linear) and sizes.
 #[derive(Debug, Clone)]
 pub(crate) enum Texture {
-    /// One color.
+    /// Single color.
     Solid(Vec3),
-    /// One color with soft, slow stains, as paint on plaster.
+    /// Single color with soft, slow stains, like paint on plaster.
     Plaster { color: Vec3, amount: f32, seed: u32 },
     /// Floor boards along the first coordinate.
     Planks { light: Vec3, dark: Vec3, width: f32, length: f32, seed: u32 },
@@ -29,20 +29,20 @@ pub(crate) enum Texture {
     Stripes { first: Vec3, second: Vec3, width: f32 },
     /// Wallpaper with a lattice of leaves.
     Wallpaper { ground: Vec3, figure: Vec3, size: f32 },
-    /// A carpet with borders and medallions; coordinates are centered on it.
+    /// Carpet with borders and a repeated pattern. The coordinates are centered.
     Rug { colors: [Vec3; 4], half: Vec2, seed: u32 },
-    /// A picture; coordinates run over the unit square.
+    /// Wall picture. Coordinates cover the unit square.
     Painting { colors: [Vec3; 5], seed: u32 },
     /// Veined stone.
     Marble { ground: Vec3, vein: Vec3, size: f32, seed: u32 },
-    /// A book's spine: bands across the second coordinate, which is centered.
+    /// Book spine: bands across the second coordinate, which is centered.
     Spine { cover: Vec3, band: Vec3, at: f32, width: f32 },
-    /// A leaf: lighter along its middle; first coordinate across (−1 to 1), second along.
+    /// Leaf with a lighter rib along its middle. First coordinate across (−1 to 1), second along.
     Leaf { color: Vec3, rib: Vec3 },
 }
 
 impl Texture {
-    /// The linear color at a coordinate.
+    /// Returns the linear color at a coordinate.
     pub(crate) fn color(&self, uv: Vec2) -> Vec3 {
         match *self {
             Self::Solid(color) => color,
@@ -86,7 +86,7 @@ impl Texture {
     }
 }
 
-/// How dark the grain of wood is, in [0, 1].
+/// Returns the darkness of wood grain, in [0, 1].
 fn grain(uv: Vec2, seed: u32) -> f32 {
     let stretched = Vec2::new(uv.x * 1.6, uv.y * 14.0);
     let wave = fractal(stretched, 3, seed);
@@ -96,7 +96,7 @@ fn grain(uv: Vec2, seed: u32) -> f32 {
 
 fn planks(uv: Vec2, light: Vec3, dark: Vec3, width: f32, length: f32, seed: u32) -> Vec3 {
     let row = (uv.y / width).floor();
-    // Neighboring rows are shifted against each other so that the ends do not line up.
+    // Each row gets its own offset, so that the ends of boards do not align.
     let along = uv.x / length + cell(IVec2::new(row as i32, 11), seed);
     let board = along.floor();
     let id = IVec2::new(board as i32, row as i32);
@@ -123,7 +123,7 @@ fn tiles(q: Vec2, first: Vec3, second: Vec3, grout: Vec3, gap: f32, seed: u32) -
     (checker * (0.88 + 0.24 * cloud)).lerp(grout, edge)
 }
 
-/// Coverage of a lattice of four-leaved figures.
+/// Returns the coverage of a lattice of four-leaved figures.
 fn leaves(q: Vec2) -> f32 {
     let shift = if (q.y.floor() as i32).rem_euclid(2) == 0 { 0.0 } else { 0.5 };
     let f = Vec2::new((q.x + shift).rem_euclid(1.0), q.y.rem_euclid(1.0)) - Vec2::splat(0.5);
@@ -141,7 +141,7 @@ fn rug(uv: Vec2, colors: &[Vec3; 4], half: Vec2, seed: u32) -> Vec3 {
     let color = if inset < 0.05 {
         colors[1]
     } else if inset < 0.20 {
-        // A band of triangles runs around the field.
+        // A band of triangles surrounds the field.
         let along = if half.x - uv.x.abs() < half.y - uv.y.abs() { uv.y } else { uv.x };
         let tooth = ((along / 0.15).rem_euclid(1.0) - 0.5).abs() * 2.0;
         if (inset - 0.05) / 0.15 > tooth { colors[0] } else { colors[2] }
@@ -153,7 +153,7 @@ fn rug(uv: Vec2, colors: &[Vec3; 4], half: Vec2, seed: u32) -> Vec3 {
     color * pile
 }
 
-/// The middle of a rug: one of three repeats.
+/// Returns the color of a rug's field: one of three repeats.
 fn field(uv: Vec2, colors: &[Vec3; 4], seed: u32) -> Vec3 {
     match seed % 3 {
         0 => {

@@ -1,14 +1,14 @@
-//! Color schemes: a room's paints, woods and fabrics that go together.
+//! Color schemes: matching paints, woods and fabrics of a room.
 
 use glam::Vec3;
 
 use crate::color::hex;
 use crate::rng::Rng;
 
-/// The colors of one room, linear.
+/// Colors of one room, linear.
 #[derive(Debug, Clone)]
 pub(crate) struct Theme {
-    /// Three walls.
+    /// Walls without pattern.
     pub(crate) wall: Vec3,
     /// Ground and figure of the papered wall.
     pub(crate) paper: [Vec3; 2],
@@ -24,7 +24,7 @@ pub(crate) struct Theme {
     pub(crate) rug: [Vec3; 4],
     /// Cushions, curtains, ceramics.
     pub(crate) accents: [Vec3; 4],
-    /// Picture inks.
+    /// Inks of wall pictures.
     pub(crate) inks: [Vec3; 5],
     /// Brass, copper or steel.
     pub(crate) metal: Vec3,
@@ -120,7 +120,7 @@ const PALETTES: [Palette; 6] = [
 ];
 
 impl Theme {
-    /// A scheme chosen by the stream, its colors slightly shifted so that no two rooms are alike.
+    /// Chooses a scheme and shifts its colors slightly at random.
     pub(crate) fn choose(rng: &mut Rng) -> Self {
         let palette = rng.pick(&PALETTES);
         let mut tint = |rgb: u32, amount: f32| {

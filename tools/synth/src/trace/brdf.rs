@@ -1,7 +1,8 @@
-//! The reflectance model: Lambert plus GGX with height-correlated Smith shadowing and Schlick's Fresnel term.
+//! BRDF: Lambert plus GGX.
 //!
-//! alpha = roughness², F0 = 0.04 for dielectrics and the base color for metals, F90 = min(1, 25 · luminance(F0)).
-//! Everything here works in the world frame with unit vectors that point away from the surface.
+//! Shadowing is height-correlated Smith; Fresnel is Schlick's term. alpha = roughness². F0 = 0.04 for dielectrics and
+//! the base color for metals. F90 = min(1, 25 · luminance(F0)). All vectors are in world space, have unit length and
+//! point away from the surface.
 
 use std::f32::consts::PI;
 
@@ -10,10 +11,10 @@ use glam::{Vec2, Vec3};
 use crate::color::luminance;
 use crate::scene::material::Reflectance;
 
-/// Below this, highlights are narrower than single precision resolves.
+/// Lower bound of alpha: narrower highlights exceed single precision.
 const ALPHA_MIN: f32 = 2e-3;
 
-/// A surface seen from one direction, ready to be evaluated for others.
+/// BRDF at a surface point for a fixed view direction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Brdf {
     normal: Vec3,
@@ -27,19 +28,19 @@ pub(crate) struct Brdf {
     choice: f32,
 }
 
-/// Both lobes for one direction, already multiplied by the cosine, and the probability of sampling it.
+/// Both lobes for one direction, including the cosine, and its sampling density.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Lobes {
-    /// Diffuse part.
+    /// Diffuse lobe.
     pub(crate) diffuse: Vec3,
-    /// Specular part.
+    /// Specular lobe.
     pub(crate) specular: Vec3,
-    /// Probability per solid angle of [`Brdf::sample`] choosing the direction.
+    /// Probability density per solid angle of [`Brdf::sample`].
     pub(crate) pdf: f32,
 }
 
 impl Lobes {
-    /// Both parts together.
+    /// Returns the sum of both lobes.
     pub(crate) fn total(&self) -> Vec3 {
         self.diffuse + self.specular
     }
@@ -72,7 +73,7 @@ impl Brdf {
         }
     }
 
-    /// Both lobes for a direction.
+    /// Evaluates both lobes for a direction.
     pub(crate) fn eval(&self, light: Vec3) -> Lobes {
         let nl = self.normal.dot(light);
         if nl <= 1e-6 {
@@ -96,21 +97,21 @@ impl Brdf {
         Lobes { diffuse, specular: fresnel * (d * v * nl), pdf: diffuse_pdf + self.choice * d / (2.0 * (self.nv + sv)) }
     }
 
-    /// √(α² + (1 − α²) x²).
+    /// Returns √(α² + (1 − α²) x²).
     fn smith(&self, x: f32) -> f32 {
         let a2 = self.alpha * self.alpha;
         (a2 + (1.0 - a2) * x * x).sqrt()
     }
 
-    /// Chooses a direction; none when it would point into the surface.
+    /// Samples a direction. Returns none if the direction points into the surface.
     pub(crate) fn sample(&self, lobe: f32, random: Vec2) -> Option<(Vec3, Lobes)> {
         let (side, up) = self.normal.any_orthonormal_pair();
         let (sin, cos) = (2.0 * PI * random.x).sin_cos();
         let direction = if lobe < self.choice {
             let to_local = |w: Vec3| Vec3::new(w.dot(side), w.dot(up), w.dot(self.normal));
             let view = to_local(self.view);
-            // Visible normals: stretch the view to the unit-roughness configuration, take a uniform point of the
-            // spherical cap that is seen from there, and shrink back.
+            // Samples visible normals: stretch the view to unit roughness, take a uniform point of the spherical cap
+            // visible from there, and transform back.
             let stretched = Vec3::new(self.alpha * view.x, self.alpha * view.y, view.z).normalize();
             let z = (1.0 - random.y) * (1.0 + stretched.z) - stretched.z;
             let r = (1.0 - z * z).max(0.0).sqrt();
@@ -138,7 +139,7 @@ mod tests {
         Reflectance { albedo: Vec3::splat(albedo), roughness, metallic, specular: 1.0 }
     }
 
-    /// Energy reflected from a view angle: by sampling, and by a grid over the hemisphere.
+    /// Returns the reflected energy of a view angle, sampled and by a hemisphere grid.
     fn albedos(brdf: &Brdf) -> (f32, f32) {
         let mut rng = Rng::new(&[5]);
         let n = 20_000;
@@ -161,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn sampling_agrees_with_integration_and_never_creates_energy() {
+    fn sampling_matches_integration_and_conserves_energy() {
         for roughness in [0.35, 0.6, 1.0] {
             for metallic in [0.0, 1.0] {
                 for view in [0.3f32, 0.9] {
@@ -179,8 +180,8 @@ mod tests {
     }
 
     #[test]
-    fn the_roughest_metal_has_a_closed_form() {
-        // At alpha = 1 the distribution is flat and the albedo is 1 − x ln((1 + x) / x), x the cosine of the view.
+    fn albedo_of_roughest_metal_matches_closed_form() {
+        // At alpha = 1 the distribution is flat and the albedo is 1 − x ln((1 + x) / x), with x the cosine of the view.
         for x in [0.3f32, 0.9] {
             let v = Vec3::new((1.0 - x * x).sqrt(), 0.0, x);
             let brdf = Brdf::new(&reflectance(1.0, 1.0, 1.0), Vec3::Z, v);
@@ -191,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn smooth_metal_reflects_everything() {
+    fn smooth_white_metal_has_albedo_one() {
         let v = Vec3::new(0.6, 0.0, 0.8);
         let brdf = Brdf::new(&reflectance(1.0, 0.06, 1.0), Vec3::Z, v);
         let (sampled, _) = albedos(&brdf);
@@ -199,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn reciprocal() {
+    fn brdf_is_reciprocal() {
         let (a, b) = (Vec3::new(0.5, 0.2, 0.7).normalize(), Vec3::new(-0.6, 0.1, 0.4).normalize());
         let r = reflectance(0.5, 0.3, 0.3);
         let there = Brdf::new(&r, Vec3::Z, a).eval(b).total() / b.z;

@@ -1,7 +1,7 @@
-//! A pinhole camera.
+//! Pinhole camera.
 //!
-//! Kept as an OpenGL camera-to-world matrix (x right, y up, looking along −z) because that is what is written;
-//! pixel coordinates have their origin at the top left corner, pixel centers at half-integers.
+//! The pose is an OpenGL camera-to-world transform (x right, y up, viewing along −z), as written to files. Pixel
+//! coordinates have their origin at the top left corner. Pixel centers lie at half-integers.
 
 use glam::{Mat3, Mat4, Vec2, Vec3};
 
@@ -21,7 +21,9 @@ pub(crate) struct Camera {
 }
 
 impl Camera {
-    /// A camera at `position` that looks at `target`, turned around its axis by `roll`.
+    /// Creates a camera at `position` that looks at `target`.
+    ///
+    /// `roll` turns the camera around its viewing axis, in radians. `fov_x` is the horizontal field of view in radians.
     pub(crate) fn look(position: Vec3, target: Vec3, roll: f32, fov_x: f32, width: usize, height: usize) -> Self {
         let back = (position - target).normalize_or(Vec3::Z);
         let right = Vec3::Y.cross(back).normalize_or(Vec3::X);
@@ -36,24 +38,25 @@ impl Camera {
         }
     }
 
-    /// The same camera with another resolution.
+    /// Returns the camera with another resolution.
     pub(crate) fn resized(&self, width: usize, height: usize) -> Self {
         Self { focal: self.focal * width as f32 / self.width as f32, width, height, ..*self }
     }
 
-    /// The principal point.
+    /// Returns the principal point.
     pub(crate) fn center(&self) -> Vec2 {
         Vec2::new(0.5 * self.width as f32, 0.5 * self.height as f32)
     }
 
-    /// Unit direction through a place in the image.
+    /// Returns the unit direction through a point of the image.
     pub(crate) fn direction(&self, pixel: Vec2) -> Vec3 {
         let p = (pixel - self.center()) / self.focal;
         (self.axes * Vec3::new(p.x, -p.y, -1.0)).normalize()
     }
 
-    /// Where a world point appears, with its depth along the viewing axis; none when it lies behind the camera or
-    /// outside the image.
+    /// Projects a world point. Returns its pixel and its depth along the viewing axis.
+    ///
+    /// Returns none for a point behind the camera or outside the image.
     pub(crate) fn project(&self, world: Vec3) -> Option<(Vec2, f32)> {
         let local = self.axes.transpose() * (world - self.position);
         let depth = -local.z;
@@ -65,17 +68,17 @@ impl Camera {
         inside.then_some((pixel, depth))
     }
 
-    /// Depth along the viewing axis of a point at `distance` along a unit direction.
+    /// Returns the depth along the viewing axis at `distance` along a unit direction.
     pub(crate) fn depth(&self, direction: Vec3, distance: f32) -> f32 {
         -distance * direction.dot(self.axes.z_axis)
     }
 
-    /// A world vector in the camera's OpenGL axes.
+    /// Rotates a world vector into the camera's OpenGL axes.
     pub(crate) fn local(&self, vector: Vec3) -> Vec3 {
         self.axes.transpose() * vector
     }
 
-    /// The camera-to-world matrix.
+    /// Returns the camera-to-world matrix.
     pub(crate) fn matrix(&self) -> Mat4 {
         Mat4::from_cols(
             self.axes.x_axis.extend(0.0),
@@ -91,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn projecting_undoes_the_direction() {
+    fn projection_inverts_direction() {
         let camera = Camera::look(Vec3::new(1.0, 1.5, 2.0), Vec3::new(-0.3, 0.7, -0.4), 0.05, 1.2, 160, 120);
         for pixel in [Vec2::new(0.5, 0.5), Vec2::new(133.2, 17.9)] {
             let direction = camera.direction(pixel);
@@ -102,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn right_and_up_in_the_image_are_right_and_up_in_the_world() {
+    fn image_right_and_up_match_world_right_and_up() {
         let camera = Camera::look(Vec3::new(0.0, 1.0, 3.0), Vec3::Y, 0.0, 1.2, 100, 100);
         let (right, _) = camera.project(Vec3::new(0.5, 1.0, 0.0)).unwrap();
         let (up, _) = camera.project(Vec3::new(0.0, 1.5, 0.0)).unwrap();

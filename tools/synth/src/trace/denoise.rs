@@ -1,8 +1,8 @@
-//! From a noisy film to clean images.
+//! Denoiser: clean images from a noisy film.
 //!
-//! Diffuse radiance is divided by the diffuse albedo before filtering and multiplied after it, so that texture is
-//! never blurred; specular radiance is filtered on its own, over smaller distances the smoother the surface; lights
-//! seen directly are not filtered at all.
+//! Diffuse radiance is divided by the diffuse albedo before filtering and multiplied by it afterwards, so texture is
+//! not blurred. Specular radiance is filtered separately, over smaller distances for smoother surfaces. Directly
+//! visible lights are not filtered.
 
 use glam::Vec3;
 
@@ -10,21 +10,23 @@ use crate::scene::MAX_GROUPS;
 use crate::trace::film::Film;
 use crate::trace::filter::{Estimate, Guide, MAX_PASSES, Strictness, filter};
 
-/// A linear image, rows from the top.
+/// Linear image, rows from the top.
 pub(crate) type Image = Vec<Vec3>;
 
 const DIFFUSE: Strictness = Strictness { brightness: 3.0, normal: 48.0, plane: 1.0 };
 
 const SPECULAR: Strictness = Strictness { brightness: 2.5, normal: 96.0, plane: 1.0 };
 
-/// The image under weights for each light group (in the colors of the scene's lights).
+/// Returns the image under a weight for each light group.
+///
+/// Weights multiply the colors of the scene's lights.
 pub(crate) fn image(film: &Film, footprint: f32, weights: &[Vec3; MAX_GROUPS], denoise: bool) -> Image {
     let mix = |groups: &[Vec3; MAX_GROUPS]| -> Vec3 { groups.iter().zip(weights).map(|(c, w)| *c * *w).sum() };
     if !denoise {
         let plain = |p: &crate::trace::film::Pixel| mix(&p.diffuse) + mix(&p.specular) + mix(&p.emitted);
         return film.pixels.iter().map(plain).collect();
     }
-    // Relit weights change the noise as they change the light: variances follow the brightness.
+    // Relighting weights scale the noise too: variances get the square of the largest weight.
     let bright = weights.iter().map(|w| w.max_element()).fold(0.0, f32::max);
     let diffuse: Vec<Estimate> = film
         .pixels

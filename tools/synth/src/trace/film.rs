@@ -1,4 +1,4 @@
-//! What rendering one view leaves behind, pixel by pixel in rows from the top.
+//! Film of one view: per-pixel results in rows from the top.
 
 use glam::{Vec2, Vec3};
 
@@ -6,49 +6,51 @@ use crate::scene::{MAX_GROUPS, Scene};
 use crate::trace::camera::Camera;
 use crate::trace::scene::Hit;
 
-/// Averages over a pixel's samples.
+/// Means over a pixel's samples.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Pixel {
     /// Diffusely reflected radiance by light group.
     pub(crate) diffuse: [Vec3; MAX_GROUPS],
     /// Specularly reflected radiance by light group.
     pub(crate) specular: [Vec3; MAX_GROUPS],
-    /// Radiance of lights seen directly, by light group.
+    /// Radiance of directly visible lights, by light group.
     pub(crate) emitted: [Vec3; MAX_GROUPS],
-    /// Diffuse albedo over all samples, lights counting as black: what diffuse radiance is divided by.
+    /// Diffuse albedo over all samples, with lights as black; divisor of diffuse radiance.
     pub(crate) diffuse_albedo: Vec3,
-    /// Base color over the samples that met a surface.
+    /// Base color over the samples that hit a surface.
     pub(crate) albedo: Vec3,
-    /// Roughness over the samples that met a surface.
+    /// Roughness over the samples that hit a surface.
     pub(crate) roughness: f32,
-    /// Metallic over the samples that met a surface.
+    /// Metallic over the samples that hit a surface.
     pub(crate) metallic: f32,
-    /// Variance of the mean of the diffuse luminance, all groups together.
+    /// Variance of the mean of the diffuse luminance, over all groups together.
+    ///
+    /// Luminance is that of radiance divided by the diffuse albedo.
     pub(crate) diffuse_variance: f32,
     /// Variance of the mean of the specular luminance.
     pub(crate) specular_variance: f32,
 }
 
-/// What lies behind a pixel's center.
+/// Geometry at a pixel's center.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Feature {
-    /// World position; the origin where nothing was met.
+    /// World position; the origin where the ray hit nothing.
     pub(crate) position: Vec3,
-    /// World normal, unit, towards the camera; zero where no surface was met.
+    /// Unit world normal, towards the camera on surfaces; zero where the ray hit nothing.
     pub(crate) normal: Vec3,
-    /// Depth along the viewing axis; zero where nothing was met.
+    /// Depth along the viewing axis; zero where the ray hit nothing.
     pub(crate) depth: f32,
-    /// Instance id; zero where nothing was met.
+    /// Instance id; zero where the ray hit nothing.
     pub(crate) instance: u16,
     /// Class id.
     pub(crate) class: u16,
-    /// Whether a reflecting surface was met, not a light.
+    /// True for a reflecting surface, false for a light or a miss.
     pub(crate) surface: bool,
     /// Roughness at the center.
     pub(crate) roughness: f32,
 }
 
-/// One rendered view.
+/// Rendered view.
 pub(crate) struct Film {
     /// Width in pixels.
     pub(crate) width: usize,
@@ -60,7 +62,7 @@ pub(crate) struct Film {
     pub(crate) features: Vec<Feature>,
 }
 
-/// What a ray through a place in the image meets.
+/// Returns the geometry at a point of the image.
 pub(crate) fn feature(scene: &Scene, camera: &Camera, pixel: Vec2) -> Feature {
     let direction = camera.direction(pixel);
     let class = |instance: u16| scene.instances[instance as usize].class;

@@ -1,8 +1,8 @@
-//! An edge-avoiding à-trous filter over one color channel set.
+//! Edge-avoiding à-trous filter of a color with variance.
 //!
-//! Five passes of a 5×5 kernel with growing gaps average over up to 125 pixels across, but only over pixels that lie
-//! on the same surface (plane and normal) and whose brightness differs by no more than the noise explains. The noise
-//! estimate is filtered along, so that later passes become more careful.
+//! Five passes of a 5×5 kernel with growing gaps average over up to 125 pixels across. Only pixels of the same surface
+//! (plane and normal) contribute, and only if the noise explains their brightness difference. The filter also updates
+//! the noise estimate, so later passes accept smaller differences.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -10,16 +10,16 @@ use rayon::prelude::*;
 use crate::color::luminance;
 use crate::trace::film::Feature;
 
-/// A color and the variance of its luminance.
+/// Color and the variance of its luminance.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Estimate {
-    /// The color.
+    /// Color.
     pub(crate) color: Vec3,
-    /// Variance of its luminance.
+    /// Variance of the luminance.
     pub(crate) variance: f32,
 }
 
-/// How strictly neighbors are compared.
+/// Tolerances for the comparison of neighbors.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Strictness {
     /// Accepted brightness difference in standard deviations.
@@ -30,7 +30,7 @@ pub(crate) struct Strictness {
     pub(crate) plane: f32,
 }
 
-/// Everything that decides which neighbors count.
+/// Inputs that decide which neighbors contribute.
 pub(crate) struct Guide<'a> {
     /// Image width.
     pub(crate) width: usize,
@@ -40,12 +40,14 @@ pub(crate) struct Guide<'a> {
     pub(crate) features: &'a [Feature],
     /// Size of a pixel at unit depth.
     pub(crate) footprint: f32,
-    /// How many passes each pixel takes part in.
+    /// Number of filter passes by pixel.
     pub(crate) passes: &'a [u8],
 }
 
 impl Guide<'_> {
-    /// Visits the pixels of a 5×5 kernel with gaps of `step` that lie in the image, with the kernel's weight.
+    /// Visits the in-image pixels of a 5×5 kernel with gaps of `step`.
+    ///
+    /// `visit` receives a pixel's index and the kernel's weight.
     fn window(&self, index: usize, step: i32, mut visit: impl FnMut(usize, f32)) {
         let (w, h) = (self.width as i32, self.height as i32);
         let (x, y) = (index as i32 % w, index as i32 / w);
@@ -64,10 +66,10 @@ impl Guide<'_> {
 /// Binomial weights by distance.
 const KERNEL: [f32; 3] = [0.375, 0.25, 0.0625];
 
-/// Most passes a pixel can take part in.
+/// Largest number of passes for a pixel.
 pub(crate) const MAX_PASSES: u8 = 5;
 
-/// Filters estimates in place of their noise.
+/// Filters the estimates of an image.
 pub(crate) fn filter(mut image: Vec<Estimate>, guide: &Guide<'_>, strictness: &Strictness) -> Vec<Estimate> {
     for pass in 0..MAX_PASSES {
         let smooth = smooth_variance(&image, guide);
@@ -85,7 +87,7 @@ pub(crate) fn filter(mut image: Vec<Estimate>, guide: &Guide<'_>, strictness: &S
     image
 }
 
-/// One pixel of one pass.
+/// Computes one pixel of one pass.
 fn average(
     image: &[Estimate],
     smooth: &[f32],
@@ -97,7 +99,8 @@ fn average(
     let here = &guide.features[index];
     let own = luminance(image[index].color);
     let noise = smooth[index].max(0.0).sqrt();
-    // A little difference is always accepted: nobody sees it, and dark pixels may have met no light at all.
+    // A small difference is always accepted: it is invisible, and the samples of a dark pixel may have missed all
+    // light.
     let brightness = 1.0 / (strictness.brightness * noise + 1e-4 + 0.004 * own);
     let plane = 1.0 / (strictness.plane * guide.footprint * here.depth * step as f32 + 1e-4);
     let (mut color, mut variance, mut total) = (Vec3::ZERO, 0.0, 0.0);
@@ -108,7 +111,7 @@ fn average(
         }
         let mut weight = kernel;
         if other != index {
-            // Either plane may tell the two apart: at a step only one of them does.
+            // Both planes are tested, because at a step only one of them separates the two pixels.
             let between = there.position - here.position;
             let off = here.normal.dot(between).abs().max(there.normal.dot(between).abs());
             let difference = (luminance(image[other].color) - own).abs();
@@ -123,7 +126,9 @@ fn average(
     Estimate { color: color / total, variance: variance / (total * total) }
 }
 
-/// Variances are noisy themselves: a 5×5 mean over neighbors of the same orientation steadies them.
+/// Smooths variances, which are noisy, by a 5×5 mean.
+///
+/// Neighbors of another orientation have a weight of 0.02.
 fn smooth_variance(image: &[Estimate], guide: &Guide<'_>) -> Vec<f32> {
     (0..image.len())
         .into_par_iter()

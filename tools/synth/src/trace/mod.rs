@@ -1,6 +1,6 @@
-//! Light transport: from a scene and a camera to noisy radiance with the features that describe it.
+//! Light transport: noisy radiance and geometric features from a scene and a camera.
 //!
-//! [`path`] follows one path, [`render`] spends samples on pixels, [`denoise`] removes the noise that is left.
+//! [`path`] traces one path, [`render`] distributes samples over pixels, [`denoise`] removes the remaining noise.
 
 pub(crate) mod brdf;
 pub(crate) mod camera;

@@ -1,8 +1,8 @@
-//! One light path: next-event estimation at every surface, combined with reflected rays by multiple importance
-//! sampling.
+//! Path tracing with next-event estimation at every surface.
 //!
-//! The result keeps the first surface's diffuse and specular reflection apart (they are denoised differently) and
-//! every light group apart (so that other lightings are sums of the same paths).
+//! Multiple importance sampling combines light samples with BRDF samples. The result separates the first surface's
+//! diffuse and specular reflection, because they are denoised differently. It also separates light groups, so that
+//! other lightings are weighted sums of the same paths.
 
 use glam::Vec3;
 
@@ -13,14 +13,14 @@ use crate::trace::brdf::Brdf;
 use crate::trace::sampler::Sampler;
 use crate::trace::scene::Hit;
 
-/// How paths are followed.
+/// Options of path tracing.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PathOptions {
-    /// Surfaces visited at most.
+    /// Largest number of surfaces on a path.
     pub(crate) bounces: usize,
-    /// Whether lights are chosen and tested directly; without it they are only run into. For tests.
+    /// Enables light sampling. Without it only BRDF samples find lights; for tests.
     pub(crate) next_event: bool,
-    /// Largest radiance that one indirect event may add; infinity keeps the estimate unbiased.
+    /// Largest radiance of one indirect contribution. Infinity keeps the estimate unbiased.
     pub(crate) clamp: f32,
 }
 
@@ -30,34 +30,34 @@ impl Default for PathOptions {
     }
 }
 
-/// What a ray from the camera sees first.
+/// First intersection of a camera ray.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sight {
-    /// What the surface is made of; none where a light or nothing was seen.
+    /// Reflectance of the surface; none for a light or a miss.
     pub(crate) surface: Option<Reflectance>,
-    /// Radiance of a light seen directly.
+    /// Radiance of a directly visible light, or of the background.
     pub(crate) emitted: Vec3,
-    /// The light's group.
+    /// Group of the light.
     pub(crate) group: usize,
-    /// The instance; zero where nothing was seen.
+    /// Instance id; zero for a miss.
     pub(crate) instance: u16,
-    /// Its normal, with lights counting as flat.
+    /// Surface normal; the reversed ray direction for a light.
     pub(crate) normal: Vec3,
 }
 
-/// What one path brought by way of reflection, for each light group.
+/// Reflected radiance of one path, for each light group.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct PathSample {
-    /// Radiance by way of the first surface's diffuse lobe.
+    /// Radiance through the first surface's diffuse lobe.
     pub(crate) diffuse: [Vec3; MAX_GROUPS],
-    /// Radiance by way of the first surface's specular lobe.
+    /// Radiance through the first surface's specular lobe.
     pub(crate) specular: [Vec3; MAX_GROUPS],
 }
 
-/// Distance by which new rays start off the surface.
+/// Distance of new ray origins from the surface.
 const OFFSET: f32 = 1e-4;
 
-/// What a ray from the camera sees, and the surface point if there is one.
+/// Returns the first intersection of a camera ray, and its surface point if any.
 pub(crate) fn look(scene: &Scene, origin: Vec3, direction: Vec3) -> (Sight, Option<SurfacePoint>) {
     let mut sight = Sight::default();
     match scene.hit(origin, direction) {
@@ -85,7 +85,7 @@ pub(crate) fn look(scene: &Scene, origin: Vec3, direction: Vec3) -> (Sight, Opti
     }
 }
 
-/// Follows one path from the camera.
+/// Traces one path from the camera.
 pub(crate) fn trace(
     scene: &Scene,
     origin: Vec3,
@@ -100,7 +100,7 @@ pub(crate) fn trace(
     };
     let mut point = first;
     let mut view = -direction;
-    // Reflectance of the first surface by lobe; what arrives there is gathered in `incoming` and multiplied at the end.
+    // Reflectance of the first surface by lobe. `incoming` sums its incident radiance; the product is taken at the end.
     let (mut first_diffuse, mut first_specular) = (Vec3::ZERO, Vec3::ZERO);
     let mut incoming = [Vec3::ZERO; MAX_GROUPS];
     let mut throughput = Vec3::ONE;
@@ -172,7 +172,7 @@ pub(crate) fn trace(
     (sight, out)
 }
 
-/// The light group, the weighed radiance and the two lobes of one directly sampled light.
+/// Samples one light. Returns its group, the weighted radiance and the two lobes.
 fn direct(
     scene: &Scene,
     point: &SurfacePoint,
@@ -197,7 +197,7 @@ fn direct(
     Some((light.group, radiance, (lobes.diffuse, lobes.specular)))
 }
 
-/// The weight of a technique with probability `own` when another has probability `other`.
+/// Returns the power-heuristic weight of density `own` against density `other`.
 fn heuristic(own: f32, other: f32) -> f32 {
     let ratio = other / own;
     1.0 / (1.0 + ratio * ratio)

@@ -1,7 +1,7 @@
-//! Spends samples on pixels.
+//! Distribution of samples over pixels.
 //!
-//! Rows are rendered in parallel; every sample's random numbers depend on (key, pixel, sample) alone and sums are
-//! taken in a fixed order, so the result is the same for any number of threads.
+//! Rows are rendered in parallel. Random numbers of a sample depend on (key, pixel, sample) alone, and sums have a
+//! fixed order. The result is therefore the same for any number of threads.
 
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -14,7 +14,9 @@ use crate::trace::film::{Feature, Film, Pixel, feature};
 use crate::trace::path::{PathOptions, Sight, look, trace};
 use crate::trace::sampler::Sampler;
 
-/// Renders one view with `samples` paths a pixel; `row_done` is called once for every finished row.
+/// Renders one view with `samples` paths per pixel or more.
+///
+/// Calls `row_done` once for every finished row.
 pub(crate) fn render(
     scene: &Scene,
     camera: &Camera,
@@ -41,14 +43,19 @@ pub(crate) fn render(
     Film { width: camera.width, height: camera.height, pixels, features }
 }
 
-/// How many times more paths a pixel gets where several surfaces meet: denoising finds no neighbors to average over
-/// there.
+/// Factor on the paths of a pixel that covers several surfaces.
+///
+/// Denoising finds no neighbors to average over there.
 const EDGE: usize = 2;
 
-/// How many times more paths a pixel gets where a mirror is seen: what it reflects cannot be told from noise.
+/// Factor on the paths of a pixel that shows a mirror.
+///
+/// The denoiser cannot separate a reflected image from noise.
 const POLISHED: usize = 4;
 
-/// Rays without bounces that such a pixel gets besides: how much of it is covered by what matters most there.
+/// Number of additional primary rays of a pixel that covers several surfaces.
+///
+/// They measure the fraction of the pixel that each surface covers.
 const COVERAGE: usize = 256;
 
 /// First and second moments of a luminance.
@@ -61,14 +68,14 @@ impl Moments {
         self.1 += value * value;
     }
 
-    /// Variance of the mean of `n` values.
+    /// Returns the variance of the mean of `n` values.
     fn variance(self, n: f32) -> f32 {
         let mean = self.0 / n;
         (self.1 / n - mean * mean).max(0.0) / n
     }
 }
 
-/// What a pixel is covered by: averages over primary rays.
+/// Coverage of a pixel: sums over primary rays.
 #[derive(Default)]
 struct Coverage {
     rays: f32,
@@ -93,13 +100,13 @@ impl Coverage {
         self.emitted[sight.group] += sight.emitted;
     }
 
-    /// The diffuse albedo over all rays, lights counting as black.
+    /// Returns the mean diffuse albedo over all rays, with lights as black.
     fn mean_albedo(&self) -> Vec3 {
         self.diffuse_albedo / self.rays.max(1.0)
     }
 }
 
-/// One pixel, sampled with a box filter.
+/// Renders one pixel with a box filter.
 fn pixel(scene: &Scene, camera: &Camera, x: usize, y: usize, key: u64, samples: usize, options: &PathOptions) -> Pixel {
     let key = rng::key(&[key, (y * camera.width + x) as u64]);
     let corner = Vec2::new(x as f32, y as f32);
@@ -147,8 +154,8 @@ fn pixel(scene: &Scene, camera: &Camera, x: usize, y: usize, key: u64, samples: 
             coverage.add(&look(scene, camera.position, direction).0);
         }
     }
-    // Diffuse radiance is known as a multiple of the albedo its paths happened to meet; the albedo of the whole pixel
-    // is known better than that.
+    // Diffuse radiance is proportional to the albedo that its paths hit. The coverage rays estimate the pixel's albedo
+    // more precisely, so the radiance is rescaled to that estimate.
     let known = coverage.mean_albedo();
     let ratio = known / by_paths.max(Vec3::splat(1e-6));
     for g in 0..groups {

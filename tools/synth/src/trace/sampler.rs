@@ -1,16 +1,18 @@
-//! Well-distributed sample points: Sobol pairs, scrambled and shuffled by hashes of pixel and dimension.
+//! Sobol pairs, scrambled and shuffled by hashes of pixel and dimension.
 //!
-//! Each two-dimensional decision of a path gets its own pair, and over a pixel's samples every pair covers the unit
-//! square evenly. The points are a function of (key, sample, dimension) alone.
+//! Each two-dimensional decision of a path gets its own pair. Over a pixel's samples, every pair covers the unit square
+//! evenly. The points are a function of (key, sample, dimension) alone.
 
 use glam::Vec2;
 
 use crate::rng::{mix32, unit};
 
-/// Decisions after these hardly profit from even coverage and get independent points, which cost less.
+/// Number of decisions with Sobol points.
+///
+/// Later decisions gain little from even coverage and get cheaper independent points.
 const WELL_DISTRIBUTED: u32 = 10;
 
-/// The points of one sample of one pixel.
+/// Points of one sample of one pixel.
 #[derive(Debug, Clone)]
 pub(crate) struct Sampler {
     key: u32,
@@ -19,12 +21,12 @@ pub(crate) struct Sampler {
 }
 
 impl Sampler {
-    /// The points of sample `index` under a pixel's key.
+    /// Creates the points of sample `index` under a pixel's key.
     pub(crate) fn new(key: u64, index: u32) -> Self {
         Self { key: (key ^ (key >> 32)) as u32, index, dimension: 0 }
     }
 
-    /// The next point of the unit square.
+    /// Returns the next point of the unit square.
     pub(crate) fn pair(&mut self) -> Vec2 {
         self.dimension += 1;
         let seed = mix32(self.key ^ self.dimension.wrapping_mul(0x9e37_79b9));
@@ -32,20 +34,22 @@ impl Sampler {
             let x = mix32(seed ^ self.index.wrapping_mul(0x85eb_ca6b));
             return Vec2::new(unit(x), unit(mix32(x ^ 0x27d4_eb2f)));
         }
-        // Only the low bits of the shuffled index count: the high ones are the same for all samples of a pixel.
+        // Only the low bits of the shuffled index matter: the high bits are equal for all samples of a pixel.
         let index = scramble(self.index.reverse_bits(), seed).reverse_bits() & 0x3_ffff;
         let x = scramble(index, mix32(seed ^ 0x68bc_21eb));
         let y = scramble(second(index), mix32(seed ^ 0x02e5_be93));
         Vec2::new(unit(x.reverse_bits()), unit(y.reverse_bits()))
     }
 
-    /// The next number in [0, 1).
+    /// Returns the next number in [0, 1).
     pub(crate) fn single(&mut self) -> f32 {
         self.pair().x
     }
 }
 
-/// The second Sobol dimension, bit-reversed like the index itself (whose reversal is the first dimension).
+/// Returns the second Sobol dimension of an index, bit-reversed like the index.
+///
+/// The reversed index itself is the first dimension.
 fn second(mut index: u32) -> u32 {
     let mut column = 1u32;
     let mut result = 0;
@@ -54,14 +58,17 @@ fn second(mut index: u32) -> u32 {
             result ^= column;
         }
         index >>= 1;
-        // Columns are rows of Pascal's triangle modulo two; in reversed bits that is a carryless times three.
+        // Columns are rows of Pascal's triangle modulo two; in reversed bits the step is a carryless multiplication by
+        // three.
         column ^= column << 1;
     }
     result
 }
 
-/// Flips each bit depending on the bits below it: a nested uniform scramble of a bit-reversed fraction. Each step
-/// only carries information from lower to higher bits, which is what keeps the points' distribution.
+/// Applies a nested uniform scramble to a bit-reversed fraction.
+///
+/// Each bit is flipped depending on the bits below it. Every step carries information only from lower to higher bits,
+/// which preserves the distribution of the points.
 fn scramble(mut x: u32, seed: u32) -> u32 {
     x = x.wrapping_add(seed);
     x ^= x.wrapping_mul(0x5a7b_e3d4);
@@ -104,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn different_dimensions_are_not_correlated() {
+    fn dimensions_are_uncorrelated() {
         let mut sum = 0.0;
         for i in 0..1024 {
             let mut sampler = Sampler::new(99, i);

@@ -1,24 +1,24 @@
-//! Rays against the whole scene: triangles and lights together.
+//! Ray intersection with the whole scene: triangles and lights.
 
 use glam::Vec3;
 
 use crate::scene::Scene;
 use crate::scene::surfaces::SurfaceHit;
 
-/// What a ray met first.
+/// Nearest intersection of a ray.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Hit {
-    /// A triangle.
+    /// Triangle.
     Surface(SurfaceHit),
-    /// A light: its index, the distance, and whether its emitting side was met.
+    /// Light: its index, the distance, and true if the ray hit the emitting side.
     Light(usize, f32, bool),
 }
 
-/// A light chosen for a point: its index and the probability of the choice.
+/// Light chosen for a point: its index and the probability of the choice.
 pub(crate) type Choice = (usize, f32);
 
 impl Scene {
-    /// What a ray meets first.
+    /// Returns the nearest intersection of a ray.
     pub(crate) fn hit(&self, origin: Vec3, direction: Vec3) -> Option<Hit> {
         let mut limit = f32::INFINITY;
         let mut found = None;
@@ -34,7 +34,7 @@ impl Scene {
         }
     }
 
-    /// Whether nothing lies between a point and a place on a light.
+    /// Returns true if no occluder lies between a point and a point of a light.
     pub(crate) fn sees(&self, origin: Vec3, direction: Vec3, distance: f32, light: usize) -> bool {
         let limit = distance * (1.0 - 1e-4) - 1e-4;
         let others = self.lights.iter().enumerate();
@@ -44,7 +44,7 @@ impl Scene {
             && !self.surfaces.occluded(origin, direction, limit)
     }
 
-    /// Chooses a light in proportion to its likely contribution.
+    /// Chooses a light in proportion to its estimated contribution.
     pub(crate) fn choose_light(&self, from: Vec3, normal: Vec3, random: f32) -> Option<Choice> {
         let mut weights = [0.0f32; MAX_WEIGHED];
         let total = self.weigh(from, normal, &mut weights);
@@ -65,7 +65,7 @@ impl Scene {
         last
     }
 
-    /// The probability with which [`Scene::choose_light`] chooses a light.
+    /// Returns the probability that [`Scene::choose_light`] chooses a light.
     pub(crate) fn choice_probability(&self, from: Vec3, normal: Vec3, light: usize) -> f32 {
         let mut weights = [0.0f32; MAX_WEIGHED];
         let total = self.weigh(from, normal, &mut weights);
@@ -87,5 +87,5 @@ impl Scene {
     }
 }
 
-/// Rooms have far fewer lights; the bound keeps the weights on the stack.
+/// Largest number of weighted lights; rooms have far fewer. A bound keeps the weights on the stack.
 const MAX_WEIGHED: usize = 16;

@@ -1,4 +1,4 @@
-//! The integrator against what is known: energy in a furnace, two estimators of the same light, a closed form.
+//! Tests of the integrator: furnace energy, two estimators of the same light, a closed form.
 
 use glam::{Affine3A, Vec3};
 
@@ -28,12 +28,12 @@ fn total(sample: &PathSample) -> Vec3 {
     groups.copied().sum()
 }
 
-/// Mean and standard error of the red channel of many paths.
+/// Returns the mean and the standard error of the red channel of `n` paths.
 fn estimate(scene: &Scene, from: Vec3, to: Vec3, options: &PathOptions, n: u32) -> (f32, f32) {
     let direction = (to - from).normalize();
     let (mut sum, mut squares) = (0.0f64, 0.0f64);
     for index in 0..n {
-        // A key of its own for every path: independent samples make the standard error an honest one.
+        // Every path gets its own key, because the standard error assumes independent samples.
         let mut sampler = Sampler::new(crate::rng::key(&[u64::from(index)]), 0);
         let (_, path) = trace(scene, from, direction, &mut sampler, options);
         let value = f64::from(total(&path).x);
@@ -45,7 +45,7 @@ fn estimate(scene: &Scene, from: Vec3, to: Vec3, options: &PathOptions, n: u32) 
     (mean as f32, variance.sqrt() as f32)
 }
 
-/// A ball in a uniform surrounding of radiance 1.
+/// Returns the brightness of a ball in a uniform environment of radiance 1.
 fn furnace(material: Material) -> f32 {
     let mut b = Builder::new();
     b.object("ball", "ornament", Affine3A::IDENTITY);
@@ -57,13 +57,13 @@ fn furnace(material: Material) -> f32 {
 }
 
 #[test]
-fn a_diffuse_ball_in_a_furnace_shows_its_albedo() {
+fn diffuse_ball_in_a_furnace_has_its_albedo() {
     let seen = furnace(plain(0.8, 1.0, 0.0, 0.0));
     assert!((seen - 0.8).abs() < 5e-3, "{seen}");
 }
 
 #[test]
-fn no_material_in_a_furnace_is_brighter_than_its_surroundings() {
+fn materials_in_a_furnace_conserve_energy() {
     for roughness in [0.1, 0.4, 0.8] {
         let metal = furnace(plain(0.9, roughness, 1.0, 1.0));
         let paint = furnace(plain(0.5, roughness, 0.0, 1.0));
@@ -72,7 +72,7 @@ fn no_material_in_a_furnace_is_brighter_than_its_surroundings() {
     }
 }
 
-/// A floor, a wall and two lights of different shapes.
+/// Builds a floor, a wall and two lights of different shapes.
 fn corner(roughness: f32, metallic: f32) -> Scene {
     let mut b = Builder::new();
     b.object("floor", "floor", Affine3A::IDENTITY);
@@ -97,7 +97,7 @@ fn corner(roughness: f32, metallic: f32) -> Scene {
 }
 
 #[test]
-fn choosing_lights_agrees_with_running_into_them() {
+fn light_sampling_matches_brdf_sampling() {
     for (roughness, metallic) in [(0.9, 0.0), (0.3, 0.0), (0.3, 1.0)] {
         let scene = corner(roughness, metallic);
         let (from, to) = (Vec3::new(0.3, 1.5, 3.0), Vec3::new(0.2, 0.0, 0.1));
@@ -111,7 +111,7 @@ fn choosing_lights_agrees_with_running_into_them() {
 }
 
 #[test]
-fn a_sphere_over_a_diffuse_floor_gives_the_closed_form() {
+fn sphere_light_over_diffuse_floor_matches_closed_form() {
     let (height, radius, radiance, albedo) = (1.5f32, 0.25f32, 8.0f32, 0.6f32);
     let mut b = Builder::new();
     b.object("floor", "floor", Affine3A::IDENTITY);
@@ -122,13 +122,13 @@ fn a_sphere_over_a_diffuse_floor_gives_the_closed_form() {
     b.light("ball", group, Shape::Sphere { center, radius }, Emission::Constant(Vec3::splat(radiance)));
     let scene = close(b);
     let seen = estimate(&scene, Vec3::new(0.0, 0.5, 3.0), Vec3::ZERO, &UNBIASED, 3000).0;
-    // Irradiance below the middle of a sphere is π L (r/h)².
+    // Irradiance below the center of a sphere is π L (r/h)².
     let truth = albedo * radiance * (radius / height).powi(2);
     assert!((seen - truth).abs() < 0.01 * truth, "{seen} {truth}");
 }
 
 #[test]
-fn groups_add_up_and_stay_apart() {
+fn light_groups_are_separable() {
     let scene = corner(0.5, 0.0);
     let mut dark = corner(0.5, 0.0);
     dark.lights[1].emission = Emission::Constant(Vec3::ZERO);
@@ -145,7 +145,7 @@ fn groups_add_up_and_stay_apart() {
 }
 
 #[test]
-fn escaping_rays_bring_nothing_in_a_closed_room() {
+fn no_ray_escapes_a_closed_room() {
     let scene = Scene::build(SceneName::LivingRoom, 3);
     for index in 0..2000u32 {
         let mut rng = crate::rng::Rng::new(&[u64::from(index)]);
@@ -155,7 +155,7 @@ fn escaping_rays_bring_nothing_in_a_closed_room() {
 }
 
 #[test]
-fn denoising_helps_and_normals_are_unit() {
+fn denoising_raises_psnr_and_normals_are_unit() {
     use crate::trace::denoise;
     use crate::trace::render::render;
     use crate::views;
@@ -172,7 +172,7 @@ fn denoising_helps_and_normals_are_unit() {
         }
         denoise::image(&film, 1.0 / camera.focal, &ones, clean)
     };
-    // Another key: the reference shares no samples with what it judges.
+    // A different key, so that the reference shares no samples with the tested images.
     let truth = picture(1, 256, false);
     let psnr = |image: &[Vec3]| {
         let pairs = image.iter().zip(&truth);

@@ -1,12 +1,16 @@
-//! Whether training still gets anywhere, by what its steps report anyway.
+//! Detection of divergence from the reports of the steps.
 //!
-//! Training has diverged where, over a block of whole rounds of the views, pictures are about as far from their photographs as
-//! one plain color would be, and either farther than they were where training began, or learning rates are [`ROUGH`]. Far alone
-//! does not do: a bad start, pictures that nobody could learn, and steps too small to matter come to that. Not judged is what
-//! follows the start or a reset of opacities within [`GRACE`] steps.
+//! Training has diverged if both conditions hold over a block of whole rounds of the views:
 //!
-//! Promises: what is judged depends on reports alone, in their order; its state goes into checkpoints. Leaves to others what is to
-//! be done.
+//! - Images are about as far from their photographs as one plain color per view would be.
+//! - Images are farther away than where training began, or learning rates exceed [`ROUGH`] times their defaults.
+//!
+//! The first condition alone is not sufficient: a bad start, images that no model can fit, and steps too small to
+//! matter also meet it. A block in which most gradients are not finite counts as divergence, too. Blocks within
+//! [`GRACE`] steps of the start or of a reset of opacities are not evaluated.
+//!
+//! Guarantees: the verdict depends on the reports alone, in their order, and its state is part of checkpoints. This
+//! module decides no reaction to divergence.
 
 mod plain;
 mod worst;
@@ -16,52 +20,56 @@ pub(crate) use worst::{Group, worst};
 
 use serde::{Deserialize, Serialize};
 
-/// Steps after the start, and after a reset, that are not judged.
+/// Steps after the start, and after a reset, that are not evaluated.
 const GRACE: u32 = 100;
 
-/// Least steps that are judged together.
+/// Least number of steps that are evaluated together.
 const BLOCK: usize = 60;
 
-/// Pictures count as far off where their mean absolute difference is more than this share of a plain color's.
+/// Threshold of far-off images. Share of the mean absolute difference of a plain color.
 const FAR: f64 = 0.85;
 
-/// They count as worse than a state where the weighted loss is more than this times the state's, by view ...
+/// First threshold of images that are worse than a state. Weighted loss relative to the state's loss, over the views
+/// whose reference loss is known. Images are worse if they exceed both thresholds.
 const WORSE: f64 = 1.02;
 
-/// ... and this times in proportion to what plain colors are off in the views that are compared.
+/// Second threshold of images that are worse than a state. Each loss is first divided by the difference of the plain
+/// colors in its views. The threshold limits the ratio of the loss of all rendered views to the reference loss of the
+/// known views.
 const WORSE_OF_PLAIN: f64 = 1.1;
 
-/// Learning rates so many times their defaults are rough: no wonder where pictures are far off then.
+/// Threshold of rough learning rates. Multiple of the default rates; images that are far off then need no other
+/// evidence.
 const ROUGH: f64 = 30.0;
 
-/// A return to the last good state.
+/// Rollback to the last validated state.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RollBack {
-    /// The step at which training had diverged.
+    /// Step at which training had diverged.
     pub step: u32,
-    /// The step whose state it went on from.
+    /// Step whose state training continued from.
     pub to: u32,
-    /// What learning rates were multiplied by from then on.
+    /// Factor on learning rates from then on.
     pub rates: f64,
 }
 
-/// What learning rates are multiplied by at each return.
+/// Factor on learning rates at each rollback.
 pub(crate) const HALF: f64 = 0.5;
 
-/// What a step came to.
+/// Report of a step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Seen {
     pub step: u32,
     pub view: usize,
-    /// Weighted loss of the picture.
+    /// Weighted loss of the image.
     pub loss: f32,
     /// Mean absolute difference.
     pub l1: f32,
-    /// Gradients that were not finite, so far.
+    /// Number of gradients since the start that were not finite.
     pub skipped: u32,
-    /// How many there might be in this step; 0 where that is not known.
+    /// Number of gradients of this step, at most; 0 if unknown.
     pub of: u32,
-    /// How many times their defaults learning rates are, at most.
+    /// Learning rates as a multiple of their defaults, at most.
     pub rates: f64,
 }
 
@@ -73,30 +81,30 @@ struct Sum {
     times: u32,
 }
 
-/// The watch.
+/// State of the divergence detection.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Watch {
-    /// What one plain color a view is off.
+    /// Mean absolute difference of one plain color, by view.
     plain: Vec<f64>,
     /// Steps of a block.
     block: u32,
-    /// The step before the first that counts.
+    /// Step before the first that counts.
     begun: u32,
-    /// The last step of the last block that was found good; 0 if there is none.
+    /// Last step of the last block that was good; 0 if there is none.
     good_until: u32,
-    /// The step of the checkpoint that will be gone back to once it is known to be good; 0 if there is none.
+    /// Step of the rollback candidate, which waits for validation; 0 if there is none.
     candidate: u32,
-    /// Losses of the state that others are compared with, by view, where they are known.
+    /// Losses of the reference state, by view, where they are known.
     reference: Vec<Option<f64>>,
     sums: Vec<Sum>,
-    /// Gradients that were not finite, and all, within the block.
+    /// Gradients that were not finite, and all gradients, within the block.
     bad: [u64; 2],
-    /// Their counter at the last step.
+    /// Counter of gradients that were not finite, at the last step.
     skipped: u32,
 }
 
 impl Watch {
-    /// For views of which one plain color would be off by `plain`.
+    /// Starts for views for which one plain color would be off by `plain`.
     pub fn new(plain: Vec<f64>) -> Watch {
         let views = plain.len().max(1);
         Watch {
@@ -112,7 +120,8 @@ impl Watch {
         }
     }
 
-    /// Returns true once when training has gone well for a whole block since the rollback candidate. Another candidate may follow.
+    /// Returns true once when the rollback candidate is validated. Training has then gone well for a whole block since
+    /// the candidate. Another candidate may follow.
     pub fn validate_candidate(&mut self) -> bool {
         let good = self.candidate > 0 && self.good_until >= self.candidate.saturating_add(self.block);
         if good {
@@ -121,7 +130,8 @@ impl Watch {
         good
     }
 
-    /// Marks the checkpoint of a step as the rollback candidate, unless another one waits for validation. Returns whether it is the one.
+    /// Marks the checkpoint of a step as the rollback candidate. Has no effect while another candidate waits for
+    /// validation. Returns whether this step is the candidate.
     pub fn set_candidate(&mut self, step: u32) -> bool {
         if self.candidate == 0 {
             self.candidate = step;
@@ -129,12 +139,12 @@ impl Watch {
         self.is_candidate(step)
     }
 
-    /// Whether the checkpoint of a step is the rollback candidate.
+    /// Returns whether the checkpoint of a step is the rollback candidate.
     pub fn is_candidate(&self, step: u32) -> bool {
         step > 0 && self.candidate == step
     }
 
-    /// After this step everything was made worse on purpose.
+    /// Restarts evaluation after a step that made all images worse on purpose. A reset of opacities is such a step.
     pub fn restart(&mut self, step: u32) {
         self.begun = step;
         self.reference.fill(None);
@@ -146,7 +156,7 @@ impl Watch {
         self.bad = [0; 2];
     }
 
-    /// Takes notice of a step; what is wrong, if training has diverged.
+    /// Records a step. Returns a description of the divergence if training has diverged.
     pub fn see(&mut self, seen: &Seen) -> Option<String> {
         let Seen { step, view, loss, l1, skipped, of, rates } = *seen;
         if step == self.begun.saturating_add(1) {
@@ -165,9 +175,9 @@ impl Watch {
         wrong
     }
 
-    /// Judges a whole block, during which learning rates were so many times their defaults.
+    /// Evaluates a whole block. `rates`: learning rates during it, as a multiple of their defaults.
     fn judge(&mut self, step: u32, rates: f64) -> Option<String> {
-        // Views may be held back for a while: the others are judged.
+        // Some views may be held out for a while. The others are evaluated if they are at least half of all.
         let seen = || self.sums.iter().zip(&self.plain).filter(|(s, _)| s.times > 0);
         let views = seen().count() as f64;
         if 2.0 * views < self.sums.len() as f64 {
@@ -176,7 +186,8 @@ impl Watch {
         let mean = |s: &Sum, sum: f64| sum / f64::from(s.times);
         let l1 = seen().map(|(s, _)| mean(s, s.l1)).sum::<f64>() / views;
         let plain = seen().map(|(_, plain)| plain).sum::<f64>() / views;
-        // Loss now and of the reference, and plain colors: of the views of which the reference is known.
+        // Loss now, loss of the reference and plain colors, over the views whose reference is known; then the loss of
+        // all views.
         let mut known = [0.0; 4];
         for ((s, plain), reference) in self.sums.iter().zip(&self.plain).zip(&self.reference) {
             if s.times == 0 {
@@ -200,7 +211,7 @@ impl Watch {
                 (true, false) => format!("the loss of the first view is {:.2} times what it was", now / then),
             };
             return Some(format!(
-                "over the last {steps} steps pictures are off by {l1:.3} in the mean, where one plain color each would be off by \
+                "over the last {steps} steps images are off by {l1:.3} in the mean, where one plain color each would be off by \
                  {plain:.3}, and {why}"
             ));
         }
@@ -208,7 +219,7 @@ impl Watch {
             let [bad, of] = self.bad;
             return Some(format!("over the last {steps} steps {bad} of {of} gradients were not finite"));
         }
-        // What such rates come to is not worth going back to.
+        // A state that such learning rates produced is no rollback target.
         if !rough {
             self.good_until = step;
         }
@@ -224,7 +235,7 @@ impl Watch {
         None
     }
 
-    /// Its state as text, to the bit.
+    /// Returns the state as text, exact to the bit.
     pub fn save(&self) -> String {
         let mut words = vec![
             u64::from(self.begun),
@@ -239,7 +250,8 @@ impl Watch {
         words.iter().map(|w| format!("{w:x}")).collect::<Vec<_>>().join(" ")
     }
 
-    /// Goes on from such a text; false, and as new, if it is none of so many views. The counter of gradients begins anew.
+    /// Restores the state from such text. If the text is damaged or of another number of views, returns false and
+    /// starts from the beginning. The counter of gradients restarts at 0.
     pub fn restore(&mut self, text: &str) -> bool {
         let words: Option<Vec<u64>> = text.split(' ').map(|w| u64::from_str_radix(w, 16).ok()).collect();
         *self = Watch::new(std::mem::take(&mut self.plain));

@@ -1,7 +1,9 @@
-//! How far one plain color would be from a photograph.
+//! Distance of one plain color from a photograph.
 
-/// Mean absolute difference of a packed photograph from the color that makes it least: the median of each channel. Pixels that do
-/// not count are off by nothing, as in the loss.
+/// Returns the mean absolute difference of a photograph from its best plain color.
+///
+/// That color is the median of each channel. `packed`: 8 bits per channel; a pixel whose top byte is 0 is masked.
+/// Masked pixels contribute no difference but count in the mean, as in the loss. Values are relative to white (1).
 pub(crate) fn plain(packed: &[u32]) -> f64 {
     let mut sum = 0.0;
     for channel in 0..3 {
@@ -26,13 +28,13 @@ mod tests {
     use super::plain;
 
     #[test]
-    fn it_is_the_least() {
+    fn plain_color_minimizes_absolute_difference() {
         let gray = |v: u32| 0xff00_0000 | v << 16 | v << 8 | v;
         assert_eq!(plain(&[gray(7); 9]), 0.0);
         // A median of 10: off by 10, 0 and 245.
         let three = [gray(0), gray(10), gray(255)];
         assert!((plain(&three) - 1.0 / 3.0).abs() < 1e-12);
-        // What does not count is off by nothing, but there.
+        // Masked pixels contribute no difference but count in the mean.
         assert!((plain(&[three.as_slice(), &[0x00ff_ffff; 3]].concat()) - 1.0 / 6.0).abs() < 1e-12);
         assert_eq!((plain(&[]), plain(&[0; 4])), (0.0, 0.0));
     }

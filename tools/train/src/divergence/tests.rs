@@ -1,11 +1,11 @@
 use super::*;
 
-/// So many views, of which plain colors are off by 0.2.
+/// Watch of `views` views whose plain colors are off by 0.2.
 fn watch(views: usize) -> Watch {
     Watch::new(vec![0.2; views])
 }
 
-/// Steps from `first` on with this loss and difference, until something is wrong; the step and what.
+/// Feeds steps with these losses and differences until divergence. Returns the step and the description.
 fn run(w: &mut Watch, steps: std::ops::RangeInclusive<u32>, of: impl Fn(u32) -> (f32, f32)) -> Option<(u32, String)> {
     let views = w.sums.len() as u32;
     steps.into_iter().find_map(|step| {
@@ -16,7 +16,7 @@ fn run(w: &mut Watch, steps: std::ops::RangeInclusive<u32>, of: impl Fn(u32) -> 
 }
 
 #[test]
-fn what_is_bad_from_the_second_step_on_is_noticed() {
+fn divergence_from_the_second_step_is_detected() {
     for views in [1, 6, 21, 300] {
         let mut w = watch(views);
         let block = w.block;
@@ -27,22 +27,22 @@ fn what_is_bad_from_the_second_step_on_is_noticed() {
 }
 
 #[test]
-fn what_gets_somewhere_or_nowhere_is_left_alone() {
+fn convergence_and_stagnation_are_not_divergence() {
     let never = |of: fn(u32) -> (f32, f32)| {
         let mut w = watch(7);
         assert_eq!(run(&mut w, 1..=5000, of), None);
         w
     };
-    // Better and better; a bad start that stays what it is; good splats that get much worse, but not bad.
+    // Convergence; a bad start that does not change; good splats that get much worse, but not bad.
     assert!(never(|s| (0.3 / s as f32, 0.2 / s as f32)).good_until > 4000);
     assert!(never(|_| (0.9, 0.8)).good_until > 4000);
     assert!(never(|s| if s < 2 { (0.01, 0.01) } else { (0.16, 0.15) }).good_until > 4000);
-    // Views differ: the first one is the easiest.
+    // Losses differ between views: the first view is the easiest.
     never(|s| if s % 7 == 1 { (0.1, 0.3) } else { (0.9, 0.7) });
 }
 
 #[test]
-fn what_is_proposed_waits_for_a_good_block() {
+fn candidate_is_validated_after_a_good_block() {
     let mut w = watch(6);
     let good = |_| (0.1, 0.1);
     assert_eq!(run(&mut w, 1..=150, good), None);
@@ -56,7 +56,7 @@ fn what_is_proposed_waits_for_a_good_block() {
 }
 
 #[test]
-fn rough_rates_explain_what_is_far_off_and_are_not_trusted() {
+fn rough_rates_suffice_for_divergence_and_validate_nothing() {
     let of = |rates: f64, l1: f32| {
         let mut w = watch(6);
         let found = (1..=1000)
@@ -70,13 +70,13 @@ fn rough_rates_explain_what_is_far_off_and_are_not_trusted() {
 }
 
 #[test]
-fn a_reset_begins_anew() {
+fn reset_restarts_evaluation() {
     let mut w = watch(7);
     let good = |_| (0.03, 0.02);
     let bad = |_| (0.5, 0.4);
     assert_eq!(run(&mut w, 1..=200, good), None);
     w.restart(200);
-    // Dark for long, and no worse than just after the reset.
+    // Images are dark for long, but no worse than just after the reset.
     assert_eq!(run(&mut w, 201..=900, bad), None);
     assert_eq!(run(&mut w, 901..=1200, good), None);
     let (step, wrong) = run(&mut w, 1201..=2000, bad).unwrap();
@@ -84,7 +84,7 @@ fn a_reset_begins_anew() {
 }
 
 #[test]
-fn gradients_that_are_no_numbers_are_noticed_when_most_are() {
+fn most_gradients_not_finite_is_divergence() {
     let of = |share: u32| {
         let mut w = watch(5);
         (1..=400).find_map(|step| {
@@ -105,7 +105,7 @@ fn gradients_that_are_no_numbers_are_noticed_when_most_are() {
 }
 
 #[test]
-fn it_goes_on_as_if_nothing_had_happened() {
+fn restored_watch_continues_identically() {
     let of = |s: u32| if s == 1 { (0.24, 0.17) } else { (0.2 + 0.001 * s as f32, 0.15 + 0.0007 * s as f32) };
     let straight = run(&mut watch(7), 1..=500, of).unwrap();
     for at in [1, 77, 160] {
@@ -124,8 +124,8 @@ fn it_goes_on_as_if_nothing_had_happened() {
 }
 
 #[test]
-fn what_is_held_back_is_not_judged() {
-    // A view of six is never seen; the others are as ever, then bad.
+fn views_held_out_are_not_evaluated() {
+    // One view of six is never rendered. The others are good, then bad.
     let run = |w: &mut Watch, steps: std::ops::RangeInclusive<u32>, loss: f32, l1: f32, unseen: usize| {
         steps.into_iter().find_map(|step| {
             let view = step as usize % (6 - unseen);
@@ -140,14 +140,14 @@ fn what_is_held_back_is_not_judged() {
     assert!(w.reference[4].unwrap() < 0.06 && w.reference[5].unwrap() > 0.09);
     let (step, wrong) = run(&mut w, 481..=900, 0.3, 0.21, 1).unwrap();
     assert!(step == 540 && wrong.contains("of all views is 6.00 times"), "{step}: {wrong}");
-    // Where most are held back nothing can be said.
+    // Nothing is evaluated where most views are held out.
     let mut w = watch(6);
     assert_eq!(run(&mut w, 1..=60, 0.1, 0.1, 0), None);
     assert_eq!(run(&mut w, 61..=900, 0.9, 0.9, 4), None);
 }
 
 #[test]
-fn numbers_that_no_training_has_come_to_nothing_worse() {
+fn extreme_state_does_not_overflow() {
     let mut w = watch(2);
     let most = "ffffffffffffffff";
     let text = [most; 13].join(" ");

@@ -1,24 +1,25 @@
-//! Which parameter is farthest from where parameters belong: read back and looked for only after training has diverged.
+//! Search for the parameter that is farthest from its usual range. Runs on parameters that are read back after
+//! divergence.
 
-/// A group of parameters, and where they belong.
+/// Group of parameters, with their usual range.
 pub(crate) struct Group<'a> {
-    /// Its name.
+    /// Name of the group.
     pub name: &'a str,
-    /// The pass that moves it.
+    /// Pass that updates the group.
     pub pass: &'static str,
-    /// Its values, one element behind the other.
+    /// Values, element after element.
     pub values: &'a [f32],
-    /// Scalars of an element.
+    /// Scalars per element.
     pub width: usize,
-    /// What an element is called.
+    /// Noun for an element.
     pub element: &'static str,
-    /// The middle of where they belong; the median, where it is not known.
+    /// Center of the usual range. The median of the values if it is not known.
     pub middle: Option<f32>,
-    /// How far from there they usually are, at most.
+    /// Usual distance from the center, at most.
     pub reach: f32,
 }
 
-/// The parameter that is farthest out.
+/// Parameter that is farthest out of its range.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Worst {
     text: String,
@@ -31,7 +32,7 @@ impl std::fmt::Display for Worst {
     }
 }
 
-/// The parameter that is farthest out of all; one that is no number is farther than any.
+/// Finds the parameter that is farthest out of its range. A NaN is farther out than any number.
 pub(crate) fn worst(groups: &[Group<'_>]) -> Option<Worst> {
     let mut found: Option<Worst> = None;
     for g in groups {
@@ -72,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn the_farthest_is_named() {
+    fn farthest_parameter_is_named() {
         let near = [100.0, 5.0, 101.0, 6.0, 99.0, 5.5];
         let far = [0.0, -9.0, 1.0, 2.0];
         let text = |groups: &[Group<'_>]| worst(groups).map(|w| w.to_string());

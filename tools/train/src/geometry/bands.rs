@@ -1,11 +1,13 @@
-//! As many bands of spherical harmonics as the pictures ask for (`geometry.sh_degree = "auto"`).
+//! Automatic number of spherical-harmonics bands. Used with `geometry.sh_degree = "auto"`.
 //!
-//! Training begins with band 0. After a twentieth of the steps all bands come, for a tenth of the steps at first: a few training
-//! views are held back meanwhile, and at its end they are rendered with no band, with one, and so on. A band stays if it, with
-//! those above it, makes these pictures better by `geometry.sh_gain`; the others go, with their moments. Views that are
-//! trained on would not do: a band makes every photograph better that it is fitted to.
+//! Training starts with band 0. After a twentieth of the steps all bands are added, for a trial of a tenth of the
+//! steps. A few training views are held out during the trial. At its end they are rendered with no band, with one, and
+//! so on. A band stays if the band and those above it raise the PSNR of these views by `geometry.sh_gain`. The other
+//! bands are removed with their moments. Views that are trained on would not do, because a band improves every
+//! photograph that it is fitted to.
 //!
-//! Promises: which views are held back, and when, follows from seed and step. Where memory has no room for a band, it is left out.
+//! Guarantees: the seed and the step determine which views are held out, and when. A band that does not fit into memory
+//! is left out.
 
 use super::{Decision, Geometry, Progress};
 use crate::error::Result;
@@ -13,38 +15,38 @@ use crate::error::error;
 use crate::schedule::hash;
 use serde::{Deserialize, Serialize};
 use sgs_config::MOST_BANDS;
-use sgs_passes::pipeline::{Picture, Renderer};
+use sgs_passes::pipeline::{RenderedImage, Renderer};
 use sgs_passes::scene::{Layout, Model};
 use sgs_passes::splat::Channels;
 use std::path::Path;
 
-/// Views below which none is held back: those that are trained on have to do.
+/// Least number of views at which some are held out. With fewer, the views that are trained on are measured.
 const FEW: usize = 4;
 
-/// One of so many views is held back.
+/// One of this many views is held out.
 const SHARE: usize = 4;
 
-/// Views that are measured, at most.
+/// Number of views that are measured, at most.
 const MOST: usize = 16;
 
-/// Where the search for the degree is.
+/// State of the search for the number of bands.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Bands {
-    /// The highest band that is tried, while that lasts.
+    /// Highest band of the trial, while the trial lasts.
     tried: Option<u32>,
-    /// Training views that are held back meanwhile.
+    /// Training views that are held out during the trial.
     held: Vec<usize>,
-    /// Nothing is tried any more.
+    /// Whether the search is finished.
     settled: bool,
 }
 
 impl Bands {
-    /// Whether bands are yet to come.
+    /// Returns whether bands may still be added.
     pub fn is_open(&self) -> bool {
         !self.settled && self.tried.is_none()
     }
 
-    /// As it came from a file, if it may be of such a model and so many views.
+    /// Returns the state if it fits the model and the number of views. `path`: file that the state was read from.
     pub fn checked(self, path: &Path, model: Model, views: usize) -> Result<Bands> {
         let possible = self.tried.is_none_or(|band| band > 0 && band == model.sh_degree);
         if !possible || self.held.iter().any(|v| *v >= views) || self.held.len() * 2 > views {
@@ -54,43 +56,43 @@ impl Bands {
     }
 }
 
-/// What bands are worth.
-struct Worth {
-    /// dB with so many bands, in the mean over the views.
+/// Measured contribution of bands.
+struct Contribution {
+    /// Mean PSNR over the views in dB, by number of bands.
     psnr: Vec<f64>,
     views: usize,
-    /// Whether they were held back.
+    /// Whether the views were held out.
     held: bool,
 }
 
-impl Worth {
-    /// dB that a band is worth with those above it.
+impl Contribution {
+    /// Returns the PSNR gain in dB of a band together with those above it.
     fn of(&self, band: u32) -> f64 {
         let (below, from) = self.psnr.split_at(band as usize);
         from.iter().copied().fold(f64::NEG_INFINITY, f64::max) - below[band as usize - 1]
     }
 }
 
-/// After which steps all bands come, and those go that are not worth it.
+/// Returns the steps after which the trial of all bands begins and ends.
 fn trial(steps: u32) -> [u32; 2] {
     let begin = (steps / 20).max(1);
     [begin, begin + (steps / 10).max(1)]
 }
 
 impl Geometry {
-    /// Whether bands have their turn after a step.
+    /// Returns whether the trial begins or ends after a step.
     pub(super) fn bands_due(&self, step: u32) -> bool {
         let open = self.bands.as_ref().is_some_and(|b| !b.settled);
         open && trial(self.settings.geometry.steps).contains(&step)
     }
 
-    /// Whether views were held back in some of so many steps up to this one.
+    /// Returns whether views were held out in recent steps. These are the last `steps` steps up to `step`.
     pub(super) fn was_held_back(&self, step: u32, steps: u32) -> bool {
         let [begin, end] = trial(self.settings.geometry.steps);
         self.bands.is_some() && step > begin && step < end.saturating_add(steps)
     }
 
-    /// Which training view a step sees.
+    /// Returns the training view of a step. A view that is held out is replaced by one that is not.
     pub(super) fn view(&self, step: u32) -> usize {
         let view = self.schedule.view(step);
         let Some(bands) = self.bands.as_ref().filter(|b| b.held.contains(&view)) else { return view };
@@ -98,15 +100,15 @@ impl Geometry {
         others[(hash(self.settings.seed ^ 0xba2d, u64::from(step)) % others.len() as u64) as usize]
     }
 
-    /// Lets bands come, or those go that are not worth it.
-    pub(super) fn turn_bands(&mut self, step: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
+    /// Begins the trial of all bands, or ends it. The end removes the bands whose gain is too small.
+    pub(super) fn turn_bands(&mut self, step: u32, on_report: &mut impl FnMut(&Progress)) -> Result<()> {
         let Some(mut bands) = self.bands.take() else { return Ok(()) };
         match bands.tried.take() {
             None => {
                 let from = self.gaussians.model.sh_degree;
                 let tried = self.add_bands()?;
                 for band in tried + 1..=MOST_BANDS {
-                    self.decide_band(step, band, None, false, heard);
+                    self.decide_band(step, band, None, false, on_report);
                 }
                 if tried > from {
                     bands.tried = Some(tried);
@@ -115,16 +117,16 @@ impl Geometry {
             }
             Some(tried) => {
                 let held = std::mem::take(&mut bands.held);
-                let worth = match self.worth(tried, held) {
-                    Ok(worth) => Some(worth),
+                let contribution = match self.contribution(tried, held) {
+                    Ok(contribution) => Some(contribution),
                     Err(error) if error.is_out_of_memory() => None,
                     Err(error) => return Err(error),
                 };
-                let asked = self.settings.geometry.sh_gain;
-                let pays = |band: &u32| worth.as_ref().is_some_and(|w| w.of(*band) >= asked);
+                let requested = self.settings.geometry.sh_gain;
+                let pays = |band: &u32| contribution.as_ref().is_some_and(|w| w.of(*band) >= requested);
                 let kept = (1..=tried).take_while(pays).count() as u32;
                 for band in 1..=tried {
-                    self.decide_band(step, band, worth.as_ref(), band <= kept, heard);
+                    self.decide_band(step, band, contribution.as_ref(), band <= kept, on_report);
                 }
                 if kept < tried {
                     self.gaussians = self.gaussians.with_degree(&self.device, kept)?;
@@ -136,7 +138,7 @@ impl Geometry {
         self.rebuild()
     }
 
-    /// Adds all bands, or as many as there is memory for; the highest.
+    /// Adds all bands, or as many as memory suffices for. Returns the highest.
     fn add_bands(&mut self) -> Result<u32> {
         self.forget_steps();
         let from = self.gaussians.model.sh_degree;
@@ -158,17 +160,17 @@ impl Geometry {
         Ok(from)
     }
 
-    /// Decides about a band.
+    /// Records the decision about a band.
     fn decide_band(
         &mut self,
         step: u32,
         band: u32,
-        worth: Option<&Worth>,
+        contribution: Option<&Contribution>,
         on: bool,
-        heard: &mut impl FnMut(&Progress),
+        on_report: &mut impl FnMut(&Progress),
     ) {
-        let asked = self.settings.geometry.sh_gain;
-        let reason = match worth {
+        let requested = self.settings.geometry.sh_gain;
+        let reason = match contribution {
             Some(w) => {
                 let above = if (band as usize) + 1 < w.psnr.len() { " with those above it" } else { "" };
                 let which = match (w.held, w.views) {
@@ -177,7 +179,7 @@ impl Geometry {
                     (false, 1) => "view that is trained on",
                     (false, _) => "views that are trained on",
                 };
-                format!("worth {:.3} dB{above} at {} {which}, asked {asked:.3}", w.of(band), w.views)
+                format!("gains {:.3} dB{above} at {} {which}, limit {requested:.3}", w.of(band), w.views)
             }
             None => "there is no memory for it".to_owned(),
         };
@@ -186,15 +188,16 @@ impl Geometry {
             what: format!("band {band}"),
             on,
             reason,
-            measured: worth.map(|w| w.of(band)),
-            asked: Some(asked),
+            measured: contribution.map(|w| w.of(band)),
+            requested: Some(requested),
             setting: "geometry.sh_degree".to_owned(),
         };
-        self.decide(decision, heard);
+        self.decide(decision, on_report);
     }
 
-    /// Renders views with no band, with one, and so on up to the highest. The step's memory goes before theirs comes.
-    fn worth(&mut self, highest: u32, held: Vec<usize>) -> Result<Worth> {
+    /// Measures the PSNR of views with no band, with one, and so on up to the highest. Frees the memory of the step
+    /// before it renders.
+    fn contribution(&mut self, highest: u32, held: Vec<usize>) -> Result<Contribution> {
         self.forget_steps();
         let held_back = !held.is_empty();
         let all = self.data.views.len();
@@ -210,16 +213,16 @@ impl Geometry {
             let photo = device.download(&self.data.targets, 4 * u64::from(first), bytes)?;
             for (degree, psnr) in (0..).zip(&mut psnr) {
                 let background = self.settings.geometry.background;
-                let picture = renderer.render(&self.gaussians, &camera, degree, background)?;
-                *psnr += decibels(&picture, &photo) / views.len() as f64;
+                let rendered = renderer.render(&self.gaussians, &camera, degree, background)?;
+                *psnr += decibels(&rendered, &photo) / views.len() as f64;
             }
         }
         tracing::info!(?psnr, ?views, "bands");
-        Ok(Worth { psnr, views: views.len(), held: held_back })
+        Ok(Contribution { psnr, views: views.len(), held: held_back })
     }
 }
 
-/// Training views that are held back while bands are tried, spread evenly.
+/// Returns the training views that are held out during the trial, evenly spread.
 fn held_back(seed: u64, views: usize) -> Vec<usize> {
     if views < FEW {
         return Vec::new();
@@ -228,15 +231,15 @@ fn held_back(seed: u64, views: usize) -> Vec<usize> {
     spread(first as usize, views, (views / SHARE).clamp(1, MOST))
 }
 
-/// So many of all, spread evenly from one on.
+/// Returns `count` of `all` indices, evenly spread from `first` on.
 fn spread(first: usize, all: usize, count: usize) -> Vec<usize> {
     (0..count).map(|i| (first + i * all / count) % all).collect()
 }
 
-/// How near a picture is to a packed photograph where it counts; 100 where there is no difference.
-fn decibels(picture: &Picture, photo: &[u8]) -> f64 {
+/// Returns the PSNR in dB of an image against a packed photograph. Ignores masked pixels. Returns 100 for equal images.
+fn decibels(rendered: &RenderedImage, photo: &[u8]) -> f64 {
     let (mut sum, mut count) = (0.0, 0_u64);
-    for (pixel, [r, g, b, counts]) in picture.image.chunks_exact(picture.channels as usize).zip(photo.as_chunks().0) {
+    for (pixel, [r, g, b, counts]) in rendered.image.chunks_exact(rendered.channels as usize).zip(photo.as_chunks().0) {
         if *counts > 0 {
             let off = |v: f32, t: u8| (f64::from(v.clamp(0.0, 1.0)) - f64::from(t) / 255.0).powi(2);
             sum += off(pixel[0], *r) + off(pixel[1], *g) + off(pixel[2], *b);
@@ -252,7 +255,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn views_are_held_back_evenly() {
+    fn held_out_views_are_evenly_spread() {
         assert_eq!(held_back(0, 3), [0; 0]);
         for (views, count) in [(4, 1), (7, 1), (12, 3), (24, 6), (500, 16)] {
             let mut held = held_back(7, views);
@@ -266,19 +269,19 @@ mod tests {
     }
 
     #[test]
-    fn a_band_is_worth_what_comes_with_it() {
-        let worth = Worth { psnr: vec![20.0, 19.5, 21.0, 20.9], views: 1, held: true };
-        let of = |band| (worth.of(band) * 1e6).round() / 1e6;
+    fn band_contribution_includes_bands_above() {
+        let contribution = Contribution { psnr: vec![20.0, 19.5, 21.0, 20.9], views: 1, held: true };
+        let of = |band| (contribution.of(band) * 1e6).round() / 1e6;
         assert_eq!([of(1), of(2), of(3)], [1.0, 1.5, -0.1]);
         assert_eq!((trial(1000), trial(40), trial(5)), ([50, 150], [2, 6], [1, 2]));
     }
 
     #[test]
-    fn only_what_counts_is_measured() {
+    fn psnr_ignores_masked_pixels() {
         let image = vec![0.0, 0.5, 2.0, 1.0, 1.0, 1.0];
-        let picture = Picture { size: [2, 1], channels: 3, image, transmittance: vec![0.0; 2] };
-        assert!((decibels(&picture, &[0, 128, 255, 255, 0, 0, 0, 0]) - 58.9).abs() < 0.1);
-        assert!((decibels(&picture, &[0, 128, 255, 255, 255, 255, 0, 255]) - 7.78).abs() < 0.01);
-        assert_eq!(decibels(&picture, &[9, 9, 9, 0, 9, 9, 9, 0]), 100.0);
+        let rendered = RenderedImage { size: [2, 1], channels: 3, image, transmittance: vec![0.0; 2] };
+        assert!((decibels(&rendered, &[0, 128, 255, 255, 0, 0, 0, 0]) - 58.9).abs() < 0.1);
+        assert!((decibels(&rendered, &[0, 128, 255, 255, 255, 255, 0, 255]) - 7.78).abs() < 0.01);
+        assert_eq!(decibels(&rendered, &[9, 9, 9, 0, 9, 9, 9, 0]), 100.0);
     }
 }

@@ -1,6 +1,7 @@
-//! The state of training in one safetensors file: parameters, moments, statistics, and the step.
+//! Checkpoint of the geometry stage in one safetensors file. Parameters, moments, statistics, and the step.
 //!
-//! Promises: the file is written beside and renamed into place, so that a full disk or a kill loses no earlier one.
+//! Guarantees: the file is written under another name and renamed, so that a full disk or a killed process loses no
+//! earlier checkpoint.
 
 use super::{Bands, Growth};
 use crate::course::{Course, json, wrong_moments};
@@ -12,25 +13,25 @@ use sgs_run::floats::Floats;
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What resuming starts from.
+/// State that resuming starts from.
 pub(crate) struct State {
     pub step: u32,
-    /// Room for Gaussians when it was written. Densification stops at it, so that it is a part of the state.
+    /// Capacity for Gaussians. Part of the state, because densification stops at the capacity.
     pub capacity: u32,
     pub parameters: GaussianData,
     pub moments: GaussianData,
     pub statistics: Vec<f32>,
-    /// The semantic decoder and its moments, where there are features.
+    /// Semantic decoder and its moments, where the Gaussians have features.
     pub decoder: Option<[Vec<f32>; 2]>,
-    /// What else there is to know of how it goes.
+    /// Progress of the training besides its tensors.
     pub course: Course,
-    /// Where the search for the degree of spherical harmonics is.
+    /// State of the search for the number of spherical-harmonics bands.
     pub bands: Option<Bands>,
-    /// What was decided about the model.
+    /// Decisions about the model.
     pub decisions: Vec<Decision>,
-    /// What is known of growth.
+    /// State of growth.
     pub growth: Growth,
-    /// Which groups there are.
+    /// Groups of parameters.
     pub model: Model,
 }
 
@@ -74,7 +75,7 @@ pub(crate) fn save(path: &Path, state: &State) -> Result<()> {
     Ok(())
 }
 
-/// Reads a checkpoint of a model; with `any_degree` of whatever bands of spherical harmonics there are.
+/// Reads a checkpoint of a model. With `any_degree`, accepts any number of spherical-harmonics bands.
 pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<State> {
     let bytes = std::fs::read(path).map_err(|e| error(path, e.to_string()))?;
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| error(path, format!("not a checkpoint: {e}")))?;
@@ -132,7 +133,7 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
         }
     }
     let statistics = floats("statistics")?;
-    // Without densification there are none.
+    // Without densification the tensor is empty.
     if !statistics.is_empty() && statistics.len() != count * STATISTICS as usize {
         return Err(error(path, format!("damaged: \"statistics\" does not fit {count} Gaussians")));
     }

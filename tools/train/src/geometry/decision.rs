@@ -1,13 +1,13 @@
-//! What was decided about the model: what, when, and by what measure. `training.json` holds all of it.
+//! Decisions about the model of the geometry stage. `training.json` holds all of them.
 
 use super::Geometry;
 use crate::decision::Decision;
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result};
 use crate::idle::IdleLoss;
 use sgs_config::{DensifyStatistic, GeometrySettings, Settings};
 
-/// What follows from data and settings, before the first step. `found`: whether there are normals, semantics and something that
-/// says what a region is.
+/// Returns the decisions that follow from data and settings, before the first step. `found`: whether the scene has
+/// normals, semantics, and a source of regions.
 pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
     let g = &s.geometry;
     let prior = |what: &str, wanted: bool, weight: f32, found: bool| match (wanted, weight > 0.0, found) {
@@ -43,7 +43,7 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
         on,
         reason,
         measured: None,
-        asked: None,
+        requested: None,
         setting: setting.to_owned(),
     };
     vec![
@@ -54,26 +54,22 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
     ]
 }
 
-/// Refuses a geometric statistic of densification where no geometric loss has a weight: nothing would be densified.
+/// Refuses a geometric statistic of densification without a geometric loss. No Gaussian would be densified.
 pub(super) fn check_statistic(g: &GeometrySettings, normals: bool) -> Result<()> {
     let d = &g.densify;
     if !d.enabled || d.statistic != DensifyStatistic::Geometric || normals || g.depth_terms() {
         return Ok(());
     }
-    Err(TrainError::Setting(
-        "geometry.densify.statistic = \"geometric\" requires a loss of normals or depth; set geometry.depth_smooth = true, use \
-         another statistic, or add --no-densify."
-            .into(),
-    ))
+    Err(Requirement::GeometricLoss.into())
 }
 
 impl Geometry {
-    /// Losses whose weight is not zero and that cannot run.
+    /// Returns the losses that have a weight and cannot run.
     pub fn idle_losses(&self) -> &[IdleLoss] {
         &self.idle
     }
 
-    /// Decisions about the model.
+    /// Returns the decisions about the model.
     pub fn decisions(&self) -> &[Decision] {
         &self.decisions
     }

@@ -1,6 +1,7 @@
-//! What a training takes in the end, if it ends with so many Gaussians.
+//! Estimate of memory and work of a training.
 //!
-//! Leaves to others how many that will be: it follows from the photographs, and nobody knows before.
+//! The caller states the number of Gaussians at its end. That number depends on the photographs and is unknown before
+//! training.
 
 use super::{Geometry, entries_with, last_that, next_room};
 use crate::error::Result;
@@ -11,26 +12,26 @@ use sgs_passes::cost::{Cost, Counts, of_plan};
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, InputSizes};
 use sgs_passes::scene::{Layout, Model};
 
-/// Views that are looked at.
+/// Number of views that are measured, at most.
 const VIEWS: usize = 64;
 
-/// What training views see of the Gaussians as they are.
+/// Measurement of the Gaussians in the training views.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sight {
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: f64,
     /// Tile entries of the view that has most.
     pub most_entries: u32,
-    /// Mean of all views.
+    /// Tile entries of a view, mean.
     pub entries: f64,
-    /// Gaussians that a view sees, mean.
+    /// Gaussians that are visible in a view, mean.
     pub visible: f64,
     /// Pixels of a view, mean.
     pub pixels: f64,
 }
 
 impl Sight {
-    /// The same of so many Gaussians, which grow out of these.
+    /// Extrapolates the measurement to another number of Gaussians. They grow from these.
     #[must_use]
     pub fn with(&self, gaussians: u32) -> Sight {
         let (now, then) = (self.gaussians.max(1.0), f64::from(gaussians));
@@ -45,8 +46,8 @@ impl Sight {
 }
 
 impl Geometry {
-    /// Looks at the training views as things are, before the first step or between calls of [`Geometry::train`]. Parameters are
-    /// held meanwhile.
+    /// Measures the training views with the current Gaussians. Call before the first step or between calls of
+    /// [`Geometry::train`]. Parameters do not change.
     ///
     /// # Errors
     /// If the device fails.
@@ -70,8 +71,8 @@ impl Geometry {
         Ok(sight)
     }
 
-    /// What a step computes and moves at most: as if no Gaussian hid another, and semantics were asked of every pixel. Passes of which
-    /// nobody knows it are counted beside.
+    /// Returns the cost of a step and the number of passes of unknown cost. The cost is an upper bound: no Gaussian
+    /// occludes another, and every pixel has a semantic target.
     ///
     /// # Errors
     /// If there is no step, because memory ran out.
@@ -80,10 +81,11 @@ impl Geometry {
         Ok(of_plan(self.executor()?.plan(), &counts))
     }
 
-    /// The same of a step that compares its view with pseudo-views, which see as much as training views do; none where there are none.
+    /// Returns the cost of a step that compares its view with pseudo-views. Assumes that pseudo-views see as much as
+    /// training views do. Returns none if no step does so.
     ///
     /// # Errors
-    /// If it makes no graph.
+    /// If the step has no valid graph.
     pub fn pseudo_step_cost(&self, sight: &Sight) -> Result<Option<(Cost, usize)>> {
         let Some(c) = &self.correspondence else { return Ok(None) };
         let inputs = InputSizes { regions: Some(c.bytes()), ..self.inputs };
@@ -108,28 +110,30 @@ impl Geometry {
         }
     }
 
-    /// What training takes at most, if it ends with so many Gaussians, began with `count`, and has so many tile entries now. With all bands of
-    /// spherical harmonics that may come.
+    /// Returns the memory of a training that ends with `gaussians` Gaussians, at most. `count`: number of Gaussians at
+    /// its start. `entries`: current number of tile entries. Includes all bands of spherical harmonics that may be
+    /// added.
     ///
     /// # Errors
-    /// If so many make no graph.
+    /// If that many Gaussians have no valid graph.
     pub fn expected(&self, gaussians: u32, count: u32, entries: u32) -> Result<Needs> {
         self.expected_of(self.settings.geometry.sh_degree.most(), gaussians, count, entries)
     }
 
-    /// The same where no band stays that may come; none where their number is set.
+    /// Returns the same without the bands that may be added. Returns none if the number of bands is fixed.
     ///
     /// # Errors
-    /// If so many make no graph.
+    /// If that many Gaussians have no valid graph.
     pub fn expected_without_bands(&self, gaussians: u32, count: u32, entries: u32) -> Result<Option<Needs>> {
         let auto = self.settings.geometry.sh_degree == ShDegree::Auto;
         auto.then(|| self.expected_of(0, gaussians, count, entries)).transpose()
     }
 
-    /// The most Gaussians with which training stays within the budget, up to what settings and bindings allow; as [`Geometry::expected`] has it.
+    /// Returns the most Gaussians with which training stays within the budget. Uses [`Geometry::expected`]. Settings
+    /// and the device's bindings limit the number.
     ///
     /// # Errors
-    /// If so many make no graph.
+    /// If that many Gaussians have no valid graph.
     pub fn most_within_budget(&self, count: u32, entries: u32) -> Result<u32> {
         if !self.settings.geometry.densify.enabled {
             return Ok(count);
@@ -143,7 +147,7 @@ impl Geometry {
         let model = Model { sh_degree: sh_degree.max(now.model.sh_degree), ..now.model };
         let capacity = if g.densify.enabled { next_room(gaussians, now.capacity, self.most) } else { now.capacity };
         let layout = Layout { model, capacity, ..now };
-        // Room for entries is made with an eighth to spare, half of which is left on average.
+        // The capacity for entries is an eighth larger than needed when it grows; half of that remains on average.
         let most = f64::from(entries).max(entries_with(entries, count, gaussians));
         let room = (most * (1.0 + 1.0 / 16.0)) as u32;
         let options = GeometryOptions { entry_capacity: room.max(self.options.entry_capacity), ..self.options };
@@ -151,7 +155,7 @@ impl Geometry {
         if let Some(c) = &self.correspondence {
             needs = needs.with_views(&self.device, &self.tuning, &layout, &self.inputs, &options, c)?;
         }
-        // Checkpoints go through it, and no group is larger than moments of the widest.
+        // Checkpoints pass through staging memory. No group is larger than the moments of the widest.
         let widest = model.groups().map(|g| 8 * u64::from(g.width())).max().unwrap_or(0);
         needs.staging = STAGING_BYTES.min(widest * u64::from(gaussians));
         Ok(needs)

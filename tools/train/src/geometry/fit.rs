@@ -1,8 +1,8 @@
-//! Staying within the memory that training may take (`memory.budget`): growth is limited to what fits, and where even the tile
-//! entries of what is there do not, the faintest Gaussians go.
+//! Limit of training to a memory budget (`memory.budget`). Growth is limited to what fits. Where even the tile entries
+//! of the current Gaussians do not fit, the faintest Gaussians are removed.
 //!
-//! Promises: growth never exceeds what is allowed, and a training whose start fits comes to its end. The result depends on what is
-//! allowed and on nothing else of the memory.
+//! Guarantees: growth never exceeds the allowance, and a training whose start fits runs to its end. The result depends
+//! on the allowance, not on other properties of the memory.
 
 use super::{Decision, Geometry, Progress, entries_of};
 use crate::error::{Result, TrainError};
@@ -13,26 +13,28 @@ use sgs_engine::{Budget, BudgetSource};
 use sgs_passes::pipeline::{DensifyStats, GeometryOptions};
 use sgs_passes::scene::{GaussianData, Gaussians, Group, Layout, Model, STATISTICS};
 
-/// Small things that come and go.
+/// Margin for small buffers, in bytes.
 const SLACK: u64 = 4096;
 
-/// What is known of growth; goes into checkpoints.
+/// State of growth. Part of checkpoints.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Growth {
     /// Most tile entries of a step since the last densification.
     pub entries: u32,
-    /// Births that gradients asked for while memory was short, and those that it refused.
-    pub asked: u64,
+    /// New Gaussians that gradients requested while memory was short. `refused` counts those that memory refused.
+    pub requested: u64,
     pub refused: u64,
 }
 
-/// What training may take of a budget. What nobody promised is not used up.
+/// Returns the part of a budget that training may use, in bytes. Without a promised budget (the budget is the whole
+/// heap), uses 90 % of the heap.
 pub(super) fn allowance(b: &Budget) -> u64 {
     let all = if b.source == BudgetSource::Heap && b.budget == b.heap { b.heap / 10 * 9 } else { b.budget };
     all.saturating_sub(b.used)
 }
 
-/// The last number from `low` to `high` for which something holds that stops to hold somewhere; `low` at least.
+/// Finds the last number from `low` to `high` for which `holds` returns true. `holds` is true up to some number and
+/// false beyond it. Returns at least `low`.
 pub(super) fn last_that(low: u32, high: u32, holds: impl Fn(u32) -> Result<bool>) -> Result<u32> {
     if high <= low || holds(high)? {
         return Ok(high.max(low));
@@ -50,7 +52,7 @@ pub(super) fn last_that(low: u32, high: u32, holds: impl Fn(u32) -> Result<bool>
 }
 
 impl Geometry {
-    /// Whether so much fits, step and densification included, and the way there.
+    /// Returns whether a layout fits. Includes the step, densification and the growth to the layout.
     pub(super) fn fits(&self, layout: &Layout, entries: u32) -> Result<bool> {
         let options = GeometryOptions { entry_capacity: entries, ..self.options };
         let mut needs = Needs::of(&self.device, &self.tuning, layout, &self.inputs, &options)?;
@@ -63,14 +65,15 @@ impl Geometry {
         Ok(needs.total().max(needs.growing(&self.gaussians.layout(), layout)) + SLACK <= self.allowed)
     }
 
-    /// The model with all bands that may still come.
+    /// Returns the model with all bands that may still be added.
     fn model_to_come(&self) -> Model {
         let open = self.bands.as_ref().is_some_and(|b| b.is_open());
         let now = self.gaussians.model;
         Model { sh_degree: if open { MOST_BANDS } else { now.sh_degree }, ..now }
     }
 
-    /// The most Gaussians up to a limit that fit, with as many tile entries each as there were lately. Never fewer than there are.
+    /// Returns the most Gaussians up to `limit` that fit, at least `count`. Tile entries are extrapolated from those of
+    /// the last steps.
     pub(super) fn most_that_fit(&self, count: u32, limit: u32) -> Result<u32> {
         let layout = Layout { model: self.model_to_come(), ..self.gaussians.layout() };
         last_that(count, limit, |n| {
@@ -79,29 +82,35 @@ impl Geometry {
         })
     }
 
-    /// Takes notice of a densification for which memory was short, and says at the last one what that came to.
-    pub(super) fn slowed(&mut self, step: u32, stats: &DensifyStats, short: bool, heard: &mut impl FnMut(&Progress)) {
+    /// Counts new Gaussians that memory refused. Reports the sum after the last densification.
+    pub(super) fn slowed(
+        &mut self,
+        step: u32,
+        stats: &DensifyStats,
+        short: bool,
+        on_report: &mut impl FnMut(&Progress),
+    ) {
         if short {
-            self.growth.asked += u64::from(stats.cloned) + u64::from(stats.split) + u64::from(stats.refused);
+            self.growth.requested += u64::from(stats.cloned) + u64::from(stats.split) + u64::from(stats.refused);
             self.growth.refused += u64::from(stats.refused);
         }
         self.growth.entries = 0;
-        let Growth { asked, refused, .. } = self.growth;
+        let Growth { requested, refused, .. } = self.growth;
         if refused > 0 && self.schedule.densifies_last(step) {
             let reason = format!(
-                "{refused} of {asked} that gradients asked for did not fit into {:.1} MiB; there are {} Gaussians",
+                "{refused} of {requested} that gradients asked for did not fit into {:.1} MiB; there are {} Gaussians",
                 self.allowed as f64 / f64::from(1 << 20),
                 stats.after
             );
-            self.decide(Decision::of_memory(step, "births", reason), heard);
+            self.decide(Decision::of_memory(step, "births", reason), on_report);
         }
     }
 
-    /// Tile entries do not fit: room that nobody uses goes, then the faintest Gaussians do.
+    /// Makes tile entries fit. Frees unused capacity first, then removes the faintest Gaussians.
     ///
     /// # Errors
-    /// If that does not help, or their number is to stay as it is and no memory was promised.
-    pub(super) fn squeeze(&mut self, step: u32, wanted: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
+    /// If even that does not suffice. Without densification and without a promised budget, no Gaussian may be removed.
+    pub(super) fn squeeze(&mut self, step: u32, wanted: u32, on_report: &mut impl FnMut(&Progress)) -> Result<()> {
         let layout = self.gaussians.layout();
         for entries in [self.options.entry_capacity, wanted] {
             if self.fits(&layout, entries)? {
@@ -110,13 +119,13 @@ impl Geometry {
             }
         }
         let count = self.gaussians.count(&self.device)?;
-        // A few more, as those that stay are the larger ones, and other views see more.
+        // A tenth more than in proportion: the Gaussians that stay are the larger ones, and other views see more.
         let entries = |n: u32| {
             let share = f64::from(wanted) * f64::from(n) / f64::from(count.max(1));
             if n == count { wanted } else { (1.1 * share) as u32 }
         };
         let fits = |n: u32| self.fits(&Layout { capacity: n, ..layout }, entries(n));
-        // A promise of memory goes before one of their number.
+        // A promised budget takes precedence over the number of Gaussians.
         let keep = match self.settings.geometry.densify.enabled || self.promised {
             true => last_that(1, count, fits)?,
             false => count,
@@ -135,12 +144,12 @@ impl Geometry {
                 "the {wanted} tile entries of step {step} did not fit into {:.1} MiB; {keep} of {count} are left",
                 self.allowed as f64 / f64::from(1 << 20)
             );
-            self.decide(Decision::of_memory(step - 1, "the faintest Gaussians", reason), heard);
+            self.decide(Decision::of_memory(step - 1, "the faintest Gaussians", reason), on_report);
         }
         Ok(())
     }
 
-    /// Room for so many Gaussians, and no more of them than that: the most opaque ones stay.
+    /// Keeps the `keep` most opaque Gaussians and removes the others. Reduces the capacity to `keep`.
     fn keep_strongest(&mut self, keep: u32) -> Result<()> {
         self.forget_steps();
         let device = self.device.clone();
@@ -176,7 +185,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_last_number_that_holds_is_found() {
+    fn last_that_finds_the_last_number() {
         for last in [0, 5, 6, 17, 99, 100, 200] {
             let found = last_that(5, 100, |n| Ok(n <= last)).unwrap();
             assert_eq!(found, last.clamp(5, 100));
@@ -185,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn what_nobody_promised_is_not_used_up() {
+    fn budget_without_promise_is_not_exhausted() {
         let b = |source, budget| Budget { heap: 1000, budget, used: 100, source };
         assert_eq!(allowance(&b(BudgetSource::Heap, 1000)), 800);
         assert_eq!(allowance(&b(BudgetSource::Configured, 1000)), 900);

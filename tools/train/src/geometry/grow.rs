@@ -1,25 +1,24 @@
-//! Densification between steps, and the room that it takes.
+//! Densification between steps, and the capacity that it requires.
 
 use super::{Geometry, Progress, entries_of, next_room};
 use crate::error::Result;
-use crate::memory::allowed;
 use sgs_passes::pipeline::{DensifySettings, DensifyStep};
 
 impl Geometry {
-    /// Adds and removes Gaussians, within what fits.
+    /// Adds and removes Gaussians within the memory limit.
     pub(super) fn densify(
         &mut self,
         step: u32,
         mut settings: DensifySettings,
-        heard: &mut impl FnMut(&Progress),
+        on_report: &mut impl FnMut(&Progress),
     ) -> Result<()> {
-        // Each makes one more at most.
+        // Each Gaussian adds at most one.
         let count = self.gaussians.count(&self.device)?;
         let limit = self.most.min(next_room(count.saturating_mul(2), self.gaussians.capacity, self.most));
         let most = self.most_that_fit(count, limit)?;
         settings.cap = settings.cap.min(most);
         if self.was_held_back(step, self.settings.geometry.densify.interval) {
-            // What only they show has gathered nothing.
+            // Gaussians that only the held-out views show have gathered no weight.
             settings.prune_weight = 0.0;
         }
         if self.densify.is_none() {
@@ -42,12 +41,12 @@ impl Geometry {
             }
             self.grow(room)?;
         }
-        self.slowed(step, &stats, most < limit, heard);
-        heard(&Progress::Densified { step, stats });
+        self.slowed(step, &stats, most < limit, on_report);
+        on_report(&Progress::Densified { step, stats });
         Ok(())
     }
 
-    /// Makes room for more Gaussians. Where memory refuses, they stay as many as fit now.
+    /// Raises the capacity for Gaussians. If memory runs out, the current capacity becomes the limit.
     fn grow(&mut self, room: u32) -> Result<()> {
         self.forget_steps();
         match self.gaussians.grow(&self.device, room) {
@@ -55,7 +54,7 @@ impl Geometry {
             Err(error) if error.is_out_of_memory() => {
                 tracing::debug!(%error, "no room for more Gaussians");
                 self.most = self.gaussians.capacity;
-                let budget = allowed(&self.device, &self.settings).budget >> 20;
+                let budget = self.device.budget().budget >> 20;
                 tracing::warn!("Densification stops at {} Gaussians: no more fit into {budget} MiB.", self.most);
             }
             Err(error) => return Err(error.into()),

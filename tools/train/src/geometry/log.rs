@@ -1,11 +1,11 @@
-//! The lines of the geometry stage in `log.jsonl`.
+//! Lines of the geometry stage in `log.jsonl`.
 
 use crate::stage::StepFigures;
 use serde::Serialize;
 use sgs_passes::pipeline::StepReport;
 use std::fmt;
 
-/// One line of `log.jsonl`.
+/// Line of `log.jsonl`.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct StepLog {
     /// The step.
@@ -24,17 +24,17 @@ pub struct StepLog {
     pub semantic_class: f32,
     /// Distance of a region's features between views.
     pub correspondence: f32,
-    /// Cross-entropy of its class there.
+    /// Cross-entropy of the region's class in the pseudo-views.
     pub correspondence_class: f32,
-    /// How many Gaussians.
+    /// Number of Gaussians.
     pub gaussians: u32,
-    /// How many of them the view sees.
+    /// Number of Gaussians that are visible in the view.
     pub visible: u32,
-    /// Tile entries.
+    /// Number of tile entries.
     pub entries: u32,
-    /// Splats skipped so far because their gradients were not finite.
+    /// Number of splats skipped since the start. Their gradients were not finite.
     pub skipped: u32,
-    /// What returns to the last good state have multiplied learning rates by; absent where there were none.
+    /// Factor of the rollbacks on learning rates. Absent without rollbacks.
     #[serde(skip_serializing_if = "is_one")]
     pub rates: f64,
 }

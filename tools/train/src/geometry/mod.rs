@@ -1,25 +1,24 @@
-//! The geometry stage: steps, densification, growth.
+//! Geometry stage: steps, densification, growth.
 //!
-//! Promises: the result depends on the scene, the settings and the seed alone, not on how large buffers were at first,
-//! when checkpoints were written, or whether training was interrupted. A step in the steady state waits only for the
-//! one two before it; the host looks at reports of steps that are done.
+//! Guarantees: the result depends on the scene, the settings and the seed alone. It does not depend on initial buffer
+//! sizes, on the times of checkpoints, or on interruptions. A step in the steady state waits only for the step two
+//! before it. The host reads reports of finished steps only.
 
 mod backward;
 mod bands;
+mod capacity;
 pub(crate) mod checkpoint;
 mod decision;
 mod expect;
 mod fit;
-mod given;
 mod grow;
+mod inputs;
 mod log;
-mod look;
-mod room;
+mod poll;
 mod stage;
 mod state;
 mod thin;
 
-use crate::asked::Look;
 use crate::correspondence::Correspondence;
 use crate::data::TrainingData;
 use crate::decision::Decision;
@@ -27,18 +26,19 @@ use crate::divergence::{RollBack, Watch};
 use crate::error::{Result, TrainError};
 use crate::idle::{self, FoundForGeometry, IdleLoss};
 use crate::limits;
-use crate::memory::{Needs, allowed};
+use crate::memory::Needs;
 use crate::normals::{Prior, initial_normals};
+use crate::region_provider::FrameRendering;
 use crate::schedule::Schedule;
 use crate::semantics::{SemanticData, SemanticMaps};
 use backward::kernel_of;
 pub(crate) use bands::Bands;
+use capacity::{entries_of, entries_with, first_entry_capacity, most_by_binding, next_room, room_for};
 pub use expect::Sight;
 pub(crate) use fit::Growth;
 use fit::{allowance, last_that};
-use given::Given;
+use inputs::GeometryInputs;
 pub use log::StepLog;
-use room::{entries_of, entries_with, first_entry_capacity, most_by_binding, next_room, room_for};
 use sgs_config::{Backward, Settings, ShDegree};
 use sgs_engine::Device;
 use sgs_engine::graph::exec::PassTime;
@@ -53,77 +53,78 @@ use sgs_run::{SemanticHead, gaussian_data, splats};
 use sgs_scene::{Camera, Image, Scene, Splats, Unit};
 pub use thin::{MANY_POINTS, MOST_THINNED};
 
-/// Replays in flight.
+/// Number of replays in flight.
 const IN_FLIGHT: usize = 2;
 
-/// Steps after which the device has seen enough to be timed.
+/// Number of steps after which backward kernels can be timed.
 const WARM: u32 = 16;
 
-/// What the caller hears of while training.
+/// Progress of the stage.
 #[derive(Clone, Debug)]
 pub enum Progress {
-    /// A step is done.
+    /// A step is finished.
     Step(StepReport),
     /// Gaussians were added and removed after a step.
     Densified {
-        /// The step.
+        /// Step after which densification ran.
         step: u32,
-        /// What happened.
+        /// Counts of the densification.
         stats: DensifyStats,
     },
-    /// Something was decided about the model.
+    /// A decision about the model was made.
     Decided(Decision),
 }
 
-/// The geometry stage of one scene.
+/// Geometry stage of one scene.
 pub struct Geometry {
     device: Device,
     tuning: Tuning,
     settings: Settings,
     schedule: Schedule,
     data: TrainingData,
-    /// What features should mean, and what gives them a meaning.
+    /// Semantic targets, and the decoder that gives features a meaning.
     semantics: Option<(SemanticData, Decoder)>,
-    /// What is compared between views.
+    /// Pseudo-views and regions that are compared between views.
     correspondence: Option<Correspondence>,
     gaussians: Gaussians,
     status: Status,
-    /// Absent only while it is rebuilt: the old one's memory goes before the new one's comes.
+    /// Executor of a step. Absent only while it is rebuilt: the old memory is freed before the new memory is allocated.
     exec: Option<GeometryStep>,
     densify: Option<DensifyStep>,
     reset: Option<OpacityReset>,
     options: GeometryOptions,
-    /// Densification never goes beyond this many.
+    /// Limit of the number of Gaussians in densification.
     most: u32,
     needs: Needs,
-    /// Last step that was submitted.
+    /// Last submitted step.
     submitted: u32,
-    /// Last step whose report was seen to be clean.
+    /// Last step whose report was evaluated without an overflow.
     done: u32,
-    /// Last step after which densification and reset had their turn; an overflow may take steps back across it.
+    /// Last step after which densification and reset have run. An overflow may return to a step before it.
     settled: u32,
-    /// Whether it gets anywhere.
+    /// Divergence detection.
     watch: Watch,
-    /// Returns to the last good state.
+    /// Rollbacks after divergence.
     roll_backs: Vec<RollBack>,
-    /// Where the search for the degree of spherical harmonics is, if there is one.
+    /// State of the search for the number of spherical-harmonics bands. None if the number is fixed.
     bands: Option<Bands>,
-    /// The unit, in the scene's, of lengths here.
+    /// Unit of lengths in this stage, in the scene's unit.
     unit: Unit,
-    /// What was decided about the model.
+    /// Decisions about the model.
     decisions: Vec<Decision>,
-    /// Losses that cannot run.
+    /// Losses that have a weight and cannot run.
     idle: Vec<IdleLoss>,
-    /// Sizes of what is trained on.
+    /// Sizes of the training data.
     inputs: InputSizes,
-    /// Bytes that training may take, all in, and whether that was promised.
+    /// Bytes that training may use in all. `promised`: whether the settings limit memory.
     allowed: u64,
     promised: bool,
     growth: Growth,
 }
 
 impl Geometry {
-    /// Prepares training from the scene's points (from fewer where memory does not suffice for all), or from given splats.
+    /// Prepares training from the scene's points or from given splats. Uses fewer points where memory does not suffice
+    /// for all.
     ///
     /// # Errors
     /// If data cannot be read or memory runs out.
@@ -134,8 +135,10 @@ impl Geometry {
         let scaled = (unit != Unit::OWN).then(|| scene.in_unit(unit));
         let scene = scaled.as_ref().unwrap_or(scene);
         let mut training = match start {
-            Some(splats) if unit == Unit::OWN => Geometry::of(device, &Given::Scene(scene), settings, splats),
-            Some(splats) => Geometry::of(device, &Given::Scene(scene), settings, &splats.clone().in_unit(unit)),
+            Some(splats) if unit == Unit::OWN => Geometry::of(device, &GeometryInputs::Scene(scene), settings, splats),
+            Some(splats) => {
+                Geometry::of(device, &GeometryInputs::Scene(scene), settings, &splats.clone().in_unit(unit))
+            }
             None => Geometry::from_points(device, scene, settings),
         }?;
         training.unit = unit;
@@ -152,11 +155,16 @@ impl Geometry {
         settings: &Settings,
         start: &Splats,
     ) -> Result<Geometry> {
-        Geometry::of(device, &Given::Pictures(images), settings, start)
+        Geometry::of(device, &GeometryInputs::Renderings(images), settings, start)
     }
 
-    /// Prepares training of given splats on a scene, or on pictures without one.
-    pub(crate) fn of(device: &Device, given: &Given<'_>, settings: &Settings, start: &Splats) -> Result<Geometry> {
+    /// Prepares training of given splats on a scene or on images.
+    pub(crate) fn of(
+        device: &Device,
+        given: &GeometryInputs<'_>,
+        settings: &Settings,
+        start: &Splats,
+    ) -> Result<Geometry> {
         settings.check()?;
         let g = &settings.geometry;
         let wants_normals = g.normals && (g.losses.normal > 0.0 || g.losses.normal_smooth > 0.0);
@@ -209,7 +217,7 @@ impl Geometry {
             frames_in_flight: IN_FLIGHT,
         };
         let layout = Layout { model, capacity: count.max(1), training: true, statistics: g.densify.enabled };
-        let budget = allowed(device, settings);
+        let budget = device.budget();
         let of = |layout: &Layout| Needs::of(device, &tuning, layout, &inputs, &options);
         let first = of(&layout)?;
         let views = limits::Remedy::Views { views: data.views().len(), scale: settings.scale };
@@ -254,9 +262,9 @@ impl Geometry {
         gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;
         let schedule = Schedule::new(settings, given.extent(), data.views.len());
-        let promised = settings.memory.budget > 0 || g.densify.max_mib > 0;
+        let promised = settings.memory.budget > 0;
         let mut settings = settings.clone();
-        // Processors run lanes one after the other: engine-bench shows the pixel kernel ahead on them by far.
+        // CPU devices run lanes one after the other. In `engine-bench` the pixel kernel is faster on them by far.
         if settings.geometry.backward == Backward::Auto && device.info().kind == "cpu" {
             settings.geometry.backward = Backward::Pixel;
         }
@@ -298,73 +306,73 @@ impl Geometry {
         Ok(training)
     }
 
-    /// Steps that are done.
+    /// Returns the number of finished steps.
     pub fn step(&self) -> u32 {
         self.done
     }
 
-    /// The classes, if there are semantic priors.
+    /// Returns the names of the classes, if the scene has semantic priors.
     pub fn classes(&self) -> Option<&[String]> {
         self.semantics.as_ref().map(|(data, _)| data.text.labels.as_slice())
     }
 
-    /// What says where regions are in pseudo-views, if there will be any.
+    /// Returns the source of regions in pseudo-views, if the stage uses pseudo-views.
     pub fn masks(&self) -> Option<Masks> {
         self.correspondence.as_ref().map(Correspondence::masks)
     }
 
-    /// The device.
+    /// Returns the device.
     pub fn device(&self) -> &Device {
         &self.device
     }
 
-    /// The Gaussians on the device, in [`Geometry::unit`].
+    /// Returns the Gaussians on the device, in [`Geometry::unit`].
     pub fn gaussians(&self) -> &Gaussians {
         &self.gaussians
     }
 
-    /// The unit, in the scene's, of lengths on the device.
+    /// Returns the unit of lengths on the device, in the scene's unit.
     pub fn unit(&self) -> Unit {
         self.unit
     }
 
-    /// Trains until `last` steps are done, or `go_on` says no. Always stops with all work done.
+    /// Trains until `last` steps are finished or `go_on` returns false. Returns with no work in flight.
     ///
     /// # Errors
     /// If the device fails or training diverges.
     pub fn train(
         &mut self,
         last: u32,
-        mut heard: impl FnMut(&Progress),
+        mut on_report: impl FnMut(&Progress),
         mut go_on: impl FnMut() -> bool,
     ) -> Result<()> {
         while self.done < last && go_on() {
-            if self.settings.geometry.backward == Backward::Auto && self.done >= WARM && self.drain(&mut heard)? {
+            if self.settings.geometry.backward == Backward::Auto && self.done >= WARM && self.drain(&mut on_report)? {
                 self.choose_backward()?;
             }
             if self.submitted < last {
                 self.submit_next()?;
-                self.look(self.submitted.saturating_sub(IN_FLIGHT as u32), &mut heard)?;
+                self.poll(self.submitted.saturating_sub(IN_FLIGHT as u32), &mut on_report)?;
             }
             let due = self.schedule.densify(self.submitted).is_some() || self.schedule.reset(self.submitted);
             let due = due || self.bands_due(self.submitted);
             let due = due && self.settled < self.submitted;
             if due || self.submitted == last {
-                let clean = self.drain(&mut heard)?;
+                let clean = self.drain(&mut on_report)?;
                 if clean && due {
                     self.settled = self.submitted;
-                    self.after(self.submitted, &mut heard)?;
+                    self.after(self.submitted, &mut on_report)?;
                 }
             }
         }
-        // Steps that an overflow took back are simply not done yet.
-        while !self.drain(&mut heard)? {}
+        // Repeats until no overflow discards steps; discarded steps count as not done.
+        while !self.drain(&mut on_report)? {}
         Ok(())
     }
 
     fn submit_next(&mut self) -> Result<()> {
         let step = self.submitted + 1;
-        // Which graph a step runs depends on its number alone, also where it is run again.
+        // The graph of a step depends on its number alone, also when the step runs again.
         let due = step >= self.settings.geometry.correspondence_from;
         let pseudo = self.correspondence.as_ref().filter(|_| due).map(Correspondence::masks);
         if pseudo != self.options.pseudo {
@@ -380,7 +388,7 @@ impl Geometry {
             match pseudo {
                 Some(pseudo) => self.exec()?.submit_views(&values, &pseudo)?,
                 None => {
-                    // Nobody says any more where regions are.
+                    // The provider has failed and training may continue without it.
                     self.correspondence = None;
                     return self.submit_next();
                 }
@@ -390,25 +398,25 @@ impl Geometry {
         Ok(())
     }
 
-    /// The uniforms of a step's pseudo-views.
+    /// Makes the uniforms of a step's pseudo-views.
     fn pseudo_views(&mut self, values: &mut Step) -> Result<Option<[Step; PSEUDO_VIEWS]>> {
         let (view, seed) = (self.view(values.step), self.settings.seed);
-        let look = Look {
+        let poll = FrameRendering {
             sh_degree: values.sh_degree,
             background: self.settings.geometry.background,
             largest: self.options.largest,
             entries: self.options.entry_capacity,
         };
-        if self.correspondence.as_ref().is_some_and(Correspondence::looks) {
+        if self.correspondence.as_ref().is_some_and(Correspondence::polls) {
             self.exec()?.finish()?;
         }
         match &mut self.correspondence {
-            Some(c) => c.steps(&self.device, &self.gaussians, &look, seed, view, values),
+            Some(c) => c.steps(&self.device, &self.gaussians, &poll, seed, view, values),
             None => Ok(None),
         }
     }
 
-    /// The uniform of a step.
+    /// Makes the uniform of a step.
     fn values(&self, step: u32) -> Step {
         let view = self.view(step);
         let (camera, offset) = self.data.views[view];
@@ -419,7 +427,7 @@ impl Geometry {
         values
     }
 
-    /// What can be made again goes: its memory is needed.
+    /// Frees the executors, which can be rebuilt, because their memory is needed.
     fn forget_steps(&mut self) {
         self.densify = None;
         self.reset = None;
@@ -443,21 +451,21 @@ impl Geometry {
         Ok(())
     }
 
-    /// The step, made again if an earlier attempt failed.
+    /// Returns the executor of the step. Rebuilds it if an earlier attempt failed.
     fn exec(&mut self) -> Result<&mut GeometryStep> {
         if self.exec.is_none() {
             self.rebuild()?;
         }
-        self.exec.as_mut().ok_or_else(|| TrainError::Setting("The step could not be built.".into()))
+        Ok(self.exec.as_mut().expect("invariant: rebuild creates the step"))
     }
 
-    /// What happens between steps.
-    fn after(&mut self, step: u32, heard: &mut impl FnMut(&Progress)) -> Result<()> {
+    /// Runs the work between steps: trial of bands, densification and reset of opacities.
+    fn after(&mut self, step: u32, on_report: &mut impl FnMut(&Progress)) -> Result<()> {
         if self.bands_due(step) {
-            self.turn_bands(step, heard)?;
+            self.turn_bands(step, on_report)?;
         }
         if let Some(settings) = self.schedule.densify(step) {
-            self.densify(step, settings, heard)?;
+            self.densify(step, settings, on_report)?;
         }
         if self.schedule.reset(step) {
             if self.reset.is_none() {
@@ -471,18 +479,18 @@ impl Geometry {
         Ok(())
     }
 
-    fn decide(&mut self, decision: Decision, heard: &mut impl FnMut(&Progress)) {
+    fn decide(&mut self, decision: Decision, on_report: &mut impl FnMut(&Progress)) {
         tracing::info!("{decision}");
         self.decisions.push(decision.clone());
-        heard(&Progress::Decided(decision));
+        on_report(&Progress::Decided(decision));
     }
 
-    /// What the first step was reckoned to take of the device's memory.
+    /// Returns the estimated device memory of the first step.
     pub fn needs(&self) -> &Needs {
         &self.needs
     }
 
-    /// What gives the features their meaning, if there are any.
+    /// Returns the semantic head, if the Gaussians have features.
     ///
     /// # Errors
     /// If the device fails.
@@ -492,12 +500,12 @@ impl Geometry {
         Ok(Some(SemanticHead { decoder: decoder.download(&self.device)?, text: data.text.clone(), temperature }))
     }
 
-    /// The settings, with what was chosen along the way.
+    /// Returns the settings, with the choices that training made by measurement.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The Gaussians as they are.
+    /// Returns the current Gaussians in the scene's unit.
     ///
     /// # Errors
     /// If the device fails.
@@ -516,15 +524,15 @@ impl Geometry {
         self.rebuild()
     }
 
-    /// Times of the passes since the last call.
+    /// Returns the times of the passes since the last call.
     pub fn take_times(&mut self) -> Vec<PassTime> {
         self.exec.as_mut().map_or_else(Vec::new, |e| e.executor().take_times())
     }
 
-    /// The step's executor, for its plan.
+    /// Returns the executor of the step, for its plan.
     ///
     /// # Errors
-    /// If it has to be made again and memory runs out.
+    /// If the executor has to be rebuilt and memory runs out.
     pub fn executor(&mut self) -> Result<&mut sgs_engine::graph::exec::Executor> {
         Ok(self.exec()?.executor())
     }

@@ -1,4 +1,4 @@
-//! The geometry stage as the trainer sees it.
+//! Implementation of [`Stage`] for geometry.
 
 use super::log::Figures;
 use super::{Geometry, Progress};
@@ -31,7 +31,7 @@ impl Stage for Geometry {
     }
 
     fn checkpoint_interval(&self) -> u32 {
-        self.settings.geometry.checkpoint_interval
+        self.settings.train.checkpoint_interval
     }
 
     fn settings(&self) -> &Settings {

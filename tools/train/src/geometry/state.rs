@@ -1,4 +1,4 @@
-//! Checkpoints of the geometry stage.
+//! Saving and restoring of the geometry stage.
 
 use super::checkpoint::{self, State};
 use super::{Geometry, first_entry_capacity, last_that};
@@ -10,7 +10,7 @@ use sgs_passes::scene::{Gaussians, Layout};
 use std::path::Path;
 
 impl Geometry {
-    /// Writes everything that resuming needs.
+    /// Writes a checkpoint with everything that resuming requires.
     ///
     /// # Errors
     /// If the file cannot be written; an earlier one stays whole.
@@ -37,21 +37,21 @@ impl Geometry {
         checkpoint::save(path, &state)
     }
 
-    /// Goes on from what [`Geometry::save`] wrote.
+    /// Restores the state that [`Geometry::save`] wrote.
     ///
     /// # Errors
     /// If the file is damaged or belongs to other settings.
     pub fn restore(&mut self, path: &Path) -> Result<()> {
         let state = checkpoint::load(path, self.gaussians.model, self.bands.is_some())?;
         let count = state.parameters.len() as u32;
-        // Densification stops where there is no room, so that the room has to be what it was.
+        // Densification stops at the capacity, so it has to be restored.
         let enabled = self.settings.geometry.densify.enabled;
         let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
         let first = self.options.entry_capacity.max(first);
         let room = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
         let layout = Layout { model: state.model, capacity: room, training: true, statistics: enabled };
         let capacity = last_that(count, room, |capacity| self.fits(&Layout { capacity, ..layout }, first))?;
-        // Two of them might not fit.
+        // Two sets of Gaussians might not fit.
         self.forget_steps();
         self.gaussians = Gaussians::with(&self.device, state.model, 1, true, enabled)?;
         self.gaussians = Gaussians::with(&self.device, state.model, capacity, true, enabled)?;
@@ -62,7 +62,7 @@ impl Geometry {
             decoder.upload_moments(&self.device, moments)?;
         }
         self.options.entry_capacity = first;
-        // It counts from the start again.
+        // The status counts from the start again.
         self.status = Status::new(&self.device)?;
         self.rebuild()?;
         self.submitted = state.step;

@@ -1,29 +1,29 @@
-//! Starting from fewer points than the scene has, where memory does not suffice for all.
+//! Start from fewer points than the scene has. Used where memory does not suffice for all.
 
-use super::{Geometry, Given};
+use super::{Geometry, GeometryInputs};
 use crate::error::Result;
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_scene::{PointCloud, Scene, Splats};
 
-/// Fewer points than these are never the reason why memory does not suffice.
+/// Number of points up to which no points are dropped.
 pub const MANY_POINTS: usize = 10_000;
 
-/// Each attempt keeps seven tenths of the points of the one before.
+/// Share of the points that each attempt retains of the one before.
 const KEPT: [usize; 2] = [7, 10];
 
-/// At least one point in so many stays.
+/// Divisor of the number of points. At least one in this many is retained.
 pub const MOST_THINNED: usize = 10;
 
 impl Geometry {
-    /// Prepares training from the scene's points, or from as many of them as memory suffices for.
+    /// Prepares training from the scene's points. Where memory does not suffice for all, uses as many as fit.
     ///
     /// # Errors
     /// If data cannot be read, or memory does not suffice for a tenth of the points.
     pub(super) fn from_points(device: &Device, scene: &Scene, settings: &Settings) -> Result<Geometry> {
         let degree = settings.geometry.sh_degree.start() as usize;
         let attempt = |points: &PointCloud| {
-            Geometry::of(device, &Given::Scene(scene), settings, &Splats::from_points(points, degree)?)
+            Geometry::of(device, &GeometryInputs::Scene(scene), settings, &Splats::from_points(points, degree)?)
         };
         let all = scene.points.len();
         let first = match attempt(&scene.points) {

@@ -1,10 +1,10 @@
-//! What a step compares beside its own view: a region's albedo in pseudo-views, and under other lights.
+//! Comparison of a region's albedo in pseudo-views and under other lights.
 //!
-//! Everything is drawn from the seed and the number of the step, so that resuming needs nothing but the number.
+//! All random choices depend on the seed and the step only, so resuming needs nothing but the step.
 
-use crate::asked::Frames;
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
+use crate::region_provider::Frames;
 use crate::regions::{LEAST_PIXELS, RegionInputs, Regions};
 use crate::schedule::Schedule;
 use crate::semantics::SemanticMaps;
@@ -14,10 +14,10 @@ use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStepValues, PSEUDO
 use sgs_run::camera;
 use sgs_scene::Scene;
 
-/// What a step does beside comparing its view with photograph and priors.
+/// Kind of a step: its comparisons beside those with photograph and priors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StepKind {
-    /// Nothing.
+    /// No further comparison.
     Plain,
     /// Compares albedo with pseudo-views.
     CrossView,
@@ -26,10 +26,10 @@ pub(super) enum StepKind {
 }
 
 impl StepKind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [StepKind; 3] = [StepKind::Plain, StepKind::CrossView, StepKind::Relight];
 
-    /// The options of such a step, of those that all kinds share.
+    /// Returns the options of this kind of step, from those that all kinds share.
     pub fn options(self, o: &IntrinsicOptions) -> IntrinsicOptions {
         let relight = self == StepKind::Relight;
         IntrinsicOptions {
@@ -40,7 +40,7 @@ impl StepKind {
         }
     }
 
-    /// What a step is due, as the settings have it.
+    /// Returns the kind of a step that the settings schedule.
     pub fn of(s: &IntrinsicSettings, step: u32) -> StepKind {
         match step % s.consistency_interval {
             0 if s.losses.cross_view > 0.0 && step >= s.cross_view_from => StepKind::CrossView,
@@ -50,19 +50,21 @@ impl StepKind {
     }
 }
 
-/// Regions and pseudo-views.
+/// Regions and pseudo-views of a scene.
 pub(super) struct Consistency {
     pseudo: PseudoViews,
-    /// The training views.
+    /// Cameras of the training views.
     views: Vec<sgs_scene::Camera>,
     regions: Regions,
 }
 
 impl Consistency {
-    /// What a provider of masks is shown of a view.
+    /// Lights that a provider of masks is shown: the current ones only.
     pub const SHOWN: RelitOptions = RelitOptions { as_is: true, copies: 0, spacing: 0.0 };
 
-    /// None if the scene has no regions, or no step needs any. `largest`: columns and rows that no view exceeds.
+    /// Loads regions and pseudo-views.
+    /// Returns none if the scene has no regions, or no step needs any. `largest`: upper bounds of the width and height
+    /// of all views. `planned`: starts no provider.
     pub fn load(
         device: &Device,
         scene: &Scene,
@@ -85,17 +87,17 @@ impl Consistency {
         Ok(Some(Consistency { pseudo, views, regions }))
     }
 
-    /// The regions.
+    /// Returns the regions.
     pub fn regions(&self) -> &Regions {
         &self.regions
     }
 
-    /// Whether a provider of masks is asked in each step that compares.
+    /// Returns whether every comparing step queries a provider of masks.
     pub fn asks(&self) -> bool {
-        matches!(self.regions, Regions::Asked(_))
+        matches!(self.regions, Regions::Provider(_))
     }
 
-    /// The pseudo-views that training will see.
+    /// Returns the cameras of the pseudo-views that training will use.
     pub fn cameras(&self, settings: &Settings, schedule: &Schedule) -> Vec<Camera> {
         let s = &settings.intrinsic;
         let due = (1..=s.steps).filter(|step| StepKind::of(s, *step) == StepKind::CrossView);
@@ -113,7 +115,7 @@ impl Consistency {
         all
     }
 
-    /// The pseudo-views of a step.
+    /// Returns the cameras of a step's pseudo-views, with the offsets of their masks.
     fn drawn(&self, seed: u64, view: usize, step: u32) -> [(sgs_scene::Camera, u32); PSEUDO_VIEWS] {
         let [first, second] = self.pseudo.draw(seed, step);
         [(0, first), (1, second)].map(|(which, index)| {
@@ -125,7 +127,7 @@ impl Consistency {
         })
     }
 
-    /// Chooses the pseudo-views of a step, and its region where regions have numbers.
+    /// Fills in the pseudo-views of a step, and its region where regions have numbers.
     pub fn fill(&self, seed: u64, view: usize, values: &mut IntrinsicStepValues) {
         let step = values.shaded.step;
         if let Regions::Numbered { maps, .. } = &self.regions {
@@ -141,18 +143,19 @@ impl Consistency {
         });
     }
 
-    /// The camera of a training view.
+    /// Returns the camera of a training view.
     pub fn camera(&self, view: usize) -> &sgs_scene::Camera {
         &self.views[view]
     }
 
-    /// The cameras of a step's pseudo-views.
+    /// Returns the cameras of a step's pseudo-views.
     pub fn pseudo_cameras(&self, seed: u64, view: usize, step: u32) -> [sgs_scene::Camera; PSEUDO_VIEWS] {
         self.drawn(seed, view, step).map(|(camera, _)| camera)
     }
 
-    /// Asks where the step's region is in three frames. False if there is nobody to ask any more. `masks`: which frame's mask is
-    /// that of the training view.
+    /// Queries the provider for the step's region in three frames.
+    /// Returns false if the provider is no longer available. `masks`: index of the frame whose mask is that of the
+    /// training view.
     pub fn ask(
         &mut self,
         device: &Device,
@@ -161,12 +164,12 @@ impl Consistency {
         seed: u64,
         values: &mut IntrinsicStepValues,
     ) -> Result<bool> {
-        let Regions::Asked(asked) = &mut self.regions else { return Ok(true) };
-        let Some(pixels) = asked.ask_about(device, frames, seed, values.shaded.step)? else { return Ok(false) };
-        // Kernels take the masks as they are; a region is named where there is evidence of one.
+        let Regions::Provider(requested) = &mut self.regions else { return Ok(true) };
+        let Some(pixels) = requested.ask_about(device, frames, seed, values.shaded.step)? else { return Ok(false) };
+        // Kernels use the masks directly; region 1 means that the mask is large enough.
         values.shaded.region = u32::from(pixels[masks] >= LEAST_PIXELS as usize);
-        values.shaded.mask_offset = asked.words * masks as u32;
-        values.pseudo[1].mask_offset = 2 * asked.words;
+        values.shaded.mask_offset = requested.words * masks as u32;
+        values.pseudo[1].mask_offset = 2 * requested.words;
         Ok(true)
     }
 }
@@ -176,7 +179,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn constraints_take_turns() {
+    fn step_kinds_alternate_by_interval() {
         let s = IntrinsicSettings { relight_from: 7, ..Default::default() };
         let kinds: Vec<StepKind> = (1..=10).map(|step| StepKind::of(&s, step)).collect();
         use StepKind::{CrossView as C, Plain as P, Relight as R};

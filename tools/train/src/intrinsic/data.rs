@@ -1,4 +1,4 @@
-//! Priors of materials on the GPU, packed like the photographs, and normals for splats that came without.
+//! Packed priors of materials for the GPU, and normals for splats without normals.
 
 use crate::error::Result;
 use glam::{DMat3, DQuat, DVec3};
@@ -7,24 +7,25 @@ use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_run::pack_image;
 use sgs_scene::{Camera, Image, MaskedMap, Scene, Splats, linear_to_srgb};
 
-/// Priors of one kind, of all training views one behind the other as the photographs are; alpha is 0 where one says
-/// nothing.
+/// Priors of one material, for all training views.
+/// Views are stored consecutively like the photographs. Alpha is 0 where a prior is unknown.
 pub(crate) struct MaterialPriors {
-    /// Words.
+    /// Packed words, by training view.
     pub packed: Vec<Vec<u32>>,
 }
 
-/// Which material.
+/// Kind of material.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Material {
-    /// Compared as it is displayed: encoded in sRGB.
+    /// Albedo, compared display-referred: encoded in sRGB.
     Albedo,
     Roughness,
     Metallic,
 }
 
 impl MaterialPriors {
-    /// Reads them; none where no training view has one. A view without is trained without.
+    /// Reads the priors. Returns none if no training view has one.
+    /// A view without a prior is trained without one.
     pub fn read(scene: &Scene, kind: Material) -> Result<Option<MaterialPriors>> {
         let one = |&i: &usize| -> Result<Option<Vec<u32>>> {
             let map = match kind {
@@ -47,12 +48,12 @@ impl MaterialPriors {
         Ok(Some(MaterialPriors { packed }))
     }
 
-    /// Bytes on the device.
+    /// Returns the number of bytes on the device.
     pub fn bytes(&self) -> u64 {
         4 * self.packed.iter().map(|p| p.len() as u64).sum::<u64>()
     }
 
-    /// Puts them there.
+    /// Uploads the priors to the device.
     pub fn upload(&self, device: &Device, name: &str) -> Result<DeviceBuffer> {
         let buffer = device.buffer(name, self.bytes().max(4), Location::Device)?;
         let mut offset = 0;
@@ -64,7 +65,7 @@ impl MaterialPriors {
     }
 }
 
-/// A map as it lies among priors.
+/// Packs a map like the photographs.
 pub(super) fn pack(map: &MaskedMap, kind: Material, counts: Option<&Image>) -> Vec<u32> {
     let channels = map.image.channels as usize;
     let rgb: Vec<f32> = map
@@ -77,7 +78,7 @@ pub(super) fn pack(map: &MaskedMap, kind: Material, counts: Option<&Image>) -> V
         })
         .collect();
     let mut valid = map.valid.clone();
-    // What does not count in the photograph has no material either, and what is no number says nothing.
+    // Invalid pixels of the photograph have no material; non-finite values are unknown.
     for (i, v) in valid.data.iter_mut().enumerate() {
         let there = counts.is_none_or(|c| c.data[i] > 0.5) && rgb[3 * i..3 * i + 3].iter().all(|v| v.is_finite());
         if !there {
@@ -88,7 +89,8 @@ pub(super) fn pack(map: &MaskedMap, kind: Material, counts: Option<&Image>) -> V
     pack_image(&image, Some(&valid))
 }
 
-/// Normals of splats that have none: the shortest axis of each, on the side of the nearest training camera.
+/// Returns normals for splats without normals: the shortest axis of each.
+/// The axis points to the side of the nearest training camera.
 pub(crate) fn shortest_axes(splats: &Splats, cameras: &[&Camera]) -> Vec<[f32; 3]> {
     let eyes: Vec<DVec3> = cameras.iter().map(|c| c.position()).collect();
     (0..splats.len())
@@ -110,8 +112,9 @@ pub(crate) fn shortest_axes(splats: &Splats, cameras: &[&Camera]) -> Vec<[f32; 3
         .collect()
 }
 
-/// The box that holds what training views see: means of splats that are opaque enough to show, but for the outermost
-/// hundredth along each axis, and all cameras; a little larger, so that lights have room.
+/// Returns the box of the scene that the training views see.
+/// The box contains all cameras and the means of sufficiently opaque splats. The outermost hundredth of the splats at
+/// each end of each axis does not count. A margin of 2 % of the longest side leaves space for lights.
 pub(crate) fn scene_box(splats: &Splats, cameras: &[&Camera]) -> [[f32; 3]; 2] {
     let mut low = DVec3::INFINITY;
     let mut high = DVec3::NEG_INFINITY;
@@ -170,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_face_the_cameras() {
+    fn shortest_axes_face_the_nearest_camera() {
         let camera = camera(1.0);
         let normals = shortest_axes(&flat(), &[&camera]);
         assert_eq!(camera.position(), DVec3::X);
@@ -178,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn the_box_holds_splats_and_cameras() {
+    fn scene_box_contains_splats_and_cameras() {
         let camera = camera(9.0);
         let [low, high] = scene_box(&flat(), &[&camera]);
         assert!(low[2] < -2.0 && high[2] > 2.0 && high[0] > 9.0 && high[0] < 10.0, "{low:?} {high:?}");

@@ -1,14 +1,14 @@
-//! What networks are shown in the intrinsic stage, and the regions and materials that they answer.
+//! Images that the intrinsic stage shows to providers, and their answers.
 
 use super::consistency::{Consistency, StepKind};
 use super::{Intrinsic, IntrinsicStepValues};
-use crate::asked::{FRAMES, Frames};
 use crate::error::Result;
+use crate::region_provider::{FRAMES, Frames};
 use sgs_engine::Device;
 use sgs_passes::pipeline::{RelitView, Surface};
 use sgs_scene::{Camera, Image, linear_to_srgb, srgb_to_linear};
 
-/// Shades a view and composes it with the background: linear images, one for each set of lights.
+/// Shades a view over the background. Returns linear images, one per set of lights.
 pub(super) fn shaded(
     device: &Device,
     shader: &mut RelitView,
@@ -33,15 +33,15 @@ pub(super) fn shaded(
     Ok(lights.iter().map(composed).collect())
 }
 
-/// A linear image as it is displayed.
+/// Converts a linear image to a display-referred one.
 fn displayed(mut image: Image) -> Image {
     image.data.iter_mut().for_each(|v| *v = linear_to_srgb(v.clamp(0.0, 1.0)));
     image
 }
 
 impl Intrinsic {
-    /// Chooses what a step compares, and asks networks what they know of it. False if the step can compare nothing, because
-    /// there is nobody to ask any more.
+    /// Chooses what a step compares, and queries the providers.
+    /// Returns false if the step can compare nothing because a provider is no longer available.
     pub(super) fn choose(&mut self, kind: StepKind, view: usize, values: &mut IntrinsicStepValues) -> Result<bool> {
         let Some(mut consistency) = self.consistency.take() else { return Ok(false) };
         consistency.fill(self.required.seed, view, values);
@@ -53,7 +53,8 @@ impl Intrinsic {
         Ok(there && (kind != StepKind::Relight || self.options.relight || self.options.own_prior))
     }
 
-    /// Shows a provider of masks the frames of a step, shaded as they are before it.
+    /// Shows a provider of masks the shaded frames of a step.
+    /// The frames use the parameters before the step.
     fn ask_masks(
         &mut self,
         consistency: &mut Consistency,
@@ -75,7 +76,7 @@ impl Intrinsic {
             other => other?,
         };
         let [first, last] = &others;
-        // Frames of other lights are all of the training view; the first one's mask counts, as published.
+        // Under other lights all frames show the training view; the first mask counts, as published.
         let (cameras, views, counts): ([&Camera; FRAMES], _, _) = match kind {
             StepKind::CrossView => ([first, &trained, last], [false, true, false], 1),
             _ => ([&trained; FRAMES], [true; FRAMES], 0),
@@ -83,8 +84,9 @@ impl Intrinsic {
         consistency.ask(&self.device, &Frames { images: &images, cameras, views }, counts, seed, values)
     }
 
-    /// A step's frames: pseudo-view, training view, pseudo-view; or the training view under other lights, as it is, and under
-    /// others again.
+    /// Returns the frames of a step.
+    /// A cross-view step has a pseudo-view, the training view and the other pseudo-view. A relight step has the
+    /// training view under other lights, under the current lights, and under other lights again.
     fn frames_of(&mut self, kind: StepKind, view: usize, values: &IntrinsicStepValues) -> Result<[Image; FRAMES]> {
         let relit = match (kind, &mut self.relit) {
             (StepKind::Relight, Some(_)) => self.relit_images(view, values)?,

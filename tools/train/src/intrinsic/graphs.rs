@@ -1,14 +1,14 @@
-//! The graphs of the kinds of steps, made when they are first due, and what they are bound to.
+//! Graphs of the kinds of steps, built on first use, and their inputs.
 
 use super::Intrinsic;
 use super::consistency::{Consistency, StepKind};
-use super::seldom::Seldom;
+use super::environment_updates::EnvironmentUpdates;
 use crate::error::{Result, TrainError};
 use crate::regions::Regions;
 use sgs_passes::pipeline::{COPIES, IntrinsicInputs, IntrinsicStep};
 
 impl Intrinsic {
-    /// What a step is, given what the scene has.
+    /// Returns the kind of a step, given the scene's data.
     pub(super) fn kind(&self, step: u32) -> StepKind {
         match StepKind::of(&self.required.intrinsic, step) {
             _ if self.consistency.is_none() => StepKind::Plain,
@@ -17,7 +17,7 @@ impl Intrinsic {
         }
     }
 
-    /// Makes the graph of a kind of step, if it is not there yet.
+    /// Builds the graph of a kind of step, if it does not exist.
     pub(super) fn make(&mut self, kind: StepKind) -> Result<()> {
         if self.execs[kind as usize].is_some() {
             return Ok(());
@@ -28,14 +28,14 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// What a kind of step is bound to.
+    /// Returns the inputs that a kind of step binds.
     pub(super) fn inputs(&self, kind: StepKind) -> IntrinsicInputs<'_> {
         let regions = self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(Consistency::regions);
         IntrinsicInputs {
             parameters: &self.parameters,
             gains: Some(&self.gains),
             environment: self.environment.as_ref().map(|(e, m)| (e, m)),
-            kept: self.seldom.as_ref().map(Seldom::kept),
+            stored: self.environment_updates.as_ref().map(EnvironmentUpdates::stored),
             traced: self.traced.as_ref(),
             targets: &self.data.targets,
             albedo: self.priors.albedo.as_ref(),
@@ -50,13 +50,13 @@ impl Intrinsic {
         }
     }
 
-    /// Drops the graphs: they are made again, for the model as it is by then, when they are due.
+    /// Drops the graphs. They are built again, for the model at that time, on next use.
     pub(super) fn forget_steps(&mut self) {
         self.execs = [None, None, None];
         self.shown = None;
     }
 
-    /// Waits for everything submitted.
+    /// Waits for all submitted work.
     pub(super) fn finish(&mut self) -> Result<()> {
         self.execs.iter_mut().flatten().try_for_each(|e| Ok(e.finish()?))
     }

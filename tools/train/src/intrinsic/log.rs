@@ -1,43 +1,45 @@
-//! The lines of the intrinsic stage in `log.jsonl`.
+//! Lines of the intrinsic stage in `log.jsonl`.
 
 use crate::stage::StepFigures;
 use serde::Serialize;
 use sgs_passes::pipeline::IntrinsicReport;
 use std::fmt;
 
-/// One line of `log.jsonl` of the intrinsic stage. A loss that does not run has no key. Losses that not each step has are those of
-/// the last step that had them.
+/// Line of `log.jsonl` of the intrinsic stage.
+/// A loss that does not run has no key. A loss that does not run in every step has the value of the last step that ran
+/// it.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct IntrinsicLog {
-    /// `intrinsic`.
+    /// Stage: `intrinsic`.
     pub stage: &'static str,
     /// The step.
     pub step: u32,
     /// Weighted loss of the shaded image.
     pub shaded: f32,
-    /// Its mean absolute difference.
+    /// Mean absolute difference of the shaded image.
     pub l1: f32,
-    /// Its SSIM.
+    /// SSIM of the shaded image.
     pub ssim: f32,
     /// Weighted photometric loss of albedo against the prior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub albedo: Option<f32>,
-    /// The same of roughness.
+    /// Weighted photometric loss of roughness against the prior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roughness: Option<f32>,
-    /// The same of metallic.
+    /// Weighted photometric loss of metallic against the prior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub metallic: Option<f32>,
-    /// Multi-scale gradient loss of albedo against the prior; this and all below before their weights.
+    /// Multi-scale gradient loss of albedo against the prior.
+    /// This loss and all that follow are before their weights.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub albedo_gradients: Option<f32>,
-    /// The same of roughness.
+    /// Multi-scale gradient loss of roughness against the prior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roughness_gradients: Option<f32>,
     /// Edge-aware smoothness of albedo.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub albedo_smooth: Option<f32>,
-    /// The same of roughness.
+    /// Edge-aware smoothness of roughness.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub roughness_smooth: Option<f32>,
     /// Smoothness of the environment map.
@@ -49,7 +51,8 @@ pub struct IntrinsicLog {
     /// Amplitudes of lights.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub light_value: Option<f32>,
-    /// Change of visibility under a jitter of points and lights, mean over pixels and lights.
+    /// Change of visibility under a jitter of points and lights.
+    /// The value is the mean over pixels and lights.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub visibility_jitter: Option<f32>,
     /// L_cross_semantic.
@@ -61,14 +64,15 @@ pub struct IntrinsicLog {
     /// Albedo of a region against the view's own prior.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub own_prior: Option<f32>,
-    /// Gradients skipped so far because they were not finite.
+    /// Number of gradients skipped because they were not finite.
+    /// Counts since the start or the last restore.
     pub skipped: u32,
-    /// What returns to the last good state have multiplied learning rates by; absent where there were none.
+    /// Factor of the rollbacks on learning rates; absent without rollbacks.
     #[serde(skip_serializing_if = "is_one")]
     pub rates: f64,
 }
 
-/// Losses of the intrinsic stage that run in each step; the weight of the last one.
+/// Losses of the intrinsic stage that run in each step; for the last one its weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoggedLosses {
     /// Albedo against the prior.
@@ -91,12 +95,12 @@ pub struct LoggedLosses {
     pub light_position: bool,
     /// Amplitudes of lights.
     pub light_value: bool,
-    /// Weight of the visibility field's jitter; 0 where it does not run.
+    /// Weight of the visibility field's jitter; 0 if this loss does not run.
     pub visibility_jitter: f32,
 }
 
 impl IntrinsicLog {
-    /// The line of a step.
+    /// Makes the line of a step.
     pub fn of(r: &IntrinsicReport, runs: &LoggedLosses, rates: f64) -> IntrinsicLog {
         let m = &r.materials;
         let seen = |value: f32| (value >= 0.0).then_some(value);

@@ -1,23 +1,23 @@
-//! The intrinsic stage: materials, lights, surroundings and shadows on fixed geometry.
+//! Intrinsic stage: materials, lights, environment map and visibility on fixed geometry.
 //!
-//! Promises: the result depends on the scene, the splats, the settings and the seed alone, not on how memory was split or
-//! whether training was interrupted; geometry and colors of the splats stay as they were. A step in the steady state waits
-//! only for the one two before it.
+//! Guarantees: the result depends only on the scene, the splats, the settings and the seed. It depends neither on how
+//! memory is divided nor on interruptions of training. Geometry and colors of the splats stay unchanged. A step in the
+//! steady state waits only for the second step before it.
 
 mod automatic;
 mod consistency;
 mod data;
+mod decisions;
+mod environment_updates;
 mod frames;
-mod given;
 mod graphs;
 mod log;
-mod look;
 mod modeled;
 mod needs;
+mod poll;
 mod probe;
 mod relit;
 mod saved;
-mod seldom;
 mod stage;
 mod start;
 mod state;
@@ -33,18 +33,17 @@ pub(crate) use saved::Saved;
 use crate::data::{Packed, TrainingData};
 use crate::decision::Decision;
 use crate::divergence::{RollBack, Watch};
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result};
 use crate::idle::{self, FoundForMaterials, IdleLoss};
 use crate::limits;
-use crate::memory::allowed;
 use crate::schedule::Schedule;
 use crate::uniforms::uniform_bytes;
 use automatic::{Automatic, Found, required, tables};
 use consistency::{Consistency, StepKind};
 use data::{Material, MaterialPriors, scene_box, shortest_axes};
+use environment_updates::EnvironmentUpdates;
 use needs::Sizes;
 use relit::Relit;
-use seldom::Seldom;
 use sgs_config::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
@@ -64,69 +63,71 @@ use sgs_scene::{Scene, Splats, Unit};
 use surfaces::Surfaces;
 use values::light_scale;
 
-/// Replays in flight.
+/// Number of replays in flight.
 const IN_FLIGHT: usize = 2;
 
-/// Steps between looks at what the device has reported; the ring holds more.
+/// Number of steps between polls of the device's reports; the ring holds more.
 const LOOK: u32 = 16;
 
-/// Lobes of a light that starting amplitudes are for.
+/// Number of lobes of a light for which the initial amplitudes are meant.
 const LOBES: f32 = 12.0;
 
-/// The intrinsic stage of one scene.
+/// Intrinsic stage of one scene.
 pub struct Intrinsic {
     device: Device,
     tuning: Tuning,
-    /// As they were asked for.
+    /// Settings as requested.
     settings: Settings,
-    /// Without what is not required.
+    /// Settings after automatic model selection.
     required: Settings,
-    /// Whether and how it is found what is not.
+    /// State of automatic model selection, if enabled.
     automatic: Option<Automatic>,
-    /// What was decided about the model.
+    /// Decisions about the model.
     decisions: Vec<Decision>,
-    /// How many of the decisions were reported.
+    /// Number of decisions already reported.
     reported: usize,
     /// Losses that cannot run.
     idle: Vec<IdleLoss>,
-    /// Of the last steps that compared with pseudo-views, with estimates under other lights, and with own priors; below 0 before.
+    /// Last values of losses that do not run in every step; negative before the first.
+    /// These compare with pseudo-views, with estimates under other lights, and with own priors.
     recent: [f32; 3],
     schedule: Schedule,
     data: TrainingData,
     priors: Priors,
-    /// As they came, normals included.
+    /// Input splats, with normals.
     splats: Splats,
     gaussians: Gaussians,
     surfaces: Surfaces,
     needs: IntrinsicNeeds,
     parameters: IntrinsicParameters,
     light_model: LightModel,
-    /// What the lights started in.
+    /// Box that the lights started in.
     bounds: [[f32; 3]; 2],
-    /// The unit, in the scene's, of lengths here.
+    /// Unit of lengths here, in the scene's unit.
     unit: Unit,
     gains: DeviceBuffer,
     environment: Option<(Environment, EnvironmentMemory)>,
-    /// Where its texels do not move with every step.
-    seldom: Option<Seldom>,
-    /// After how many steps it was last decided how often surroundings move, and how often they had moved by then.
-    paced: [u32; 2],
-    /// What rays to lights go through.
+    /// State of environment updates that do not run in every step.
+    environment_updates: Option<EnvironmentUpdates>,
+    /// Step of the last change of the update interval, and updates until then.
+    /// Both refer to the environment map.
+    update_intervals: [u32; 2],
+    /// Acceleration structure for rays to lights.
     traced: Option<TracedMemory>,
     status: IntrinsicStatus,
     options: IntrinsicOptions,
     consistency: Option<Consistency>,
-    /// Shades what a provider of masks is shown; made when it is first due.
+    /// Renderer of the frames for a provider of masks; built on first use.
     shown: Option<RelitView>,
-    /// Who says what albedo is under other lights, where it is not the prior.
+    /// Provider of albedo under other lights, if any.
     relit: Option<Relit>,
-    /// By [`StepKind`], made when they are first due.
+    /// Graphs by [`StepKind`], built on first use.
     execs: [Option<IntrinsicStep>; StepKind::ALL.len()],
     submitted: u32,
     done: u32,
-    /// Whether it gets anywhere.
+    /// Divergence check.
     watch: Watch,
-    /// Returns to the last good state.
+    /// Rollbacks to the last good state.
     roll_backs: Vec<RollBack>,
 }
 
@@ -146,7 +147,8 @@ impl Intrinsic {
         Intrinsic::of(device, scene, settings, splats, true)
     }
 
-    /// What [`Intrinsic::new`] makes but for the provider, which is not started: for what such training would need.
+    /// Plans a training: like [`Intrinsic::new`], but starts no provider.
+    /// Used to estimate what such a training needs.
     ///
     /// # Errors
     /// If data cannot be read or memory runs out.
@@ -164,13 +166,13 @@ impl Intrinsic {
         let scaled = (unit != Unit::OWN).then(|| scene.in_unit(unit));
         let scene = scaled.as_ref().unwrap_or(scene);
         if splats.is_empty() {
-            return Err(TrainError::Setting("There are no splats to find materials for.".into()));
+            return Err(Requirement::NotEmpty.into());
         }
         let s = &settings.intrinsic;
         if settings.memory.budget > 0 {
             device.set_memory_budget(Some(settings.memory.budget));
         }
-        let budget = allowed(device, settings);
+        let budget = device.budget();
         let cameras: Vec<&sgs_scene::Camera> = scene.split.train.iter().map(|&i| &scene.views[i].camera).collect();
         let mut splats = splats.clone().in_unit(unit);
         let without = splats.normals.as_ref().is_none_or(|n| n.iter().all(|n| *n == [0.0; 3]));
@@ -185,7 +187,7 @@ impl Intrinsic {
         };
         let albedo = read(Material::Albedo, s.losses.albedo)?;
         let roughness = read(Material::Roughness, s.losses.roughness)?;
-        let told = if s.metallic == Metallic::Off { None } else { read(Material::Metallic, s.losses.metallic)? };
+        let answers = if s.metallic == Metallic::Off { None } else { read(Material::Metallic, s.losses.metallic)? };
         let views = limits::Remedy::Views { views: packed.views().len(), scale: settings.scale };
         let sized = |what, priors: &Option<MaterialPriors>| {
             limits::Single::bound(what, priors.as_ref().map_or(0, MaterialPriors::bytes), views)
@@ -196,10 +198,10 @@ impl Intrinsic {
                 limits::Single::bound("photographs", packed.image_bytes(), views),
                 sized("albedo priors", &albedo),
                 sized("roughness priors", &roughness),
-                sized("metallic priors", &told),
+                sized("metallic priors", &answers),
             ],
         )?;
-        let asked = settings;
+        let requested = settings;
         let (of, automatic, mut decisions) = match s.automatic.enabled {
             true => {
                 let found = Found {
@@ -207,7 +209,7 @@ impl Intrinsic {
                     cameras: &cameras,
                     bounds: &bounds,
                     roughness: roughness.as_ref().map(|p| &p.packed[..]),
-                    metallic: told.as_ref().map(|p| &p.packed[..]),
+                    metallic: answers.as_ref().map(|p| &p.packed[..]),
                 };
                 let (of, decisions) = required(&found, s);
                 (of, Some(Automatic::new(&packed)), decisions)
@@ -216,10 +218,10 @@ impl Intrinsic {
         };
         let settings = &Settings { intrinsic: of, ..settings.clone() };
         let s = &settings.intrinsic;
-        let any_metallic = told.is_some();
-        let told = told.filter(|_| s.metallic != Metallic::Off);
+        let any_metallic = answers.is_some();
+        let answers = answers.filter(|_| s.metallic != Metallic::Off);
         let metallic = match s.metallic {
-            Metallic::Auto => told.is_some(),
+            Metallic::Auto => answers.is_some(),
             Metallic::On => true,
             Metallic::Off => false,
         };
@@ -268,23 +270,22 @@ impl Intrinsic {
             relight_roughness: s.relight.roughness,
             edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
             gradients: s.losses.gradients > 0.0,
-            returning: s.returning,
             rates: IntrinsicRates {
-                albedo: r.albedo,
-                roughness: r.roughness,
-                metallic: r.metallic,
-                // The published unit is that of a box of side 3.
+                albedo: r.materials,
+                roughness: r.materials,
+                metallic: r.materials,
+                // The published unit is the one in which the box has side 3.
                 light_positions: r.lights * light_scale(&bounds).sqrt(),
                 lights: r.lights,
                 environment: r.environment,
                 visibility: r.visibility,
                 normals: r.normals,
             },
-            picture: false,
+            image: false,
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
-        // Nothing is asked where nothing would be compared.
+        // Starts no provider if no step would compare its answers.
         let due = (1..=s.steps).any(|step| StepKind::of(s, step) == StepKind::Relight);
         let command = s.relight.command().filter(|_| s.losses.relight > 0.0 && due && consistency.is_some());
         let relit = match command {
@@ -303,7 +304,7 @@ impl Intrinsic {
                 targets: packed.image_bytes(),
                 albedo: albedo.as_ref().map(MaterialPriors::bytes),
                 roughness: roughness.as_ref().map(MaterialPriors::bytes),
-                metallic: told.as_ref().map(MaterialPriors::bytes),
+                metallic: answers.as_ref().map(MaterialPriors::bytes),
                 regions: consistency.as_ref().map(|c| c.regions().ids().bytes()),
                 pseudo_regions: consistency.as_ref().and_then(|c| c.regions().pseudo_ids()).map(DeviceBuffer::bytes),
                 estimates: relit.as_ref().map_or([None; 2 * COPIES], |r| r.bound().map(|e| e.map(DeviceBuffer::bytes))),
@@ -315,21 +316,21 @@ impl Intrinsic {
             geometry: gaussians.bytes(),
             kept: 1,
             surface_arena: builder.compiled().arena_bytes,
-            // Beside the parameters Gaussians have their count.
+            // Gaussians also store their count, beside the parameters.
             surface_small: 16 + SurfaceBuilder::BYTES + uniform_bytes(device, builder.compiled(), 1),
             kinds: StepKind::ALL.map(|kind| {
                 let can = consistency.is_some() && (kind != StepKind::Relight || options.relight || options.own_prior);
                 kind == StepKind::Plain || can && (1..=s.steps).any(|step| StepKind::of(s, step) == kind)
             }),
         };
-        given::add(&mut decisions, s, told.is_some(), consistency.is_some(), sizes.kinds);
+        decisions::add(&mut decisions, s, answers.is_some(), consistency.is_some(), sizes.kinds);
         let found = FoundForMaterials {
             priors: [albedo.is_some(), roughness.is_some(), any_metallic],
             regions: consistency.is_some(),
             estimates: relit.is_some(),
         };
         let idle = idle::of_materials(settings, found);
-        // Surfaces of all views are kept where that fits beside everything else.
+        // Surfaces of all views are stored if they fit beside everything else.
         let all = IntrinsicNeeds::of(device, &tuning, &Sizes { kept: packed.views().len() as u64, ..sizes })?;
         let one = IntrinsicNeeds { surfaces: options.shape.bytes(), ..all };
         let step = limits::Single::buffer("intermediate results of a step", one.largest_arena(), limits::Remedy::Step);
@@ -341,7 +342,7 @@ impl Intrinsic {
         };
         let needs = if kept { all } else { one };
         if !kept {
-            decisions.push(given::without_surfaces(s, all.surfaces));
+            decisions.push(decisions::without_surfaces(s, all.surfaces));
         }
         let watch = Watch::new(packed.plain());
         let data = packed.upload(device)?;
@@ -350,7 +351,7 @@ impl Intrinsic {
         let priors = Priors {
             albedo: up(&albedo, "albedo_priors")?,
             roughness: up(&roughness, "roughness_priors")?,
-            metallic: up(&told, "metallic_priors")?,
+            metallic: up(&answers, "metallic_priors")?,
         };
         let mut surfaces = Surfaces::new(device, builder, &gaussians, &data, kept, &others)?;
         let environment = match environment {
@@ -363,13 +364,13 @@ impl Intrinsic {
                 let wanted = [
                     unless(splats.albedo.is_some(), albedo.as_ref()),
                     unless(splats.roughness.is_some(), roughness.as_ref()),
-                    unless(splats.metallic.is_some(), told.as_ref()),
+                    unless(splats.metallic.is_some(), answers.as_ref()),
                 ];
                 start::start(device, &gaussians, &mut surfaces, &data, wanted)?
             }
             MaterialStart::Gray => start::Start::default(),
         };
-        drop((albedo, roughness, told));
+        drop((albedo, roughness, answers));
         let n = splats.len();
         let start = |given: Option<Vec<f32>>, width: usize, otherwise: f32| {
             given.filter(|v| v.len() == n * width).unwrap_or_else(|| vec![otherwise; n * width])
@@ -425,7 +426,7 @@ impl Intrinsic {
         let mut training = Intrinsic {
             device: device.clone(),
             tuning,
-            settings: asked.clone(),
+            settings: requested.clone(),
             required: settings.clone(),
             automatic,
             decisions,
@@ -445,8 +446,8 @@ impl Intrinsic {
             unit,
             gains,
             environment,
-            seldom: None,
-            paced: [0, 0],
+            environment_updates: None,
+            update_intervals: [0, 0],
             traced,
             status,
             options,
@@ -464,27 +465,27 @@ impl Intrinsic {
         Ok(training)
     }
 
-    /// Steps that are done.
+    /// Returns the number of finished steps.
     pub fn step(&self) -> u32 {
         self.done
     }
 
-    /// The settings, as they were asked for.
+    /// Returns the settings as requested.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// The device.
+    /// Returns the device.
     pub fn device(&self) -> &Device {
         &self.device
     }
 
-    /// The box that the lights started in: its lowest and highest corner.
+    /// Returns the lowest and highest corners of the box that the lights started in.
     pub fn bounds(&self) -> [[f32; 3]; 2] {
         self.bounds.map(|corner| self.unit.inverse().place(corner))
     }
 
-    /// How many splats.
+    /// Returns the number of splats.
     pub fn gaussians(&self) -> usize {
         self.splats.len()
     }

@@ -1,4 +1,4 @@
-//! What an intrinsic stage models and how long its passes take, for those who only want to know.
+//! Queries of an intrinsic stage: its model, its memory and the times of its passes.
 
 use super::consistency::StepKind;
 use super::graphs::gone;
@@ -11,38 +11,38 @@ use sgs_passes::cost::{Cost, Counts, of_plan};
 use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStep};
 
 impl Intrinsic {
-    /// What training was reckoned to take of the device's memory.
+    /// Returns the estimated device memory of training.
     pub fn needs(&self) -> &IntrinsicNeeds {
         &self.needs
     }
 
-    /// The stage's settings without what the scene does not require.
+    /// Returns the stage's settings after automatic model selection.
     pub fn required(&self) -> &IntrinsicSettings {
         &self.required.intrinsic
     }
 
-    /// What is modeled.
+    /// Returns the options of the model.
     pub fn options(&self) -> &IntrinsicOptions {
         &self.options
     }
 
-    /// Texels along an edge of the surroundings, if there are any.
+    /// Returns the texels per edge of the environment map, if there is one.
     pub fn environment_size(&self) -> Option<u32> {
         self.environment.as_ref().map(|(e, _)| e.size())
     }
 
-    /// Which priors of materials there are: albedo, roughness, metallic.
+    /// Returns whether priors exist of albedo, roughness, metallic.
     pub fn priors(&self) -> [bool; 3] {
         let p = &self.priors;
         [p.albedo.is_some(), p.roughness.is_some(), p.metallic.is_some()]
     }
 
-    /// Losses whose weight is not zero and that cannot run.
+    /// Returns the losses that have a weight and cannot run.
     pub fn idle_losses(&self) -> &[IdleLoss] {
         &self.idle
     }
 
-    /// Losses that steps log as the model is now.
+    /// Returns the losses that steps currently log.
     pub fn logged_losses(&self) -> LoggedLosses {
         let (s, o) = (&self.required.intrinsic, &self.options);
         let [albedo, roughness, metallic] = self.priors();
@@ -62,18 +62,19 @@ impl Intrinsic {
         }
     }
 
-    /// Whether what views see of the geometry is kept for all of them.
+    /// Returns whether the surfaces of all training views are stored.
     pub fn keeps_surfaces(&self) -> bool {
         !self.surfaces.waits(false)
     }
 
-    /// Whether albedo is ever compared with pseudo-views, and under other lights.
+    /// Returns whether any step compares albedo with pseudo-views or other lights.
+    /// The flags are in this order.
     pub fn compares(&self) -> [bool; 2] {
         let due = |kind| (1..=self.required.intrinsic.steps).any(|step| self.kind(step) == kind);
         [due(StepKind::CrossView), due(StepKind::Relight)]
     }
 
-    /// Times every pass from now on, or no more.
+    /// Turns timestamps of passes on or off.
     ///
     /// # Errors
     /// If the device fails.
@@ -86,12 +87,13 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// The times of all passes of plain steps since they are taken.
+    /// Takes the times of the passes of plain steps since the last call.
     pub fn take_times(&mut self) -> Vec<PassTime> {
         self.execs[0].as_mut().map(|e| e.executor().take_times()).unwrap_or_default()
     }
 
-    /// What the cost of a plain step depends on: means over the views that are kept, and how many lights are on.
+    /// Returns the counts that determine the cost of a plain step.
+    /// Pixels and blending weights are means over views. Lights are those that are on.
     ///
     /// # Errors
     /// If memory runs out.
@@ -114,7 +116,8 @@ impl Intrinsic {
         })
     }
 
-    /// What a plain step computes and moves. Passes of which nobody knows it are counted beside.
+    /// Returns the operations and memory traffic of a plain step.
+    /// Also returns the number of passes of unknown cost.
     ///
     /// # Errors
     /// If memory runs out.
@@ -124,7 +127,7 @@ impl Intrinsic {
         Ok(of_plan(&plan, &counts))
     }
 
-    /// A plain step, for its plan.
+    /// Returns a plain step, for its plan.
     ///
     /// # Errors
     /// If memory runs out.

@@ -1,12 +1,13 @@
-//! What the intrinsic stage will take of the device's memory, added up before its first step.
+//! Device memory that the intrinsic stage will need, summed before its first step.
 //!
-//! Promises that the sum is that of the buffers that training has, all kinds of steps that it will come to among them, plus
-//! the staging memory of a checkpoint, and what looking at what could be left out takes beyond them; that is none where a first look
-//! found no memory, since nothing is looked at then. Whether surfaces are kept is decided without it. Room for what views see of the geometry is measured before, on the device: how many
-//! weights there are nobody can know otherwise.
+//! Guarantees: the sum equals the sizes of the buffers that training has, for all kinds of steps that will occur. It
+//! includes the staging memory of a checkpoint, and the additional memory of automatic measurements. The latter is zero
+//! if a trial before the first step found too little memory, since no measurement runs then. The decision to store
+//! surfaces ignores measurements. The memory of a view's visible geometry is measured on the device beforehand, since
+//! the number of blending weights cannot be predicted.
 
 use super::consistency::{Consistency, StepKind};
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result};
 use crate::memory::refuse_beyond;
 use crate::uniforms::uniform_bytes;
 use serde::Serialize;
@@ -14,50 +15,51 @@ use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     EnvironmentMemory, EnvironmentRefresh, IntrinsicOptions, IntrinsicSizes, IntrinsicStatus, IntrinsicStep,
-    KeptEnvironment, PSEUDO_VIEWS, RelitOptions, RelitView,
+    PSEUDO_VIEWS, RelitOptions, RelitView, StoredEnvironment,
 };
 use sgs_passes::scene::Trainable;
 use sgs_passes::shade::environment::Environment;
 use sgs_passes::shade::visibility::VisibilityField;
 
-/// Bytes of device memory by what they are for.
+/// Bytes of device memory by purpose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct IntrinsicNeeds {
     /// Training photographs.
     pub photographs: u64,
     /// Priors of materials.
     pub priors: u64,
-    /// What a network says of materials under other lights.
+    /// Estimates of a provider for materials under other lights.
     pub estimates: u64,
     /// Regions that are compared between views.
     pub regions: u64,
-    /// The Gaussians' geometry.
+    /// Geometry of the Gaussians.
     pub geometry: u64,
-    /// Their materials, with moments, and their normals if they are learned.
+    /// Materials of the Gaussians with moments, and learned normals.
     pub materials: u64,
     /// Lights, with moments.
     pub lights: u64,
-    /// The environment's texels, with moments, and its tables.
+    /// Texels of the environment map with moments, and its tables.
     pub environment: u64,
-    /// The visibility field, with moments and gradients.
+    /// Visibility field, with moments and gradients.
     pub visibility: u64,
-    /// What training views see of the geometry, kept.
+    /// Stored surfaces: visible geometry of the training views.
     pub surfaces: u64,
-    /// The same of pseudo-views.
+    /// Surfaces of pseudo-views.
     pub pseudo_surfaces: u64,
-    /// Transients of finding it.
+    /// Transients of surface construction.
     pub surface_arena: u64,
-    /// Transients of moving the environment's texels, where that is not done in every step.
+    /// Transients of environment map updates that do not run in every step.
     pub environment_arena: u64,
-    /// Transients of a step.
+    /// Transients of a plain step.
     pub arena: u64,
-    /// Those of steps that compare albedo with pseudo-views.
+    /// Transients of steps that compare albedo with pseudo-views.
     pub cross_view_arena: u64,
-    /// Those of steps that compare it under other lights.
+    /// Transients of steps that compare albedo under other lights.
     pub relight_arena: u64,
-    /// Shaded images that networks are shown, and transients of them.
+    /// Shaded images for providers, and their transients.
     pub relit: u64,
-    /// What it takes to see what could be left out, beyond staging and the transients of steps, which are given up meanwhile.
+    /// Additional memory of automatic measurements.
+    /// Counted beyond staging and the transients of steps, which are released meanwhile.
     pub looking: u64,
     /// Uniforms and reports.
     pub small: u64,
@@ -65,29 +67,29 @@ pub struct IntrinsicNeeds {
     pub staging: u64,
 }
 
-/// What the sum is of.
+/// Inputs of the sum.
 pub(super) struct Sizes<'a> {
     pub inputs: IntrinsicSizes,
     pub environment: Option<&'a Environment>,
     pub options: &'a IntrinsicOptions,
-    /// Under which other lights a network is shown views, if it is.
+    /// Other lights under which a provider is shown views, if any.
     pub relit: Option<RelitOptions>,
     /// Whether a provider of masks is shown shaded frames.
     pub asks: bool,
     /// Bytes of the Gaussians' geometry.
     pub geometry: u64,
-    /// Training views whose surfaces are kept; 1 where they are worked out anew.
+    /// Number of training views with stored surfaces; 1 if each step recomputes them.
     pub kept: u64,
-    /// Bytes of the arena that finds surfaces.
+    /// Bytes of the arena of surface construction.
     pub surface_arena: u64,
-    /// Bytes of what else that takes.
+    /// Other bytes of surface construction.
     pub surface_small: u64,
-    /// Which kinds of steps there will be.
+    /// Kinds of steps that will occur.
     pub kinds: [bool; StepKind::ALL.len()],
 }
 
 impl IntrinsicNeeds {
-    /// Adds up.
+    /// Sums the memory of the stage.
     pub(super) fn of(device: &Device, tuning: &Tuning, s: &Sizes<'_>) -> Result<IntrinsicNeeds> {
         let o = s.options;
         let n = u64::from(o.shape.gaussians);
@@ -116,15 +118,16 @@ impl IntrinsicNeeds {
             largest = largest.max(8 * u64::from(e.floats()));
             if o.environment_every > 1 {
                 let plan = EnvironmentRefresh::plan(tuning, e, o)?;
-                needs.environment += KeptEnvironment::bytes_of(e);
-                largest = largest.max(KeptEnvironment::kept_bytes_of(e));
+                needs.environment += StoredEnvironment::bytes_of(e);
+                largest = largest.max(StoredEnvironment::stored_bytes_of(e));
                 needs.environment_arena = plan.arena_bytes;
                 needs.small += uniform_bytes(device, &plan, 1);
             }
         }
         if let Some(config) = &o.visibility {
             let bytes = VisibilityField::bytes(config, true, tuning.accuracy.table_bits);
-            needs.visibility = bytes.map_err(|e| TrainError::Setting(e.to_string()))?;
+            needs.visibility =
+                bytes.map_err(|e| Requirement::Size { setting: "intrinsic.visibility", reason: e.to_string() })?;
             largest = largest.max(16 * u64::from(config.entries()));
         }
         if let Some(tree) = &o.traced {
@@ -164,29 +167,30 @@ impl IntrinsicNeeds {
         Ok(needs)
     }
 
-    /// Adds what looking takes, staging with it, while no step has transients.
-    pub(super) fn look(&mut self, bytes: u64) {
+    /// Adds the memory of a measurement, staging included.
+    /// No step has transients meanwhile.
+    pub(super) fn poll(&mut self, bytes: u64) {
         self.looking = bytes.saturating_sub(self.given_up());
     }
 
-    /// What is given up meanwhile, and taken again: transients of steps, and staging.
+    /// Returns the memory released during a measurement: step transients and staging.
     pub(super) fn given_up(&self) -> u64 {
         self.arena + self.cross_view_arena + self.relight_arena + self.staging
     }
 
-    /// Bytes of the largest arena.
+    /// Returns the number of bytes of the largest arena.
     pub(super) fn largest_arena(&self) -> u64 {
         let arenas =
             [self.surface_arena, self.environment_arena, self.arena, self.cross_view_arena, self.relight_arena];
         arenas.into_iter().max().unwrap_or(0)
     }
 
-    /// All of it.
+    /// Returns the total number of bytes.
     pub fn total(&self) -> u64 {
         self.parts().into_iter().map(|(_, bytes)| bytes).sum()
     }
 
-    /// What for, and how many bytes.
+    /// Returns all entries with names and bytes.
     pub fn parts(&self) -> [(&'static str, u64); 20] {
         [
             ("photographs", self.photographs),
@@ -201,7 +205,7 @@ impl IntrinsicNeeds {
             ("surfaces of views", self.surfaces),
             ("surfaces of pseudo-views", self.pseudo_surfaces),
             ("arena of surfaces", self.surface_arena),
-            ("arena of surroundings", self.environment_arena),
+            ("arena of the environment map", self.environment_arena),
             ("arena", self.arena),
             ("arena of pseudo-views", self.cross_view_arena),
             ("arena of other lights", self.relight_arena),
@@ -212,7 +216,7 @@ impl IntrinsicNeeds {
         ]
     }
 
-    /// Refuses if it does not fit.
+    /// Rejects needs that exceed the budget.
     pub(super) fn check(&self, budget: &Budget) -> Result<()> {
         let advice = "use --scale, --views, fewer Gaussians, a smaller intrinsic.visibility.log2_table, \
                       intrinsic.lights.grid or intrinsic.environment.resolution, or a larger --memory-budget";

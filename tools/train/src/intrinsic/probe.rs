@@ -1,29 +1,31 @@
-//! A single step, taken apart: the picture that it shades and the gradients that it finds, for whoever measures what a choice
-//! costs.
+//! Probe of a single step: its shaded image and its gradients.
+//! Serves to measure the cost of a choice.
 
 use super::Intrinsic;
 use super::consistency::StepKind;
 use crate::error::Result;
 use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStep};
 
-/// What a step shades and finds.
+/// Results of a probed step.
 #[derive(Clone, Debug, Default)]
 pub struct Probe {
-    /// The camera of its training view.
+    /// Camera of the step's training view.
     pub camera: Camera,
-    /// The shaded picture, display-referred, three floats a pixel, row by row.
-    pub picture: Vec<f32>,
-    /// Names of what is learned, and gradients. What does not move with every step has none.
+    /// Shaded image, display-referred, three floats per pixel, row by row.
+    pub image: Vec<f32>,
+    /// Names and gradients of the trained parameters.
+    /// Parameters that are not updated in every step are omitted.
     pub gradients: Vec<(&'static str, Vec<f32>)>,
 }
 
-/// First moments after one step from none, which are a tenth of the gradient.
+/// Returns the gradients: ten times the first moments after one step from zero.
 fn first(moments: &[f32]) -> Vec<f32> {
     moments.chunks_exact(2).map(|m| 10.0 * m[0]).collect()
 }
 
 impl Intrinsic {
-    /// Takes the next step, one that compares nothing with other views, and takes it back: afterwards everything is as before.
+    /// Runs the next step without cross-view comparisons, and undoes it.
+    /// Afterwards the state is as before.
     ///
     /// # Errors
     /// If the device fails or memory runs out.
@@ -45,20 +47,20 @@ impl Intrinsic {
             field = Some((values, moments));
         }
         let gains: Vec<f32> = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
-        let gathered = self.seldom.as_ref().map(|s| s.kept().download(&self.device)).transpose()?;
+        let gathered = self.environment_updates.as_ref().map(|s| s.stored().download(&self.device)).transpose()?;
 
-        let options = IntrinsicOptions { picture: true, ..StepKind::Plain.options(&self.options) };
+        let options = IntrinsicOptions { image: true, ..StepKind::Plain.options(&self.options) };
         let inputs = self.inputs(StepKind::Plain);
         let mut exec = IntrinsicStep::new(&self.device, &self.tuning, &inputs, &self.status, options)?;
         let camera = self.data.views[view].0;
         self.surfaces.with(&self.gaussians, &camera, view, false, &mut exec, &values)?;
-        let mut picture = exec.picture(&self.device)?;
-        picture.truncate(3 * camera.size[0] as usize * camera.size[1] as usize);
+        let mut image = exec.image(&self.device)?;
+        image.truncate(3 * camera.size[0] as usize * camera.size[1] as usize);
         let mut gradients = Vec::new();
         for p in self.parameters.all() {
             gradients.push((p.name(), first(&p.download_moments(&self.device)?)));
         }
-        gradients.retain(|(name, _)| *name != "environment" || self.seldom.is_none());
+        gradients.retain(|(name, _)| *name != "environment" || self.environment_updates.is_none());
         if let Some(f) = &self.parameters.visibility {
             let [tables, mlp] = f.download_moments(&self.device)?;
             gradients.extend([("visibility_tables", first(&tables)), ("visibility_mlp", first(&mlp))]);
@@ -73,9 +75,9 @@ impl Intrinsic {
             f.upload_moments(&self.device, [&moments[0], &moments[1]])?;
         }
         self.device.upload(&self.gains, 0, bytemuck::cast_slice(&gains))?;
-        if let (Some(s), Some(gathered)) = (&self.seldom, &gathered) {
-            s.kept().upload(&self.device, gathered)?;
+        if let (Some(s), Some(gathered)) = (&self.environment_updates, &gathered) {
+            s.stored().upload(&self.device, gathered)?;
         }
-        Ok(Probe { camera, picture, gradients })
+        Ok(Probe { camera, image, gradients })
     }
 }

@@ -1,15 +1,16 @@
-//! Albedo under other lights from a network: a training view is rendered with its lights moved, dimmed and switched off at
-//! random, and a provider of materials says what it is made of (SGS-Intrinsic, stage II: RGB→X).
+//! Albedo under other lights, estimated by a provider of materials.
+//! A training view is rendered with its lights randomly moved, dimmed and switched off. The provider estimates the
+//! materials of the image (SGS-Intrinsic, stage II: RGB→X).
 //!
-//! Promises: what is asked is a function of the parameters before the step, the seed and the step; an answer serves until it is
-//! too old, and goes into checkpoints. Asking waits for the steps before. What the provider does not know is compared with
-//! nothing.
+//! Guarantees: a request depends only on the parameters before the step, the seed and the step. An answer is reused
+//! until it is too old, and checkpoints store it. A request waits for all earlier steps. Pixels that the provider does
+//! not know are not compared.
 
 use super::Intrinsic;
 use super::consistency::StepKind;
 use super::data::{Material, pack};
 use super::frames::shaded;
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result};
 use rayon::prelude::*;
 use sgs_config::Settings;
 use sgs_engine::{Device, DeviceBuffer, Location};
@@ -17,46 +18,47 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     COPIES, IntrinsicInputs, IntrinsicOptions, IntrinsicStepValues, RelitOptions, RelitView, Surface,
 };
-use sgs_provider::{Encoding, Helper, Materials, Picture, ProviderOptions};
+use sgs_provider::{Encoding, Helper, Materials, ProviderImage, ProviderOptions};
 use sgs_scene::{Camera, Image, MaskedMap, Scene, resize_valid, srgb_to_linear};
 
-/// A provider of materials, and what it has said of each training view.
+/// Provider of materials, and its latest estimates of each training view.
 pub(super) struct Relit {
-    /// None where training is only planned.
+    /// Provider process. None where training is only planned.
     helper: Option<Helper>,
     view: Option<RelitView>,
     options: RelitOptions,
-    /// Whether it is asked for roughness too.
+    /// Whether the provider estimates roughness too.
     roughness: bool,
     every: u32,
     background: [f32; 3],
-    /// Training views, which pixels of each count, and where its pixels begin.
+    /// Cameras of the training views; then masks of valid pixels, and first pixels.
     cameras: Vec<Camera>,
     counts: Vec<Option<Image>>,
     first: Vec<u32>,
-    /// Albedo of each copy, then roughness, packed as priors are.
+    /// Albedo of each copy, then roughness of each copy, packed like priors.
     pub estimates: Vec<DeviceBuffer>,
-    /// The step at which each view was asked about; 0 is never.
-    pub asked_at: Vec<u32>,
-    /// Images of the step that they were last rendered for.
+    /// Step of the latest request for each view; 0 means none.
+    pub requested_at: Vec<u32>,
+    /// Images of the latest rendered step.
     rendered: Option<(u32, Vec<Image>)>,
 }
 
 impl Relit {
-    /// How many estimates there are of each view.
+    /// Returns the number of estimates of each view.
     pub fn count(settings: &Settings) -> usize {
         let r = &settings.intrinsic.relight;
         r.copies as usize * if r.roughness > 0.0 { 2 } else { 1 }
     }
 
-    /// Copies and distances, for lights that started in a box.
+    /// Returns the number of copies and the spacing, for lights that started in a box.
     pub fn options(settings: &Settings, bounds: &[[f32; 3]; 2]) -> RelitOptions {
-        // The published unit is that of a box of side 3.
+        // The published unit is the one in which the box has side 3.
         let spacing = (0..3).map(|i| bounds[1][i] - bounds[0][i]).fold(0.0, f32::max) / 3.0;
         RelitOptions { as_is: false, copies: settings.intrinsic.relight.copies, spacing }
     }
 
-    /// Starts the provider; none if it fails and training may go on without.
+    /// Starts the provider.
+    /// Returns none if the provider fails and the settings allow training to continue without it.
     pub fn helper(settings: &Settings, command: &str) -> Result<Option<Helper>> {
         let s = &settings.provider;
         let options = ProviderOptions {
@@ -67,34 +69,34 @@ impl Relit {
         };
         let mut helper = Helper::start(&options, s.on_failure)?;
         let roughness = settings.intrinsic.relight.roughness > 0.0;
-        // What it cannot answer is said before training, not in the middle of it.
+        // Rejects a provider without the required maps before training instead of in the middle of it.
         let offers = helper.ask(|p| {
             let maps = p.about().offers.get("materials").map(|o| o.maps.clone());
             Ok((maps, p.about().list()))
         })?;
+        let offer = |missing, offers| Requirement::ProviderOffer {
+            setting: "intrinsic.relight.provider",
+            missing,
+            offers,
+            remedy: "Choose another, or \"own\"",
+        };
         let wanted: &[&str] = if roughness { &["albedo", "roughness"] } else { &["albedo"] };
         match offers {
             None => return Ok(None),
             Some((None, list)) => {
-                return Err(TrainError::Setting(format!(
-                    "The provider of intrinsic.relight.provider answers no questions about materials, but about {list}; \
-                     choose another, or \"own\"."
-                )));
+                return Err(offer("materials".into(), list).into());
             }
             Some((Some(maps), _)) => {
                 if let Some(missing) = wanted.iter().find(|w| !maps.iter().any(|m| m == *w)) {
                     let maps = if maps.is_empty() { "no map at all".to_owned() } else { maps.join(", ") };
-                    return Err(TrainError::Setting(format!(
-                        "The provider of intrinsic.relight.provider knows no {missing} of an image, but {maps}; choose \
-                         another, or \"own\"."
-                    )));
+                    return Err(offer(format!("map of {missing}"), maps).into());
                 }
             }
         }
         Ok(Some(helper))
     }
 
-    /// Room for what a provider says. `pixels`: of all training views.
+    /// Allocates memory for the estimates. `pixels`: number of pixels of all training views.
     pub fn new(
         device: &Device,
         scene: &Scene,
@@ -123,12 +125,12 @@ impl Relit {
             counts,
             first,
             estimates: (0..Relit::count(settings)).map(make).collect::<Result<_>>()?,
-            asked_at: vec![0; train.len()],
+            requested_at: vec![0; train.len()],
             rendered: None,
         })
     }
 
-    /// The estimates as a step is bound to them.
+    /// Returns the estimates in the order in which a step binds them.
     pub fn bound(&self) -> [Option<&DeviceBuffer>; 2 * COPIES] {
         let copies = self.options.copies as usize;
         std::array::from_fn(|i| match (i < COPIES, i % COPIES) {
@@ -137,13 +139,13 @@ impl Relit {
         })
     }
 
-    /// Whether a view has to be asked about before a step.
+    /// Returns whether the estimates of a view must be requested before a step.
     pub fn is_due(&self, view: usize, step: u32) -> bool {
-        let before = self.asked_at[view];
+        let before = self.requested_at[view];
         before == 0 || step.saturating_sub(before) >= self.every
     }
 
-    /// Renders a view under other lights. Nothing may be in flight.
+    /// Renders a view under other lights. Requires that no work is in flight.
     fn images(
         &mut self,
         device: &Device,
@@ -162,38 +164,44 @@ impl Relit {
         Ok(images)
     }
 
-    /// Asks about images of a view under other lights, and keeps the answers. False if there is nobody to ask any more.
+    /// Requests and stores estimates for images of a view under other lights.
+    /// Returns false if the provider is no longer available.
     fn ask(&mut self, device: &Device, view: usize, step: u32, images: &[Image]) -> Result<bool> {
         let camera = &self.cameras[view];
         let copies = self.options.copies as usize;
         for (copy, image) in images.iter().enumerate() {
-            let picture =
-                Picture { image, encoding: Encoding::Linear, view: Some(camera.name.as_str()), camera: Some(camera) };
+            let rendering = ProviderImage {
+                image,
+                encoding: Encoding::Linear,
+                view: Some(camera.name.as_str()),
+                camera: Some(camera),
+            };
             let maps: &[&str] = if self.roughness { &["albedo", "roughness"] } else { &["albedo"] };
             let Some(helper) = &mut self.helper else { return Ok(false) };
-            let Some(found) = helper.ask(|p| p.materials(&picture, maps))? else { return Ok(false) };
+            let Some(found) = helper.ask(|p| p.materials(&rendering, maps))? else { return Ok(false) };
             let Materials { albedo, albedo_is_linear, roughness, .. } = found;
             let counts = self.counts[view].as_ref();
             let offset = 4 * u64::from(self.first[view]);
-            let told = [(albedo, Material::Albedo, copy), (roughness, Material::Roughness, copies + copy)];
-            for (map, kind, into) in told {
+            let answers = [(albedo, Material::Albedo, copy), (roughness, Material::Roughness, copies + copy)];
+            for (map, kind, into) in answers {
                 let (Some(map), Some(buffer)) = (map, self.estimates.get(into)) else { continue };
                 let encoded = kind == Material::Albedo && !albedo_is_linear;
                 let words = pack(&brought(map, encoded, camera), kind, counts);
                 device.upload(buffer, offset, bytemuck::cast_slice(&words))?;
             }
         }
-        self.asked_at[view] = step;
+        self.requested_at[view] = step;
         Ok(true)
     }
 }
 
 impl Intrinsic {
-    /// Asks what a view is made of under other lights, if that is due. L_relight ends where there is nobody to ask any more.
+    /// Requests estimates of a view under other lights, if they are due.
+    /// Switches L_relight off if the provider is no longer available.
     pub(super) fn estimated(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<()> {
         let step = values.shaded.step;
         let Some(relit) = &self.relit else { return Ok(()) };
-        // Without a region there is nothing to compare.
+        // Without a region the step compares nothing.
         if values.shaded.region == 0 || !relit.is_due(view, step) {
             return Ok(());
         }
@@ -209,7 +217,8 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// A training view under the perturbed lights of a step: linear images. Renders them once a step.
+    /// Returns linear images of a training view under the perturbed lights of a step.
+    /// The images of a step are rendered once.
     pub(super) fn relit_images(&mut self, view: usize, values: &IntrinsicStepValues) -> Result<Vec<Image>> {
         let step = values.shaded.step;
         let Some(mut relit) = self.relit.take() else { return Ok(Vec::new()) };
@@ -226,7 +235,8 @@ impl Intrinsic {
     }
 }
 
-/// An answer in linear light, at the size of the view, without what is no number.
+/// Converts an answer to linear light at the size of the view.
+/// Pixels that are not finite become invalid.
 fn brought(mut image: Image, encoded: bool, camera: &Camera) -> MaskedMap {
     let mut valid = Image::new(image.width, image.height, 1);
     for (pixel, v) in image.data.chunks_exact_mut(image.channels as usize).zip(&mut valid.data) {

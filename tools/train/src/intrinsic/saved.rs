@@ -1,6 +1,6 @@
-//! A checkpoint of the intrinsic stage as a file: what it says, before that is held against a stage.
+//! Checkpoint file of the intrinsic stage, parsed before a stage applies it.
 //!
-//! Promises: no device has a part in it; what no stage could have written is refused.
+//! Guarantees: reading requires no device. A file that no stage could have written is rejected.
 
 use super::automatic::Remembered;
 use crate::course::{Course, json, wrong_moments};
@@ -12,76 +12,81 @@ use std::collections::HashMap;
 use std::ops::RangeInclusive;
 use std::path::Path;
 
-/// What such a file calls itself.
+/// Format name in the metadata.
 pub(super) const FORMAT: &str = "sgs-intrinsic-1";
 
-/// What steps have asked of the surroundings since these moved.
+/// Tensor of the environment map's gradient, accumulated since its last update.
 pub(super) const GATHERED: &str = "environment_gathered";
 
-/// Tensors of what is said of views under other lights, and of the steps at which that was.
+/// Tensors of the estimates under other lights, and of the steps of their requests.
 pub(super) const ESTIMATES: &str = "relit_estimates";
-pub(super) const ASKED_AT: &str = "relit_asked_at";
+pub(super) const REQUESTED_AT: &str = "relit_asked_at";
 
-/// What was decided about the model.
+/// Metadata key of the decisions about the model.
 pub(super) const DECISIONS: &str = "decisions";
 
-/// How many levels the visibility field has, where that may be decided.
+/// Metadata key of the visibility field's levels, if selected automatically.
 pub(super) const LEVELS: &str = "levels";
 
-/// How many texels surroundings have along an edge, where that may be decided.
+/// Metadata key of the environment map's edge length, if selected automatically.
+/// The length is in texels.
 pub(super) const TEXELS: &str = "texels";
 
-/// Surroundings as they were after some step, which follows.
+/// Prefix of environment map snapshots; the step of the snapshot follows.
 pub(super) const BEFORE: &str = "environment_after_";
 
-/// How often surroundings move, where that may be decided: once in how many steps, since which step, and how often before.
-pub(super) const PACE: &str = "pace";
+/// Metadata key of the environment update interval, if selected automatically.
+/// The value holds the interval in steps, the step of its last change, and the number of updates before.
+pub(super) const UPDATE_INTERVAL: &str = "pace";
 
-/// The error of shaded pictures when they were last looked at.
+/// Metadata key of the error of shaded images at the last measurement.
 pub(super) const LAST: &str = "last_look";
 
-/// Losses that not each step has, as they were last: pseudo-views, other lights, own priors, smoothness of the environment.
+/// Tensor of the last values of losses that do not run in every step.
+/// The order is pseudo-views, other lights, own priors, smoothness of the environment map.
 pub(super) const RECENT: &str = "recent_losses";
 
-/// How many lobes lights have, where that may be decided.
+/// Metadata key of the number of lobes of a light, if selected automatically.
 pub(super) const LOBES: &str = "lobes";
 
 /// Tensors of the visibility field.
 pub(super) const FIELD: [&str; 4] =
     ["visibility_tables", "visibility_mlp", "visibility_tables_moments", "visibility_mlp_moments"];
 
-/// Gains of the lights.
+/// Tensor of the gains of the lights.
 pub(super) const GAINS: &str = "light_gains";
 
-/// What a checkpoint says. Tensors are read when their sizes are known.
+/// Contents of a checkpoint. Tensors are read once their sizes are known.
 pub(crate) struct Saved<'a> {
     path: &'a Path,
     tensors: SafeTensors<'a>,
-    /// After which step it was written.
+    /// Step after which the checkpoint was written.
     pub step: u32,
-    /// Of how many splats it is.
+    /// Number of splats.
     pub splats: u32,
-    /// How the training goes.
+    /// Progress of the training.
     pub course: Course,
-    /// What was decided about the model.
+    /// Decisions about the model.
     pub decisions: Vec<Decision>,
-    /// Lobes of a light, where they may be decided: from 1 to 32.
+    /// Lobes of a light, if selected automatically: from 1 to 32.
     pub lobes: Option<u32>,
-    /// Levels of the visibility field, where they may be decided: from 1 on.
+    /// Levels of the visibility field, if selected automatically: at least 1.
     pub levels: Option<u32>,
-    /// Texels along an edge of surroundings, where they may be decided: a power of two from 16 on.
+    /// Texels per edge of the environment map, if selected automatically.
+    /// A power of two, at least 16.
     pub texels: Option<u32>,
-    /// Once in how many steps surroundings move, since which step, and how often before, where that may be decided.
-    pub pace: Option<[u32; 3]>,
-    /// The error of shaded pictures when they were last looked at.
+    /// Update interval of the environment map, if selected automatically.
+    /// The values are the interval in steps, the step of its last change, and the number of updates before.
+    pub update_interval: Option<[u32; 3]>,
+    /// Error of shaded images at the last measurement.
     pub last: Option<f64>,
 }
 
 impl<'a> Saved<'a> {
-    /// Reads what a file says.
+    /// Reads a checkpoint's metadata and the index of its tensors.
     ///
     /// # Errors
-    /// If it is damaged, or of something else.
+    /// If the file is damaged, or is not a checkpoint of the intrinsic stage.
     pub fn read(path: &'a Path, bytes: &'a [u8]) -> Result<Saved<'a>> {
         let refused = |reason: String| error(path, reason);
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(|e| refused(format!("not a checkpoint: {e}")))?;
@@ -123,20 +128,20 @@ impl<'a> Saved<'a> {
             lobes,
             levels,
             texels,
-            pace: pace(&meta, step).map_err(refused)?,
+            update_interval: update_interval(&meta, step).map_err(refused)?,
             last: last(&meta).map_err(refused)?,
         })
     }
 
-    /// Whether there is a tensor of this name.
+    /// Returns whether a tensor of this name exists.
     pub fn has(&self, name: &str) -> bool {
         self.tensors.tensor(name).is_ok()
     }
 
-    /// The values of a tensor.
+    /// Returns the values of a tensor.
     ///
     /// # Errors
-    /// If there are not so many, or some are not finite.
+    /// If their number is not `count`, or some are not finite.
     pub fn floats(&self, name: &str, count: usize) -> Result<Vec<f32>> {
         let data = self.data(name, count, Dtype::F32)?;
         let values: Vec<f32> = data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
@@ -146,10 +151,10 @@ impl<'a> Saved<'a> {
         }
     }
 
-    /// First and second moments of so many values, in pairs.
+    /// Returns pairs of first and second moments of `count` values.
     ///
     /// # Errors
-    /// If there are not so many, or some cannot be.
+    /// If their number is wrong, or some values are impossible.
     pub fn moments(&self, name: &str, count: usize) -> Result<Vec<f32>> {
         let values = self.floats(name, 2 * count)?;
         match wrong_moments(&values) {
@@ -158,31 +163,32 @@ impl<'a> Saved<'a> {
         }
     }
 
-    /// The words of a tensor.
+    /// Returns the words of a tensor.
     ///
     /// # Errors
-    /// If there are not so many.
+    /// If their number is not `count`.
     pub fn words(&self, name: &str, count: usize) -> Result<Vec<u32>> {
         let data = self.data(name, count, Dtype::U32)?;
         Ok(data.as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect())
     }
 
-    /// Before which step each of so many views was asked about under other lights; 0 is never.
+    /// Returns the step of the latest request for each view under other lights.
+    /// The step is 0 without a request.
     ///
     /// # Errors
-    /// If there are not so many, or some are after the next step.
-    pub fn asked_at(&self, views: usize) -> Result<Vec<u32>> {
-        let steps = self.words(ASKED_AT, views)?;
+    /// If their number is not `views`, or some are after the next step.
+    pub fn requested_at(&self, views: usize) -> Result<Vec<u32>> {
+        let steps = self.words(REQUESTED_AT, views)?;
         match steps.iter().find(|step| **step > self.step.saturating_add(1)) {
             None => Ok(steps),
-            Some(later) => Err(self.refused(format!("damaged: \"{ASKED_AT}\" tells of step {later}"))),
+            Some(later) => Err(self.refused(format!("damaged: \"{REQUESTED_AT}\" tells of step {later}"))),
         }
     }
 
-    /// Surroundings as they were after earlier steps, by these, of so many values each.
+    /// Returns the environment map snapshots, ordered by step, of `count` values each.
     ///
     /// # Errors
-    /// If some have another size, or are of no step that has been.
+    /// If a snapshot has another size, or belongs to a step after the checkpoint's.
     pub fn before(&self, count: usize) -> Result<Vec<Remembered>> {
         let mut before = Vec::new();
         for name in self.tensors.names() {
@@ -195,12 +201,12 @@ impl<'a> Saved<'a> {
         Ok(before)
     }
 
-    /// An error about the file.
+    /// Makes an error about the file.
     pub fn refused(&self, reason: String) -> TrainError {
         error(self.path, reason)
     }
 
-    /// That surroundings cannot have so many texels along an edge.
+    /// Makes the error of an impossible number of texels per edge.
     pub fn no_texels(&self, size: u32) -> TrainError {
         no_texels(self.path, &size.to_string())
     }
@@ -216,26 +222,26 @@ impl<'a> Saved<'a> {
     }
 }
 
-/// How often surroundings move, until a step.
-fn pace(meta: &HashMap<String, String>, step: u32) -> std::result::Result<Option<[u32; 3]>, String> {
-    let Some(text) = meta.get(PACE) else { return Ok(None) };
+/// Parses the update interval of the environment map, as of a step.
+fn update_interval(meta: &HashMap<String, String>, step: u32) -> std::result::Result<Option<[u32; 3]>, String> {
+    let Some(text) = meta.get(UPDATE_INTERVAL) else { return Ok(None) };
     let numbers: Option<Vec<u32>> = text.split(' ').map(|n| n.parse().ok()).collect();
     match numbers.as_deref() {
         Some(&[every @ 1..=64, since, moves]) if since <= step && moves <= since => Ok(Some([every, since, moves])),
-        Some(&[1..=64, _, _]) => Err(format!("damaged: surroundings cannot move as in \"{text}\"")),
-        _ => Err(format!("damaged: \"{text}\" does not say how often surroundings move")),
+        Some(&[1..=64, _, _]) => Err(format!("damaged: \"{text}\" is no update interval of the environment map")),
+        _ => Err(format!("damaged: \"{text}\" does not state the update interval of the environment map")),
     }
 }
 
-/// The error when it was last looked at.
+/// Parses the error at the last measurement.
 fn last(meta: &HashMap<String, String>) -> std::result::Result<Option<f64>, String> {
     let Some(text) = meta.get(LAST) else { return Ok(None) };
     let value = text.parse().ok().filter(|last: &f64| *last >= 0.0 && last.is_finite());
-    value.map(Some).ok_or_else(|| format!("damaged: \"{text}\" is no error of pictures"))
+    value.map(Some).ok_or_else(|| format!("damaged: \"{text}\" is no error of images"))
 }
 
 fn no_texels(path: &Path, size: &str) -> TrainError {
-    error(path, format!("damaged: surroundings cannot have \"{size}\" texels along an edge"))
+    error(path, format!("damaged: an environment map cannot have \"{size}\" texels along an edge"))
 }
 
 #[cfg(test)]
@@ -243,7 +249,7 @@ mod tests {
     use super::*;
     use sgs_run::{floats::Floats, floats::Numbers, floats::serialize};
 
-    /// A file of a training of materials after 40 steps, with some of its metadata and tensors otherwise.
+    /// Makes a checkpoint after 40 steps, with some metadata and tensors replaced.
     fn bytes(meta: &[(&str, &str)], tensors: &[(&str, &[f32])]) -> Vec<u8> {
         let said = [
             ("format", FORMAT),
@@ -252,7 +258,7 @@ mod tests {
             (LOBES, "6"),
             (LEVELS, "4"),
             (TEXELS, "16"),
-            (PACE, "8 20 20"),
+            (UPDATE_INTERVAL, "8 20 20"),
             (LAST, "0.5"),
         ];
         let held: [(&str, &[f32]); 4] = [
@@ -264,26 +270,26 @@ mod tests {
         let meta: HashMap<_, _> = said.iter().chain(meta).map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
         let tensors: HashMap<_, _> = held.iter().chain(tensors).copied().collect();
         let floats = tensors.iter().map(|(name, v)| (*name, Numbers::Floats(Floats(v, vec![v.len()]))));
-        let words = [(ASKED_AT, Numbers::Words(&[41, 0], vec![2]))];
+        let words = [(REQUESTED_AT, Numbers::Words(&[41, 0], vec![2]))];
         serialize(floats.chain(words), meta).unwrap()
     }
 
     #[test]
-    fn what_is_whole_is_read() {
+    fn valid_checkpoint_is_read() {
         let bytes = bytes(&[], &[]);
         let saved = Saved::read(Path::new("state"), &bytes).unwrap();
         assert_eq!((saved.step, saved.splats, saved.last, saved.decisions.len()), (40, 1, Some(0.5), 0));
         assert_eq!((saved.lobes, saved.levels, saved.texels), (Some(6), Some(4), Some(16)));
-        assert_eq!((saved.pace, saved.course.roll_backs.len()), (Some([8, 20, 20]), 0));
+        assert_eq!((saved.update_interval, saved.course.roll_backs.len()), (Some([8, 20, 20]), 0));
         assert_eq!(saved.floats("albedo", 3).unwrap(), [0.25, -1.0, 2.0]);
         assert_eq!(saved.moments("albedo_moments", 3).unwrap(), [0.0, 1.0, -1.0, 0.0, 3.0, 2.0]);
-        assert_eq!(saved.asked_at(2).unwrap(), [41, 0]);
+        assert_eq!(saved.requested_at(2).unwrap(), [41, 0]);
         assert_eq!(saved.before(3).unwrap(), [(36, vec![2.0; 3]), (40, vec![1.0; 3])]);
         assert!(saved.has("albedo") && !saved.has("roughness"));
     }
 
     #[test]
-    fn what_no_training_leaves_is_refused() {
+    fn impossible_checkpoints_are_rejected() {
         let path = Path::new("state");
         let refused = |meta: &[(&str, &str)], tensors: &[(&str, &[f32])]| -> String {
             let bytes = bytes(meta, tensors);
@@ -293,7 +299,7 @@ mod tests {
             };
             let values = [saved.floats("albedo", 3), saved.moments("albedo_moments", 3)];
             let errors = values.into_iter().filter_map(|v| v.err()).chain(saved.before(3).err());
-            let errors = errors.chain(saved.asked_at(2).err());
+            let errors = errors.chain(saved.requested_at(2).err());
             errors.map(|e| e.to_string()).collect::<Vec<_>>().join(" ")
         };
         assert_eq!(refused(&[], &[]), "");
@@ -307,10 +313,10 @@ mod tests {
             (LEVELS, "x", "\"x\" is no number of levels"),
             (TEXELS, "8", "cannot have \"8\" texels"),
             (TEXELS, "24", "cannot have \"24\" texels"),
-            (PACE, "0 20 20", "\"0 20 20\" does not say how often"),
-            (PACE, "8 41 20", "cannot move as in \"8 41 20\""),
-            (PACE, "8 20 21", "cannot move as in \"8 20 21\""),
-            (PACE, "8 20", "\"8 20\" does not say how often"),
+            (UPDATE_INTERVAL, "0 20 20", "\"0 20 20\" does not state the update interval"),
+            (UPDATE_INTERVAL, "8 41 20", "\"8 41 20\" is no update interval"),
+            (UPDATE_INTERVAL, "8 20 21", "\"8 20 21\" is no update interval"),
+            (UPDATE_INTERVAL, "8 20", "\"8 20\" does not state the update interval"),
             (DECISIONS, "{}", "damaged: \"decisions\""),
             (
                 DECISIONS,

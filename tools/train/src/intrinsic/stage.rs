@@ -1,4 +1,4 @@
-//! The intrinsic stage as the trainer sees it.
+//! Implementation of [`Stage`] for the intrinsic stage.
 
 use super::Intrinsic;
 use super::log::Figures;
@@ -28,7 +28,7 @@ impl Stage for Intrinsic {
     }
 
     fn checkpoint_interval(&self) -> u32 {
-        self.settings.intrinsic.checkpoint_interval
+        self.settings.train.checkpoint_interval
     }
 
     fn settings(&self) -> &Settings {
@@ -81,7 +81,7 @@ impl Stage for Intrinsic {
 
     fn roll_back(&mut self, before: &[RollBack], step: u32) {
         Intrinsic::roll_back(self, before, step);
-        // The log keeps the lines of decisions until this state; later ones are made again.
+        // The log retains the lines of decisions up to this state; later decisions are made again.
         self.reported = self.decisions.len();
     }
 

@@ -1,7 +1,7 @@
-//! Where materials begin: with what the priors say of the pixels that a Gaussian is seen in.
+//! Initial materials from the priors of the pixels that show a Gaussian.
 //!
-//! The mean over all training views, weighted by how much of each pixel the Gaussian is. Beginning with gray, the first hundreds of
-//! steps would do no more than find that mean, and what they leave of gray goes into the lights.
+//! The initial value is the mean over all training views, weighted by the Gaussian's blending weight at each pixel.
+//! From gray, the first hundreds of steps would only find that mean, and the lights would absorb the remaining gray.
 
 use super::data::MaterialPriors;
 use super::surfaces::Surfaces;
@@ -14,25 +14,27 @@ use sgs_passes::scene::Gaussians;
 use sgs_run::materials::{raw, raw_metallic, raw_roughness};
 use sgs_scene::srgb_to_linear;
 
-/// Least sum of weights, in pixels, from which the priors' mean is taken.
+/// Least sum of weights, in pixels, with which the mean of the priors is used.
 const LEAST: f64 = 1e-3;
 
-/// No albedo begins darker: what a black surface sends back tells lights nothing, and where a photograph shows it bright, as it
-/// does a window, lights have to find it before albedo closes.
+/// Least initial albedo.
+/// The light that a black surface reflects gives no gradient to lights. Where the photograph shows such a surface
+/// bright, for example a window, the lights must find this before the albedo closes.
 const DARKEST: f32 = 0.1;
 
-/// Materials before activation, as far as priors say something; gray and half rough where they do not.
+/// Materials before activation, where the priors are known.
+/// Elsewhere materials are gray and half rough.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Start {
-    /// `[Gaussians * 3]`.
+    /// Albedo: `[Gaussians * 3]`.
     pub albedo: Option<Vec<f32>>,
-    /// `[Gaussians]`.
+    /// Roughness: `[Gaussians]`.
     pub roughness: Option<Vec<f32>>,
-    /// `[Gaussians]`.
+    /// Metallic: `[Gaussians]`.
     pub metallic: Option<Vec<f32>>,
 }
 
-/// Works out where materials begin (waits for the device, view by view).
+/// Computes the initial materials. Waits for the device, view by view.
 pub(super) fn start(
     device: &Device,
     gaussians: &Gaussians,
@@ -53,7 +55,7 @@ pub(super) fn start(
     }
     let [albedo, roughness, metallic] = sums.map(|s| s.map(|(_, sums)| sums.into_iter().map(mean)));
     let first = |raw: fn(f32) -> f32, otherwise: f32| move |m: Option<[f32; 3]>| m.map_or(otherwise, |m| raw(m[0]));
-    // Albedo priors are encoded as they are displayed, and so is their mean.
+    // Albedo priors are encoded in sRGB, and so is their mean.
     let encoded = |m: Option<[f32; 3]>| m.map_or([0.0; 3], |m| m.map(|v| raw(srgb_to_linear(v).max(DARKEST))));
     Ok(Start {
         albedo: albedo.map(|a| a.flat_map(encoded).collect()),
@@ -62,7 +64,8 @@ pub(super) fn start(
     })
 }
 
-/// Adds what a view's priors say, packed as photographs are, to the sums of values and weights.
+/// Adds a view's priors to the sums of values and weights.
+/// `packed`: priors, packed like photographs.
 fn gather(columns: &WeightColumns, packed: &[u32], sums: &mut [[f64; 4]]) {
     sums.par_iter_mut().enumerate().for_each(|(gaussian, sum)| {
         for (pixel, weight) in columns.of(gaussian) {
@@ -85,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn weights_decide_and_pixels_without_priors_do_not_count() {
+    fn initial_materials_are_weighted_means_of_valid_priors() {
         let columns =
             WeightColumns { starts: vec![0, 3, 3, 4], pixels: vec![0, 1, 2, 2], weights: vec![0.25, 0.75, 5.0, 1.0] };
         let packed = [0xff00_00ff, 0xff00_ff00, 0x0012_3456];

@@ -1,10 +1,10 @@
-//! Checkpoints of the intrinsic stage, and what it leaves.
+//! Checkpoints and results of the intrinsic stage.
 
 use super::Intrinsic;
 use super::automatic::Remembered;
 use super::saved::{
-    ASKED_AT, BEFORE, DECISIONS, ESTIMATES, FIELD, FORMAT, GAINS, GATHERED, LAST, LEVELS, LOBES, PACE, RECENT, Saved,
-    TEXELS,
+    BEFORE, DECISIONS, ESTIMATES, FIELD, FORMAT, GAINS, GATHERED, LAST, LEVELS, LOBES, RECENT, REQUESTED_AT, Saved,
+    TEXELS, UPDATE_INTERVAL,
 };
 use crate::course::Course;
 use crate::divergence::HALF;
@@ -23,12 +23,13 @@ use sgs_scene::{Image, Splats};
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What a checkpoint holds, in the sizes of the stage that goes on from it.
+/// Contents of a checkpoint, in the sizes of the stage that continues from it.
 struct Values {
-    /// In the order of [`sgs_passes::pipeline::IntrinsicParameters::all`], with their moments.
+    /// Values and moments of the parameters.
+    /// The order is that of [`sgs_passes::pipeline::IntrinsicParameters::all`].
     parameters: Vec<[Vec<f32>; 2]>,
     gains: Vec<f32>,
-    /// In the order of [`FIELD`].
+    /// Tensors of the visibility field, in the order of [`FIELD`].
     field: Option<[Vec<f32>; 4]>,
     gathered: Option<Vec<f32>>,
     before: Vec<Remembered>,
@@ -37,10 +38,10 @@ struct Values {
 }
 
 impl Intrinsic {
-    /// Writes everything that resuming needs.
+    /// Writes a checkpoint with everything that resuming needs.
     ///
     /// # Errors
-    /// If the file cannot be written; an earlier one stays whole.
+    /// If the file cannot be written; an existing file then stays intact.
     pub fn save(&self, path: &Path) -> Result<()> {
         let mut values = Vec::new();
         for p in self.parameters.all() {
@@ -58,19 +59,19 @@ impl Intrinsic {
                 values.push(((*name).to_owned(), v));
             }
         }
-        if let Some(s) = &self.seldom {
-            values.push((GATHERED.to_owned(), s.kept().download(&self.device)?));
+        if let Some(s) = &self.environment_updates {
+            values.push((GATHERED.to_owned(), s.stored().download(&self.device)?));
         }
         for (step, texels) in self.remembered().iter().filter(|(step, _)| *step <= self.done) {
             values.push((format!("{BEFORE}{step}"), texels.clone()));
         }
-        // What has been said of views, and when: asking again would be about other parameters.
+        // Stores the answers of the provider and their steps: a new request would see other parameters.
         let mut words = Vec::new();
         if let Some(relit) = &self.relit {
             for (i, buffer) in relit.estimates.iter().enumerate() {
                 words.push((format!("{ESTIMATES}{i}"), self.device.download_as(buffer, buffer.bytes() as usize / 4)?));
             }
-            words.push((ASKED_AT.to_owned(), relit.asked_at.clone()));
+            words.push((REQUESTED_AT.to_owned(), relit.requested_at.clone()));
         }
         let tensors = values.iter().map(|(name, v)| (name.clone(), Numbers::Floats(Floats(v, vec![v.len()]))));
         let words = words.iter().map(|(name, v)| (name.clone(), Numbers::Words(v, vec![v.len()])));
@@ -83,7 +84,7 @@ impl Intrinsic {
         Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() }.write(&mut meta);
         if let Some(a) = &self.automatic {
             if let Some(last) = a.last.filter(|last| last.is_finite()) {
-                // Rust writes as many digits as it takes to read the same number.
+                // Rust writes as many digits as reading the same number requires.
                 meta.insert(LAST.to_owned(), last.to_string());
             }
             meta.insert(LOBES.to_owned(), self.lobes().to_string());
@@ -93,8 +94,8 @@ impl Intrinsic {
             if let Some(size) = self.environment_size() {
                 meta.insert(TEXELS.to_owned(), size.to_string());
             }
-            let [step, moves] = self.paced;
-            meta.insert(PACE.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
+            let [step, moves] = self.update_intervals;
+            meta.insert(UPDATE_INTERVAL.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
         }
         meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
         let bytes = sgs_run::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))?;
@@ -102,7 +103,7 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// Goes on from what [`Intrinsic::save`] wrote.
+    /// Continues from a checkpoint of [`Intrinsic::save`].
     ///
     /// # Errors
     /// If the file is damaged or belongs to other settings or splats.
@@ -118,7 +119,7 @@ impl Intrinsic {
         } else if !saved.decisions.is_empty() {
             self.decisions.clone_from(&saved.decisions);
         }
-        // But for what has been decided, everything is read before anything is changed.
+        // Apart from the decisions, everything is read before anything changes.
         let values = self.values_of(&saved)?;
         let [cross_view, relight, own_prior, smoothness] = values.recent;
         self.recent = [cross_view, relight, own_prior];
@@ -130,7 +131,7 @@ impl Intrinsic {
         self.done = saved.step;
         self.reported = self.decisions.len();
         self.watch.restore(&saved.course.watch);
-        // What is counted on the device counts from the start again; graphs are made when they are due.
+        // Device counters restart from zero; graphs are built on first use.
         self.status = IntrinsicStatus::new(&self.device)?;
         self.status.set_smoothness(&self.device, smoothness)?;
         self.set_rates(HALF.powi(saved.course.roll_backs.len() as i32));
@@ -138,7 +139,7 @@ impl Intrinsic {
         self.keep_environment()
     }
 
-    /// Makes of the model what was decided by then.
+    /// Applies the model decisions of a checkpoint.
     fn take_over(&mut self, saved: &Saved) -> Result<()> {
         if !self.take_decisions(saved.decisions.clone())? {
             return Err(saved.refused("it has parts that have been left out since".into()));
@@ -162,13 +163,13 @@ impl Intrinsic {
             }
             self.set_texels(size)?;
         }
-        match saved.pace {
-            Some([every, since, moves]) => self.set_pace(every, since, moves),
+        match saved.update_interval {
+            Some([every, since, moves]) => self.set_update_interval(every, since, moves),
             None => Ok(()),
         }
     }
 
-    /// What a checkpoint holds of the model as it is.
+    /// Reads the contents of a checkpoint for the current model.
     fn values_of(&self, saved: &Saved) -> Result<Values> {
         let mut parameters = Vec::new();
         for p in self.parameters.all() {
@@ -188,23 +189,23 @@ impl Intrinsic {
             }
             None => None,
         };
-        // Where texels moved with every step, nothing is left over.
-        let gathered = match &self.seldom {
-            Some(s) if saved.has(GATHERED) => Some(saved.floats(GATHERED, s.kept().floats())?),
-            Some(s) => Some(vec![0.0; s.kept().floats()]),
+        // With an update of the texels in every step, no gradient is accumulated.
+        let gathered = match &self.environment_updates {
+            Some(s) if saved.has(GATHERED) => Some(saved.floats(GATHERED, s.stored().floats())?),
+            Some(s) => Some(vec![0.0; s.stored().floats()]),
             None => None,
         };
         let before = match &self.parameters.environment {
             Some(texels) if self.automatic.is_some() => saved.before(texels.floats() as usize)?,
             _ => Vec::new(),
         };
-        // Of a run without a provider there is nothing, and everything is asked anew.
+        // A checkpoint of a run without a provider has no estimates; all are requested again.
         let estimates = match &self.relit {
-            Some(relit) if saved.has(ASKED_AT) => {
+            Some(relit) if saved.has(REQUESTED_AT) => {
                 let words =
                     |(i, b): (usize, &DeviceBuffer)| saved.words(&format!("{ESTIMATES}{i}"), b.bytes() as usize / 4);
                 let all = relit.estimates.iter().enumerate().map(words).collect::<Result<Vec<_>>>()?;
-                Some((all, saved.asked_at(relit.asked_at.len())?))
+                Some((all, saved.requested_at(relit.requested_at.len())?))
             }
             _ => None,
         };
@@ -216,7 +217,7 @@ impl Intrinsic {
         Ok(Values { parameters, gains, field, gathered, before, estimates, recent })
     }
 
-    /// Brings to the device what a checkpoint holds.
+    /// Uploads the contents of a checkpoint.
     fn put(&mut self, values: Values) -> Result<()> {
         if let (Some(f), Some([tables, mlp, table_moments, mlp_moments])) = (&self.parameters.visibility, &values.field)
         {
@@ -228,14 +229,14 @@ impl Intrinsic {
             p.upload_moments(&self.device, moments)?;
         }
         self.device.upload(&self.gains, 0, bytemuck::cast_slice(&values.gains))?;
-        if let (Some(relit), Some((all, asked_at))) = (&mut self.relit, values.estimates) {
+        if let (Some(relit), Some((all, requested_at))) = (&mut self.relit, values.estimates) {
             for (buffer, words) in relit.estimates.iter().zip(&all) {
                 self.device.upload(buffer, 0, bytemuck::cast_slice(words))?;
             }
-            relit.asked_at = asked_at;
+            relit.requested_at = requested_at;
         }
-        if let (Some(s), Some(gathered)) = (&self.seldom, &values.gathered) {
-            s.kept().upload(&self.device, gathered)?;
+        if let (Some(s), Some(gathered)) = (&self.environment_updates, &values.gathered) {
+            s.stored().upload(&self.device, gathered)?;
         }
         if let Some(a) = &mut self.automatic {
             a.before = values.before;
@@ -243,7 +244,7 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// The splats with their materials.
+    /// Returns the splats with their materials.
     ///
     /// # Errors
     /// If the device fails.
@@ -251,7 +252,7 @@ impl Intrinsic {
         Ok(self.scaled_splats()?.in_unit(self.unit.inverse()))
     }
 
-    /// The same in the unit of the device.
+    /// Returns the splats with their materials, in the device's unit.
     pub(super) fn scaled_splats(&self) -> Result<Splats> {
         let mut splats = self.splats.clone();
         let albedo = self.parameters.albedo.download(&self.device)?;
@@ -268,7 +269,7 @@ impl Intrinsic {
         Ok(splats)
     }
 
-    /// The lights, if there are any.
+    /// Returns the lights, if there are any.
     ///
     /// # Errors
     /// If the device fails.
@@ -276,7 +277,7 @@ impl Intrinsic {
         Ok(self.scaled_lights()?.map(|lights| lights.in_unit(self.unit.inverse())))
     }
 
-    /// The same in the unit of the device.
+    /// Returns the lights in the device's unit.
     pub(super) fn scaled_lights(&self) -> Result<Option<LightFile>> {
         let Some([positions, lobes]) = &self.parameters.lights else { return Ok(None) };
         let normalizer = self.options.lights.map_or(0.0, |l| l.1);
@@ -285,7 +286,7 @@ impl Intrinsic {
         Ok(Some(LightFile::of(&self.light_model, normalizer, &positions, &lobes, &gains)))
     }
 
-    /// All light as it is by now, to shade with.
+    /// Returns all current light, for shading.
     ///
     /// # Errors
     /// If the device fails.
@@ -299,7 +300,7 @@ impl Intrinsic {
         Ok(light)
     }
 
-    /// The same in the unit of the device.
+    /// Returns all current light in the device's unit.
     pub(super) fn scaled_light(&self) -> Result<RunLight> {
         let lights = self.scaled_lights()?;
         let environment = match (&self.parameters.environment, &self.environment) {
@@ -319,7 +320,9 @@ impl Intrinsic {
         Ok(RunLight { lights, environment, visibility })
     }
 
-    /// Writes `scene.ply`, `lights.json`, `environment.exr` and `visibility.safetensors` of a run; what is not modeled is removed.
+    /// Writes the result files of the stage into a run directory.
+    /// The files are `scene.ply`, `lights.json`, `environment.exr` and `visibility.safetensors`. Removes the files of
+    /// components that are not modeled.
     ///
     /// # Errors
     /// If a file cannot be written.

@@ -1,5 +1,7 @@
-//! What views see of the geometry: kept for all training views where that fits, else worked out anew before each step, as it
-//! always is for pseudo-views.
+//! Surfaces: the geometry that each view sees, with its blending weights.
+//!
+//! Surfaces of all training views are stored if they fit into memory. Otherwise each step recomputes the surface of its
+//! view, as it always does for pseudo-views.
 
 use super::Intrinsic;
 use crate::data::TrainingData;
@@ -11,18 +13,18 @@ use sgs_passes::pipeline::{
 };
 use sgs_passes::scene::Gaussians;
 
-/// The surfaces of the training views.
+/// Surfaces of the training views.
 pub(super) struct Surfaces {
     builder: SurfaceBuilder,
-    /// By training view; only one where they are worked out anew.
+    /// Surfaces by training view; only one if each step recomputes it.
     kept: Vec<Surface>,
     all: bool,
-    /// Room for pseudo-views.
+    /// Memory for the surfaces of pseudo-views.
     others: Vec<Surface>,
 }
 
 impl Surfaces {
-    /// Measures all views, `others` among them that are only seen now and then.
+    /// Measures all views, including the occasional views in `others`.
     pub fn measure(
         device: &Device,
         tuning: Tuning,
@@ -37,12 +39,12 @@ impl Surfaces {
             builder.measure(gaussians, camera)?;
             most = most.max(builder.wanted()?);
         }
-        // The room that the fullest view needs, for all: a step is made for one size.
+        // All surfaces get the capacity of the fullest view: a step is compiled for one size.
         builder.fit(gaussians, most)?;
         Ok(builder)
     }
 
-    /// Keeps the surfaces of all training views, or room for one.
+    /// Stores the surfaces of all training views, or allocates one.
     pub fn new(
         device: &Device,
         mut builder: SurfaceBuilder,
@@ -68,7 +70,8 @@ impl Surfaces {
         self.builder.shape()
     }
 
-    /// The surfaces of a training view; not before the next call where they are worked out anew.
+    /// Returns the surface of a training view.
+    /// A recomputed surface is valid until the next call.
     pub fn kept(&mut self, gaussians: &Gaussians, camera: &Camera, view: usize) -> Result<&Surface> {
         if self.all {
             return Ok(&self.kept[view]);
@@ -78,19 +81,20 @@ impl Surfaces {
         Ok(&self.kept[0])
     }
 
-    /// The surfaces of a pseudo-view, the first or the second of a step; not before the next call.
+    /// Returns the surface of the first or second pseudo-view of a step.
+    /// The surface is valid until the next call.
     pub fn other(&mut self, gaussians: &Gaussians, camera: &Camera, which: usize) -> Result<&Surface> {
         self.builder.fill(gaussians, camera, &self.others[which])?;
         self.builder.finish()?;
         Ok(&self.others[which])
     }
 
-    /// Bytes of all that is kept.
+    /// Returns the number of bytes of all stored surfaces.
     pub fn bytes(&self) -> u64 {
         self.shape().bytes() * (self.kept.len() + self.others.len()) as u64
     }
 
-    /// Entries of the matrices that are kept, their mean.
+    /// Returns the mean number of entries of the stored matrices.
     pub fn weights(&self, device: &Device) -> Result<f64> {
         let mut sum = 0;
         for surface in &self.kept {
@@ -99,13 +103,14 @@ impl Surfaces {
         Ok(sum as f64 / self.kept.len().max(1) as f64)
     }
 
-    /// Whether nothing may be in flight when a step is submitted.
+    /// Returns whether a step requires that no work is in flight when it is submitted.
     pub fn waits(&self, pseudo: bool) -> bool {
         pseudo || !self.all
     }
 
-    /// Submits a step on a view, with pseudo-views if it compares some. Where it has to wait ([`Surfaces::waits`]) what was
-    /// submitted before must be done: there is one room for what is worked out anew.
+    /// Submits a step on a view, with pseudo-views if it compares some.
+    /// If the step has to wait ([`Surfaces::waits`]), earlier work must be done: recomputed surfaces share one
+    /// allocation.
     pub fn with(
         &mut self,
         gaussians: &Gaussians,
@@ -133,12 +138,13 @@ impl Surfaces {
 }
 
 impl Intrinsic {
-    /// Bytes of what is kept of what views see of the geometry.
+    /// Returns the number of bytes of all stored surfaces.
     pub fn surface_bytes(&self) -> u64 {
         self.surfaces.bytes()
     }
 
-    /// Entries of the sparse matrices that blend materials, mean over the views of which they are kept.
+    /// Returns the mean number of entries of the material-blending matrices.
+    /// The matrices are sparse. The mean is over the views with stored surfaces.
     ///
     /// # Errors
     /// If the device is lost.

@@ -1,4 +1,4 @@
-//! The steps of the intrinsic stage, one after another.
+//! Training loop of the intrinsic stage.
 
 use super::consistency::StepKind;
 use super::graphs::gone;
@@ -7,14 +7,15 @@ use crate::error::Result;
 use sgs_passes::pipeline::IntrinsicReport;
 
 impl Intrinsic {
-    /// Trains until `last` steps are done, or `go_on` says no. Always stops with all work done.
+    /// Trains until `last` steps are finished or `go_on` returns false.
+    /// Returns with no work in flight.
     ///
     /// # Errors
     /// If the device fails or training diverges.
     pub fn train(
         &mut self,
         last: u32,
-        mut heard: impl FnMut(&IntrinsicReport),
+        mut on_report: impl FnMut(&IntrinsicReport),
         mut go_on: impl FnMut() -> bool,
     ) -> Result<()> {
         while self.submitted < last && go_on() {
@@ -26,7 +27,7 @@ impl Intrinsic {
                 kind = StepKind::Plain;
             }
             let pseudo = kind == StepKind::CrossView;
-            // Graphs order their own replays, not each other's.
+            // Graphs order their own replays, but not those of other graphs.
             let another = step > 1 && self.kind(step - 1) != kind;
             if another || self.surfaces.waits(pseudo) {
                 self.finish()?;
@@ -40,17 +41,17 @@ impl Intrinsic {
                 self.finish()?;
                 self.remember(step)?;
             }
-            // Each graph has replays of its own in flight: only what all have waited for is surely done.
+            // Each graph has its own replays in flight: only steps before a wait for all graphs are surely done.
             let decides = self.decides_after(step);
             if step.is_multiple_of(LOOK) || decides {
                 self.finish()?;
-                self.look(step, &mut heard)?;
+                self.poll(step, &mut on_report)?;
             }
             if decides {
                 self.decide(step)?;
             }
         }
         self.finish()?;
-        self.look(self.submitted, &mut heard)
+        self.poll(self.submitted, &mut on_report)
     }
 }

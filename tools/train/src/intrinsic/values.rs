@@ -1,11 +1,17 @@
-//! The numbers of a step: weights, rates, and what the visibility field is told.
+//! Uniforms of a step: weights, learning rates and the visibility field's step.
 
 use super::Intrinsic;
 use sgs_passes::pipeline::{FieldStep, IntrinsicStepValues, MaterialWeights, Step};
 use sgs_run::field_box;
 
+/// Standard deviation of the jitter of visibility's smoothness loss. The unit is half the scene's box.
+///
+/// The published value is 0.01 in a box of side 3.
+const JITTER: f32 = 0.01 / 1.5;
+
 impl Intrinsic {
-    /// The uniforms of a step: weights of photographs and priors, whose offsets are the same.
+    /// Returns the uniforms of a step.
+    /// The loss weights differ for photographs and priors; the pixel offsets are the same.
     pub(super) fn values(&self, step: u32, view: usize) -> IntrinsicStepValues {
         let s = &self.required.intrinsic;
         let (camera, offset) = self.data.views[view];
@@ -32,14 +38,15 @@ impl Intrinsic {
         }
     }
 
-    /// What is left of the learning rates of materials at a step: all until the middle, then ever less.
+    /// Returns the factor on the learning rates of materials at a step.
+    /// The factor is 1 until the middle of training, then decays exponentially to `materials_last`.
     fn share(&self, step: u32) -> f32 {
         let s = &self.required.intrinsic;
         let done = f64::from(step) / f64::from(s.steps.max(1));
         f64::from(s.rates.materials_last).powf((2.0 * done - 1.0).clamp(0.0, 1.0)) as f32
     }
 
-    /// The uniform of the visibility field.
+    /// Returns the uniform of the visibility field.
     fn field_step(&self, step: &Step) -> FieldStep {
         let s = &self.required.intrinsic;
         let [low, high] = self.bounds;
@@ -47,7 +54,7 @@ impl Intrinsic {
         let pixels = step.camera.size[0] * step.camera.size[1];
         let pairs = f64::from(pixels) * f64::from(self.light_model.lights);
         FieldStep {
-            jitter: s.visibility.jitter * 0.5 * size.iter().fold(0.0_f32, |m, v| m.max(*v)),
+            jitter: JITTER * 0.5 * size.iter().fold(0.0_f32, |m, v| m.max(*v)),
             regularizer: (f64::from(s.losses.visibility_jitter) / pairs.max(1.0)) as f32,
             pixels,
             lights: self.light_model.lights,
@@ -60,8 +67,9 @@ impl Intrinsic {
     }
 }
 
-/// By how much lights are brighter than the published start, which is for boxes of side 3: light falls off with the square
-/// of the distance, so that the same picture in a larger unit needs as much more.
+/// Returns the ratio of initial light intensities to the published ones.
+/// The published start is for boxes of side 3. Light falls off with the square of the distance, so the same image in a
+/// larger unit needs proportionally more intensity.
 pub(super) fn light_scale(bounds: &[[f32; 3]; 2]) -> f32 {
     let side = (0..3).map(|i| bounds[1][i] - bounds[0][i]).fold(0.0, f32::max);
     (side / 3.0).powi(2).max(1e-12)

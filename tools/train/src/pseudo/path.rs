@@ -1,32 +1,35 @@
-//! Poses and the way from one to another.
+//! Camera poses, and interpolation between them.
 
 use glam::{DQuat, DVec3};
 use sgs_scene::Camera;
 
-/// Where a camera is and how it is turned, camera to world.
+/// Pose of a camera, camera to world.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
-    /// In the world.
+    /// Position in the world.
     pub position: DVec3,
-    /// Of length one.
+    /// Unit quaternion.
     pub rotation: DQuat,
 }
 
 impl Pose {
-    /// Of a camera.
+    /// Returns the pose of a camera.
     pub fn of(camera: &Camera) -> Pose {
         let rotation = DQuat::from_mat3(&camera.rotation.transpose()).normalize();
         Pose { position: camera.position(), rotation }
     }
 
-    /// λ_t times the distance of the positions, plus λ_r times the angle between the orientations.
-    pub fn distance(&self, other: &Pose, lambda_t: f64, lambda_r: f64) -> f64 {
+    /// Returns the distance of two poses: of the positions in scene units plus the angle between the orientations.
+    ///
+    /// Both terms have weight 1, as in the published code.
+    pub fn distance(&self, other: &Pose) -> f64 {
         let cosine = 2.0 * self.rotation.dot(other.rotation).powi(2) - 1.0;
-        // Rounding may leave the range of the arc cosine; the angle would then be no number, and nearest to everything.
-        lambda_t * self.position.distance(other.position) + lambda_r * cosine.clamp(-1.0, 1.0).acos()
+        // Rounding may leave the domain of the arc cosine. The NaN would then be the nearest pose to every other.
+        self.position.distance(other.position) + cosine.clamp(-1.0, 1.0).acos()
     }
 
-    /// The pose at `t`, 0 here and 1 there. The ends are exact. Positions lie on the line, or on the curve bent by `around`.
+    /// Returns the pose at `t`, where 0 is this pose and 1 is `other`. The end poses are exact. Positions lie on the
+    /// line between both, or on the curve that `around` bends ([`bend`]).
     pub fn toward(&self, other: &Pose, t: f64, around: Option<[Option<DVec3>; 2]>) -> Pose {
         if t <= 0.0 {
             return *self;
@@ -40,8 +43,8 @@ impl Pose {
     }
 }
 
-/// Between two orientations by the shorter arc. For half a turn both are equally short: then it is the one about the axis
-/// whose largest component is positive, whatever rounding says.
+/// Interpolates between two orientations by the shorter arc. Half a turn has two shortest arcs. The axis whose largest
+/// component is positive is then chosen, so that rounding does not decide.
 fn turn(from: DQuat, to: DQuat, t: f64) -> DQuat {
     let mut between = from.conjugate() * to;
     let axis = between.xyz();
@@ -55,8 +58,8 @@ fn turn(from: DQuat, to: DQuat, t: f64) -> DQuat {
     (from * DQuat::from_axis_angle(unit, t * angle)).normalize()
 }
 
-/// The positions that bend the way between two poses: the nearest one behind its beginning and the nearest one beyond its
-/// end, as seen along the way.
+/// Returns the positions that bend the path between two poses. These are the nearest position behind its start and the
+/// nearest one beyond its end, seen along the path.
 pub fn bend(from: &Pose, to: &Pose, all: impl Iterator<Item = DVec3> + Clone) -> [Option<DVec3>; 2] {
     let (a, b) = (from.position, to.position);
     let nearest = |to: DVec3, along: DVec3| {
@@ -66,9 +69,9 @@ pub fn bend(from: &Pose, to: &Pose, all: impl Iterator<Item = DVec3> + Clone) ->
     [nearest(a, b - a), nearest(b, a - b)]
 }
 
-/// A cubic curve from `a` to `b` with the slopes of Catmull and Rom, half of the way from the neighbor on one side to that on
-/// the other. Where there is no neighbor the slope is the way itself, and no slope is steeper than that, so that a distant
-/// neighbor makes no loop.
+/// Returns the point at `t` on a cubic curve from `a` to `b`. Slopes are those of Catmull and Rom: half of the vector
+/// from the neighbor on one side to that on the other. Without a neighbor the slope is `b - a`. No slope is longer than
+/// that, so that a distant neighbor makes no loop.
 fn curve(before: Option<DVec3>, a: DVec3, b: DVec3, behind: Option<DVec3>, t: f64) -> DVec3 {
     let way = b - a;
     let slope = |s: Option<DVec3>| s.unwrap_or(way).clamp_length_max(way.length());
@@ -89,10 +92,10 @@ mod tests {
     }
 
     #[test]
-    fn orientations_turn_by_the_shorter_arc_at_even_speed() {
+    fn orientations_follow_the_shorter_arc_at_constant_speed() {
         let about = |angle: f64| DQuat::from_rotation_y(angle);
         assert!(close(turn(about(0.2), about(1.2), 0.25), about(0.45)));
-        // From 170 to -170 degrees it is 20 degrees, not 340; the sign of a quaternion means nothing.
+        // From 170 to -170 degrees the arc is 20 degrees, not 340. The sign of a quaternion does not matter.
         let (from, to) = (about(170_f64.to_radians()), about(-170_f64.to_radians()));
         for to in [to, -to] {
             assert!(close(turn(from, to, 0.5), about(180_f64.to_radians())));
@@ -102,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_turn_does_not_depend_on_rounding() {
+    fn half_turn_does_not_depend_on_rounding() {
         let from = DQuat::from_euler(glam::EulerRot::XYZ, 0.3, -0.2, 0.5);
         for axis in [DVec3::Y, DVec3::new(1.0, 2.0, -3.0).normalize(), DVec3::new(-1.0, -1.0, 0.0).normalize()] {
             let half = |angle: f64| turn(from, from * DQuat::from_axis_angle(axis, angle), 0.5);
@@ -116,16 +119,16 @@ mod tests {
     }
 
     #[test]
-    fn distances_are_those_of_the_definition() {
+    fn distance_matches_its_definition() {
         let a = Pose { position: DVec3::new(1.0, 2.0, 3.0), rotation: DQuat::from_rotation_x(0.4) };
         let b = Pose { position: DVec3::new(1.0, 5.0, 7.0), rotation: -DQuat::from_rotation_x(1.0) };
-        assert!((a.distance(&b, 2.0, 3.0) - (2.0 * 5.0 + 3.0 * 0.6)).abs() < 1e-12);
-        // The same pose: never less than nothing, never no number.
-        let own = a.distance(&a, 1.0, 1.0);
+        assert!((a.distance(&b) - 5.6).abs() < 1e-12);
+        // The distance of a pose from itself is neither negative nor NaN.
+        let own = a.distance(&a);
         assert!((0.0..1e-7).contains(&own), "{own}");
     }
 
-    /// Rounding takes the cosine of equal orientations beyond one: the angle is none then, and a number.
+    /// Rounding raises the cosine of equal orientations above 1. The angle is then 0, not NaN.
     #[test]
     fn equal_orientations_have_no_angle() {
         let mut beyond = 0;
@@ -135,7 +138,7 @@ mod tests {
             beyond += usize::from(2.0 * rotation.dot(rotation).powi(2) - 1.0 > 1.0);
             let pose = Pose { position: DVec3::ZERO, rotation };
             for other in [pose, Pose { rotation: -rotation, ..pose }] {
-                let found = pose.distance(&other, 1.0, 1.0);
+                let found = pose.distance(&other);
                 assert!((0.0..1e-7).contains(&found), "{a}: {found}");
             }
         }
@@ -143,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn curves_keep_their_ends_and_straight_lines() {
+    fn curves_preserve_ends_and_straight_lines() {
         let [p, a, b, q] = [0.0, 1.0, 2.0, 3.0].map(|x| DVec3::new(x, -x, 0.5));
         for t in [0.0, 0.2, 0.7, 1.0] {
             let line = a.lerp(b, t);
@@ -156,13 +159,13 @@ mod tests {
         let [p, a, b, q] = [0.0, 0.5, 1.0, 1.5].map(at);
         let middle = curve(Some(p), a, b, Some(q), 0.5);
         assert!(middle.length() > 0.99 && a.lerp(b, 0.5).length() < 0.97, "{}", middle.length());
-        // A neighbor far away makes no loop.
+        // A distant neighbor makes no loop.
         let far = curve(Some(DVec3::new(-1e6, 0.0, 0.0)), a, b, Some(q), 0.1);
         assert!(far.distance(a) < a.distance(b));
     }
 
     #[test]
-    fn what_bends_lies_behind_and_ahead() {
+    fn bend_finds_positions_behind_and_ahead() {
         let pose = |x: f64| Pose { position: DVec3::new(x, 0.0, 0.0), rotation: DQuat::IDENTITY };
         let all = [-5.0, -1.0, 0.0, 1.0, 4.0].map(|x| DVec3::new(x, 0.1, 0.0));
         let found = bend(&pose(0.0), &pose(1.0), all.into_iter());

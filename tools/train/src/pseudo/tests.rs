@@ -18,7 +18,7 @@ fn camera(name: &str, position: DVec3, turn: f64, width: u32) -> Camera {
     }
 }
 
-/// Four cameras on a line, of different sizes, and a test view between the first two.
+/// Four cameras on a line, of different sizes, and two test views. One test view lies between the first two cameras.
 fn scene() -> (Vec<Camera>, Vec<Camera>) {
     let at = |x: f64| DVec3::new(x, 0.2 * x, -1.0);
     let train = vec![
@@ -40,11 +40,11 @@ fn same_pose(a: &Camera, b: &Camera) -> bool {
 }
 
 #[test]
-fn sequences_join_the_nearest_views() {
+fn sequences_join_nearest_views() {
     let (train, test) = scene();
     let views = PseudoViews::between(&train, &test, &options(Neighbors::Training));
     let neighbors: Vec<[&str; 2]> = (0..4).map(|v| [views.neighbor(v, 0), views.neighbor(v, 1)]).collect();
-    // Of c, d is nearer in space, but looks elsewhere.
+    // Camera d is nearer to c in space, but its orientation differs more.
     assert_eq!(neighbors, [["b", "c"], ["a", "c"], ["b", "a"], ["c", "b"]]);
     for (v, own) in train.iter().enumerate() {
         let other = |which| train.iter().find(|c| c.name == views.neighbor(v, which)).unwrap();
@@ -60,7 +60,7 @@ fn sequences_join_the_nearest_views() {
             }
         }
     }
-    // Even steps on the line and of the turn.
+    // Constant steps along the line and of the rotation.
     let (first, second) = (views.camera(0, 0, 7), views.camera(0, 0, 8));
     let step = DVec3::new(1.0, 0.2, 0.0) / 19.0;
     assert!((second.position() - first.position() - step).length() < 1e-12);
@@ -74,28 +74,19 @@ fn sequences_join_the_nearest_views() {
 }
 
 #[test]
-fn test_views_are_neighbors_only_if_wanted() {
+fn test_views_are_neighbors_only_on_request() {
     let (train, test) = scene();
     let views = PseudoViews::between(&train, &test, &options(Neighbors::Test));
     assert_eq!((views.neighbor(0, 0), views.neighbor(0, 1)), ("b", "t"));
     assert!(same_pose(&views.camera(0, 1, 0), &test[1]) && same_pose(&views.camera(0, 1, 19), &train[0]));
     assert_eq!(views.camera(0, 1, 0).width, 100);
-    // Without any, as if they had not been wanted.
+    // Without test views the result equals that of training neighbors.
     let without = PseudoViews::between(&train, &[], &options(Neighbors::Test));
     assert_eq!(without.cameras(), PseudoViews::between(&train, &test, &options(Neighbors::Training)).cameras());
 }
 
 #[test]
-fn weights_choose_neighbors() {
-    let (train, test) = scene();
-    let by_place = PseudoOptions { lambda_r: 0.0, ..Default::default() };
-    assert_eq!(PseudoViews::between(&train, &test, &by_place).neighbor(2, 0), "d");
-    let by_turn = PseudoOptions { lambda_t: 0.0, ..Default::default() };
-    assert_eq!(PseudoViews::between(&train, &test, &by_turn).neighbor(2, 0), "b");
-}
-
-#[test]
-fn few_views_and_coincident_ones() {
+fn few_or_coincident_views_are_handled() {
     let (train, _) = scene();
     let one = PseudoViews::between(&train[..1], &[], &PseudoOptions::default());
     assert!(one.cameras().iter().all(|c| same_pose(c, &train[0])));
@@ -112,26 +103,26 @@ fn few_views_and_coincident_ones() {
         assert!(views.cameras().iter().all(|c| c.problem().is_none()));
     }
     assert_eq!(PseudoViews::between(&[], &[], &PseudoOptions::default()).cameras(), []);
-    // A single pose is the sequence's beginning.
+    // A single pose is the start of the sequence.
     let single = PseudoViews::between(&train, &[], &PseudoOptions { poses: 1, ..Default::default() });
     assert!(same_pose(&single.camera(0, 0, 0), &train[0]) && single.draw(3, 9) == [0, 0]);
 }
 
 #[test]
-fn opposite_cameras_have_a_way() {
+fn opposite_cameras_are_interpolated() {
     let train = [camera("a", DVec3::ZERO, 0.0, 80), camera("b", DVec3::new(2.0, 0.0, 0.0), std::f64::consts::PI, 80)];
     let views = PseudoViews::between(&train, &[], &PseudoOptions::default());
     let middle = views.camera(0, 0, 9);
     assert!(middle.problem().is_none() && (middle.rotation.determinant() - 1.0).abs() < 1e-12);
-    // About the axis that both have in common, so the horizon stays.
+    // The rotation is about the common vertical axis, so the horizon stays level.
     assert!((middle.rotation * DVec3::Y - DVec3::Y).length() < 1e-9);
-    // Both sequences of a pair pass the same places, from one end and from the other.
+    // Both sequences of a pair pass the same positions, from opposite ends.
     let (there, back) = (views.camera(0, 0, 5), views.camera(0, 1, 14));
     assert!(there.position().distance(back.position()) < 1e-9);
 }
 
 #[test]
-fn draws_are_uniform_and_a_function_of_seed_and_step() {
+fn draws_are_uniform_and_deterministic() {
     let (train, test) = scene();
     let views = PseudoViews::between(&train, &test, &PseudoOptions::default());
     let mut counts = [[0_u32; 20]; 2];
@@ -148,7 +139,7 @@ fn draws_are_uniform_and_a_function_of_seed_and_step() {
 }
 
 #[test]
-fn names_are_those_of_files() {
+fn names_match_file_names() {
     let (train, _) = scene();
     let views = PseudoViews::between(&train, &[], &PseudoOptions::default());
     assert_eq!((views.name(0, 1, 7), views.camera(3, 0, 12).name), ("a_1_07".into(), "d_0_12".into()));
@@ -158,10 +149,9 @@ fn names_are_those_of_files() {
 }
 
 #[test]
-fn impossible_options_have_their_sentence() {
+fn invalid_options_are_refused() {
     let said = |o: PseudoOptions| o.check("pseudo.").unwrap_err().to_string();
     assert_eq!(said(PseudoOptions { poses: 0, ..Default::default() }), "pseudo.poses is 0, but must be 1 to 10000.");
-    assert!(said(PseudoOptions { lambda_r: f64::NAN, ..Default::default() }).contains("pseudo.lambda_r is NaN"));
     assert!(PseudoOptions::default().check("").is_ok());
     let text = toml::to_string(&PseudoOptions { neighbors: Neighbors::Test, ..Default::default() }).unwrap();
     assert!(text.contains("neighbors = \"test\"") && text.contains("position = \"linear\""), "{text}");

@@ -1,48 +1,49 @@
-//! Where regions come from, for both stages.
+//! Source of regions for both stages.
 
 use super::{PseudoMaps, RegionMaps};
-use crate::asked::Asked;
 use crate::error::Result;
 use crate::pseudo::PseudoViews;
+use crate::region_provider::RegionProvider;
 use crate::semantics::SemanticLabels;
 use sgs_config::ProviderSettings;
 use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::pipeline::Masks;
 use sgs_scene::Scene;
 
-/// Source of regions: the first that exists of a provider of masks, `priors/masks`, and the classes of semantic priors.
+/// Source of regions. The first that exists of: a mask provider, `priors/masks`, and the classes of semantic priors.
 pub(crate) enum Regions {
-    /// Numbers of the training views' pixels, and of the pseudo-views' where `priors/masks/pseudo` has them.
+    /// Region ids of pixels. The training views have them, and the pseudo-views where `priors/masks/pseudo` does.
     Numbered {
-        /// On the host.
+        /// Ids on the host.
         maps: RegionMaps,
-        /// On the device.
+        /// Ids on the device.
         ids: DeviceBuffer,
-        /// Of the pseudo-views.
+        /// Ids of the pseudo-views, on host and device.
         pseudo: Option<(PseudoMaps, DeviceBuffer)>,
     },
-    /// A network that is shown the frames of each step.
-    Asked(Box<Asked>),
+    /// Network that receives the frames of each step.
+    Provider(Box<RegionProvider>),
 }
 
-/// What regions are looked for in.
+/// Inputs of the search for regions.
 pub(crate) struct RegionInputs<'a> {
-    /// Holds the regions.
+    /// Device that holds the regions.
     pub device: &'a Device,
-    /// Its training views and its priors.
+    /// Scene with training views and priors.
     pub scene: &'a Scene,
-    /// Provider of masks, if there is a command.
+    /// Mask provider, if its command is not empty.
     pub provider: &'a ProviderSettings,
-    /// Views that regions are compared in.
+    /// Pseudo-views in which regions are compared.
     pub pseudo: &'a PseudoViews,
-    /// Columns and rows that no view exceeds.
+    /// Upper bound of the columns and rows of all views.
     pub largest: [u32; 2],
-    /// Whether training is only planned: no provider is started.
+    /// Whether training is only planned. No provider is started then.
     pub planned: bool,
 }
 
 impl Regions {
-    /// Finds the regions of a scene. None if there are none. `labels` gives the classes of the semantic priors.
+    /// Loads the regions of a scene. Returns none if there are none, or if the provider fails and training may continue
+    /// without it. `labels` returns the classes of the semantic priors.
     ///
     /// # Errors
     /// If a file cannot be used, the provider fails, or memory runs out.
@@ -52,8 +53,8 @@ impl Regions {
     ) -> Result<Option<Regions>> {
         let &RegionInputs { device, scene, provider, pseudo, largest, planned } = inputs;
         if !provider.command.trim().is_empty() {
-            let asked = Asked::start(device, largest, provider, planned)?;
-            return Ok(asked.map(|a| Regions::Asked(Box::new(a))));
+            let requested = RegionProvider::start(device, largest, provider, planned)?;
+            return Ok(requested.map(|a| Regions::Provider(Box::new(a))));
         }
         let Some(maps) = RegionMaps::of_scene(scene, labels)? else { return Ok(None) };
         let pseudo = match PseudoMaps::load(scene, pseudo)? {
@@ -64,32 +65,33 @@ impl Regions {
         Ok(Some(Regions::Numbered { maps, ids, pseudo }))
     }
 
-    /// How a step finds its region.
+    /// Returns how a step finds its region.
     pub fn masks(&self) -> Masks {
         match self {
             Regions::Numbered { pseudo: None, .. } => Masks::Carried,
             Regions::Numbered { .. } => Masks::Numbered,
-            Regions::Asked(_) => Masks::Given,
+            Regions::Provider(_) => Masks::Provided,
         }
     }
 
-    /// Numbers of the training views' pixels; masks of the step's frames where a provider is asked.
+    /// Returns the region ids of the training views' pixels. With a provider, returns the masks of the frames of the
+    /// step.
     pub fn ids(&self) -> &DeviceBuffer {
         match self {
             Regions::Numbered { ids, .. } => ids,
-            Regions::Asked(asked) => &asked.masks,
+            Regions::Provider(requested) => &requested.masks,
         }
     }
 
-    /// Numbers of the pseudo-views' pixels.
+    /// Returns the region ids of the pseudo-views' pixels.
     pub fn pseudo_ids(&self) -> Option<&DeviceBuffer> {
         match self {
             Regions::Numbered { pseudo, .. } => pseudo.as_ref().map(|(_, memory)| memory),
-            Regions::Asked(_) => None,
+            Regions::Provider(_) => None,
         }
     }
 
-    /// Bytes of device memory.
+    /// Returns the number of bytes of device memory.
     pub fn bytes(&self) -> u64 {
         self.ids().bytes() + self.pseudo_ids().map_or(0, DeviceBuffer::bytes)
     }

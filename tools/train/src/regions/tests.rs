@@ -10,7 +10,7 @@ fn maps(views: &[&[u16]]) -> RegionMaps {
 }
 
 #[test]
-fn classes_are_those_of_the_nearest_sample() {
+fn class_is_that_of_the_nearest_sample() {
     for (map, size) in [([1, 1], [5, 4]), ([4, 3], [10, 7]), ([5, 1], [5, 1]), ([7, 2], [3, 9]), ([2, 3], [1, 1])] {
         let samples: Vec<u32> = (0..map[0] * map[1]).map(|i| if i == 3 { NO_LABEL } else { 10 * i }).collect();
         let found = classes(&samples, map, size);
@@ -27,12 +27,12 @@ fn classes_are_those_of_the_nearest_sample() {
             assert_eq!(u32::from(*id), if sample == 3 { 0 } else { 10 * sample + 1 }, "{map:?} {size:?} {at:?}");
         }
     }
-    // A class that has no number of 16 bits is none.
+    // A class whose id exceeds 16 bits becomes no region.
     assert_eq!(classes(&[65_534, 65_535], [2, 1], [2, 1]), [65_535, 0]);
 }
 
 #[test]
-fn regions_are_drawn_by_pixel() {
+fn regions_are_drawn_in_proportion_to_pixels() {
     let ids: Vec<u16> = (0..1000)
         .map(|i| {
             if i < 100 {

@@ -1,11 +1,12 @@
-//! The trainer: the one loop that all training of a scene goes through.
+//! Trainer: the training loop that all stages of a scene share.
 //!
-//! A [`Stage`] knows its graph, its state and its schedule. The trainer owns what all stages share: which stage comes next, checkpoints,
-//! rollback after divergence, the log, resuming, stopping, and the files of a trained stage. The command line, the C interface,
-//! ablations, robustness tables and measures of quality in the benchmarks use it. Benchmarks that time single steps, and baking, which fits
-//! colors to images, drive a stage without it.
+//! A [`Stage`] knows its graph, its state and its schedule. The trainer owns what all stages share: the order of the
+//! stages, checkpoints, rollback after divergence, the log, resuming, stopping, and the files of a trained stage. The
+//! command line, the C interface, ablations, robustness tables and the quality benchmarks use the trainer. Benchmarks
+//! that time single steps drive a stage without it, and so does baking, which fits colors to images.
 //!
-//! Promises: the result depends on scene, settings and seed alone, not on pauses, stops, checkpoints or the caller.
+//! Guarantees: the result depends on the scene, the settings and the seed alone. Pauses, stops, checkpoints and the
+//! caller do not change it.
 
 mod observer;
 mod record;
@@ -14,7 +15,7 @@ mod summary;
 pub use observer::{Event, Observer, Outcome};
 pub use summary::StageSummary;
 
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result, TrainError};
 use crate::geometry::{Geometry, MANY_POINTS, MOST_THINNED};
 use crate::intrinsic::Intrinsic;
 use crate::stage::{Stage, StageEvent};
@@ -29,24 +30,25 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Steps at the end of a stage whose passes are timed for its profile.
+/// Number of steps at the end of a stage whose passes are timed for its profile.
 const TIMED: u32 = 4;
 
-/// What is trained, and where it goes.
+/// Stages to train, where they are written, and what they start from.
 #[derive(Clone, Debug)]
 pub struct TrainerOptions {
-    /// The stages, in their order.
+    /// Stages, in the order of training.
     pub stages: Vec<StageKind>,
-    /// Run directory. Without one, training happens in memory: no checkpoints, and divergence is an error. The caller holds the
-    /// directory's lock ([`sgs_run::DirectoryLock`]).
+    /// Run directory. Without one, training happens in memory: no checkpoints, and divergence is an error. The caller
+    /// holds the lock of the directory ([`sgs_run::DirectoryLock`]).
     pub run: Option<PathBuf>,
-    /// Continue what the run directory holds.
+    /// Continues the training in the run directory.
     pub resume: bool,
-    /// Geometry for an intrinsic stage that starts. That of the run, or of the geometry stage before it, by default.
+    /// Geometry that an intrinsic stage starts from. Default: the geometry of the run, or of the geometry stage before
+    /// it.
     pub start: Option<StartGeometry>,
 }
 
-/// Geometry for the intrinsic stage.
+/// Geometry that the intrinsic stage starts from.
 #[derive(Clone, Debug)]
 pub enum StartGeometry {
     /// A PLY or glTF file.
@@ -61,23 +63,23 @@ impl Default for TrainerOptions {
     }
 }
 
-/// A stage that waits for its turn.
+/// Stage that has not started yet.
 #[derive(Clone, Copy)]
 struct Next {
     kind: StageKind,
-    /// Whether it continues from a checkpoint.
+    /// Whether the stage continues from a checkpoint.
     resume: bool,
-    /// Whether all its steps are finished: it is only read back.
+    /// Whether all its steps are finished. Such a stage is only restored.
     complete: bool,
 }
 
-/// The stage that trains, or has trained last.
+/// Stage that trains, or has trained last.
 struct Active {
     stage: Box<dyn Stage>,
     record: Option<Record>,
-    /// The step that it started after.
+    /// Step that this training started after.
     first: u32,
-    /// Seconds of training so far.
+    /// Seconds of training.
     seconds: f64,
     /// Whether passes are timed.
     timed: bool,
@@ -91,10 +93,10 @@ pub struct Trainer {
     settings: Settings,
     options: TrainerOptions,
     next: VecDeque<Next>,
-    /// Geometry that the intrinsic stage stands on.
+    /// Geometry of the intrinsic stage.
     splats: Option<Splats>,
     active: Option<Active>,
-    /// Whether an error ended it.
+    /// Whether an error ended the training.
     failed: bool,
 }
 
@@ -105,14 +107,11 @@ impl Trainer {
     /// If settings are wrong, the run cannot be resumed, or the stages cannot fit into the memory budget.
     pub fn new(device: &Device, scene: Arc<Scene>, settings: &Settings, options: TrainerOptions) -> Result<Trainer> {
         let mut settings = settings.clone();
-        // What was chosen for the scene belongs to the run: it is evaluated and resumed with the same exposure.
+        // The exposure of the scene belongs to the run: evaluation and resuming use the same one.
         settings.exposure = scene.exposure();
         settings.check()?;
         if options.start.is_some() && options.stages.contains(&StageKind::Geometry) {
-            return Err(TrainError::Setting(
-                "Geometry cannot be trained and given at once; train the intrinsic stage alone, or give no geometry."
-                    .into(),
-            ));
+            return Err(Requirement::OneGeometry.into());
         }
         let resumed = match (&options.run, options.resume) {
             (Some(root), true) if root.join("config.toml").is_file() => Some(RunDirectory::open(root)?),
@@ -126,7 +125,7 @@ impl Trainer {
             let there = resumed.as_ref().is_some_and(|run| run.checkpoint(kind).is_file());
             let complete = complete.contains(&kind);
             match kind {
-                // A run that has reached its second stage has finished its first.
+                // A run that has a checkpoint of its second stage has finished its first stage.
                 StageKind::Geometry if wants_materials && (second || complete) => {}
                 _ if complete && !there => {}
                 StageKind::Geometry => {
@@ -156,9 +155,9 @@ impl Trainer {
         [StageKind::Geometry, StageKind::Intrinsic].iter().all(|kind| self.options.stages.contains(kind))
     }
 
-    /// Refuses a budget that the second stage cannot keep, before the first one trains.
+    /// Refuses a budget that the second stage would exceed. Runs before the first stage trains.
     fn check_budget(&self) -> Result<()> {
-        // The first stage thins many points where memory does not suffice for all.
+        // The first stage uses fewer of many points where memory does not suffice for all of them.
         let all = &self.scene.points;
         let kept = if all.len() > MANY_POINTS { all.spread(all.len() / MOST_THINNED) } else { all.clone() };
         let points = Splats::from_points(&kept, self.settings.geometry.sh_degree.start() as usize)?;
@@ -177,13 +176,13 @@ impl Trainer {
         }
     }
 
-    /// Trains until the next checkpoint, pause, stop or end of a stage. Returns the outcome when there is nothing more to do.
+    /// Trains until the next checkpoint, pause, stop or end of a stage. Returns the outcome when no work is left.
     ///
     /// # Errors
     /// As [`Trainer::run`]; after an error the trainer cannot continue.
     pub fn advance(&mut self, observer: &mut dyn Observer) -> Result<Option<Outcome>> {
         if self.failed {
-            return Err(TrainError::Setting("The training has ended with an error and cannot continue.".into()));
+            return Err(Requirement::NotFailed.into());
         }
         let result = self.advance_once(observer);
         self.failed = result.is_err();
@@ -210,7 +209,7 @@ impl Trainer {
         Ok(stopped.then_some(Outcome::Stopped { stage: kind, step }))
     }
 
-    /// Makes the first stage ready, so that its state can be read before the first step.
+    /// Creates the first stage, so that its state can be read before the first step.
     ///
     /// # Errors
     /// As [`Trainer::run`].
@@ -224,7 +223,7 @@ impl Trainer {
         result
     }
 
-    /// Makes the next stage. Returns false if the observer stopped it before anything was written.
+    /// Creates the next stage. Returns false if the observer stopped it before anything was written.
     fn start(&mut self, next: Next, observer: &mut dyn Observer) -> Result<bool> {
         let Next { kind, resume, complete } = next;
         let mut shrunk = false;
@@ -235,7 +234,7 @@ impl Trainer {
                 let mut splats = self.take_geometry(resume)?;
                 let all = splats.len();
                 let (device, scene, settings) = (&self.device, &self.scene, &self.settings);
-                // Only a training that made the geometry itself may leave Gaussians out.
+                // Only a training that made the geometry itself may remove Gaussians.
                 let stage = match both && !resume {
                     true => Intrinsic::within(device, scene, settings, &mut splats),
                     false => Intrinsic::new(device, scene, settings, &splats),
@@ -249,7 +248,7 @@ impl Trainer {
         if observer.should_stop() {
             return Ok(false);
         }
-        // A training that was refused or stopped until here leaves nothing behind.
+        // A training that was refused or stopped before this point writes no file.
         let record = match &self.options.run {
             None => None,
             Some(root) if complete => {
@@ -265,7 +264,7 @@ impl Trainer {
                     (_, true) => stage.restore(&checkpoint)?,
                     (StageKind::Intrinsic, false) => {
                         run.forget_intrinsic()?;
-                        // Resuming needs nothing but the run.
+                        // The run has to be sufficient for resuming.
                         if let Some(splats) = self.splats.as_ref().filter(|_| shrunk || self.options.start.is_some()) {
                             splats.write_ply(&run.path("scene.ply"))?;
                         }
@@ -284,7 +283,8 @@ impl Trainer {
         Ok(true)
     }
 
-    /// The geometry of the intrinsic stage. Its materials are dropped: the stage starts afresh or from its checkpoint.
+    /// Returns the geometry of the intrinsic stage. Drops its materials: the stage initializes them or restores its
+    /// checkpoint.
     fn take_geometry(&mut self, resume: bool) -> Result<Splats> {
         let before = self.active.take();
         let file = |path: &Path| if path.is_file() { Ok(read_splats(path)?) } else { Err(no_geometry(path)) };
@@ -295,9 +295,7 @@ impl Trainer {
             (_, None, Some(before)) => before.stage.splats()?,
             (_, None, None) if self.splats.is_some() => self.splats.take().unwrap_or_default(),
             (_, None, None) => {
-                return Err(TrainError::Setting(
-                    "The intrinsic stage requires geometry; train the geometry stage first, or name a file.".into(),
-                ));
+                return Err(Requirement::Geometry.into());
             }
         };
         (splats.albedo, splats.roughness, splats.metallic) = (None, None, None);
@@ -312,7 +310,7 @@ impl Trainer {
         })
     }
 
-    /// Whether divergence leads to a rollback, or at least to a state that is kept.
+    /// Returns whether divergence leads to a rollback, or at least to a saved state.
     fn rolls_back(&self) -> bool {
         self.options.run.is_some() && self.settings.train.on_divergence != OnDivergence::GoOn
     }
@@ -376,9 +374,9 @@ impl Trainer {
         let step = stage.step();
         observer.paused(&**stage, step == steps);
         let Some(record) = record else { return Ok(stopped || observer.should_stop()) };
-        // What was chosen by measurement belongs to the run.
+        // Settings that were chosen by measurement belong to the run.
         record.write_settings(&**stage)?;
-        // Read once: whoever is told that training has stopped finds the checkpoint of that step.
+        // Polled once: an observer that is notified of the stop finds the checkpoint of that step.
         let stopped = stopped || observer.should_stop();
         let regular = step > 0 && step.is_multiple_of(interval);
         if regular || step == steps || stopped {
@@ -387,7 +385,8 @@ impl Trainer {
         Ok(stopped)
     }
 
-    /// Continues a stage that has diverged from its last validated checkpoint with half the learning rates, as often as settings allow.
+    /// Continues a diverged stage from its last validated checkpoint. Halves the learning rates. Gives up after as many
+    /// rollbacks as the settings allow.
     fn recover(&mut self, error: TrainError, observer: &mut dyn Observer) -> Result<()> {
         let (TrainError::Diverged { step, .. }, Some(active)) = (&error, self.active.take()) else { return Err(error) };
         let Active { mut stage, record, first, seconds, .. } = active;
@@ -395,7 +394,7 @@ impl Trainer {
         let (step, kind, chosen) = (*step, stage.kind(), stage.settings().clone());
         let before = stage.roll_backs().to_vec();
         record.validate(&mut *stage)?;
-        // Two would not fit into memory.
+        // Two stages would not fit into memory.
         drop(stage);
         let mut stage = self.build(kind, &chosen)?;
         record.restore_validated(&mut *stage)?;
@@ -413,7 +412,7 @@ impl Trainer {
         Ok(())
     }
 
-    /// Writes what the active stage leaves.
+    /// Writes the results of the active stage.
     fn finish(&mut self, observer: &mut dyn Observer) -> Result<()> {
         let Some(active) = &mut self.active else { return Ok(()) };
         let Active { stage, record, first, seconds, .. } = active;
@@ -436,18 +435,19 @@ impl Trainer {
             record.finish(&mut **stage, &summary)?;
         }
         active.finished = true;
-        // What was chosen by measurement belongs to the run, whatever comes after this stage.
+        // Settings that were chosen by measurement belong to the run, also for the next stage.
         self.settings.clone_from(active.stage.settings());
         observer.notify(&Event::Finished { stage: kind, summary: &summary });
         Ok(())
     }
 
-    /// The stage that trains, or has trained last. None before [`Trainer::prepare`] and the first step, and after an error that ended it.
+    /// Stage that trains, or has trained last. None before [`Trainer::prepare`] and the first step, and after an error
+    /// that ended training.
     pub fn stage(&self) -> Option<&dyn Stage> {
         self.active.as_ref().map(|active| &*active.stage)
     }
 
-    /// The Gaussians of the stage, or the geometry for a stage that could not start.
+    /// Returns the Gaussians of the stage. If no stage could start, returns its geometry.
     ///
     /// # Errors
     /// If there are none, or the device fails.
@@ -455,31 +455,30 @@ impl Trainer {
         match (&self.active, &self.splats) {
             (Some(active), _) => active.stage.splats(),
             (None, Some(splats)) => Ok(splats.clone()),
-            (None, None) => Err(TrainError::Setting("The training holds no Gaussians.".into())),
+            (None, None) => Err(Requirement::Gaussians.into()),
         }
     }
 
-    /// Whether all stages are finished.
+    /// Returns whether all stages are finished.
     pub fn is_finished(&self) -> bool {
         !self.failed && self.next.is_empty() && self.active.as_ref().is_none_or(|active| active.finished)
     }
 
-    /// Writes settings, a checkpoint and the current state of the active stage into a run directory, which can be resumed. Removes
-    /// files of later stages from another directory than the trainer's own.
+    /// Writes the active stage into a run directory, which can be resumed. Writes settings, a checkpoint and the
+    /// current results. Removes files of later stages from a directory that is not the trainer's own.
     ///
     /// # Errors
     /// If no stage has started, the training has ended with an error, or a file cannot be written.
     pub fn save(&self, root: &Path) -> Result<()> {
         let Some(active) = self.active.as_ref().filter(|_| !self.failed) else {
-            let why = if self.failed { "The training has ended with an error" } else { "Nothing is trained yet" };
-            return Err(TrainError::Setting(format!("{why}; there is nothing to save.")));
+            return Err(if self.failed { Requirement::NotFailed } else { Requirement::ActiveStage }.into());
         };
         let stage = &active.stage;
         let run = RunDirectory::create(root)?;
         run.write_settings(stage.settings())?;
         stage.save(&run.checkpoint(stage.kind()))?;
         if self.options.run.as_deref() != Some(root) {
-            // Of an earlier run: resuming would take it for a part of this one.
+            // Files of an earlier run: resuming would read them as part of this run.
             sgs_run::remove(&run.path("training.json"))?;
             run.forget_diverged()?;
             if stage.kind() == StageKind::Geometry {
@@ -490,21 +489,15 @@ impl Trainer {
     }
 }
 
-/// Refuses a checkpoint from beyond the last step of the settings.
+/// Refuses a checkpoint that is beyond the last step of the settings.
 fn check_steps(stage: &dyn Stage, checkpoint: &Path) -> Result<()> {
     let (step, steps, kind) = (stage.step(), stage.steps(), stage.kind());
     if step > steps {
-        return Err(TrainError::Setting(format!(
-            "\"{}\" is the state after step {step}, but {kind}.steps is {steps}; set {kind}.steps to {step} or more.",
-            checkpoint.display()
-        )));
+        return Err(Requirement::MoreSteps { path: checkpoint.to_owned(), kind, step, steps }.into());
     }
     Ok(())
 }
 
 fn no_geometry(path: &Path) -> TrainError {
-    TrainError::Setting(format!(
-        "\"{}\" holds no geometry: train it first with --stage geometry or all, or give it with --start.",
-        path.display()
-    ))
+    Requirement::GeometryIn(path.to_owned()).into()
 }

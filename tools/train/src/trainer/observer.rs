@@ -1,4 +1,4 @@
-//! Progress of a training, for whoever runs it.
+//! Progress of a training and control over it.
 
 use super::summary::StageSummary;
 use crate::decision::Decision;
@@ -9,7 +9,7 @@ use crate::stage::{Stage, StepFigures};
 use sgs_passes::pipeline::DensifyStats;
 use sgs_run::StageKind;
 
-/// What happens in a training.
+/// Event of a training.
 pub enum Event<'a> {
     /// A stage starts, or continues after `step`.
     Started {
@@ -49,9 +49,9 @@ pub enum Event<'a> {
     RolledBack {
         /// The stage.
         stage: StageKind,
-        /// How it diverged.
+        /// Error that describes the divergence.
         error: &'a TrainError,
-        /// Where it continues.
+        /// State that training continues from.
         roll_back: &'a RollBack,
     },
     /// A stage has finished all its steps and written its results.
@@ -78,13 +78,13 @@ pub trait Observer {
         false
     }
 
-    /// Receives the stage when training has paused, with no work in flight. `ended`: whether all its steps are finished.
+    /// Receives the stage when training has paused, with no work in flight. `ended`: whether the stage is finished.
     fn paused(&mut self, _stage: &dyn Stage, _ended: bool) {}
 }
 
 impl Observer for () {}
 
-/// How a training returned.
+/// Reason why a training returned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
     /// All stages are finished.

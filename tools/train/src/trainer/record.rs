@@ -1,4 +1,4 @@
-//! What a stage keeps in the run directory while it trains: checkpoints, rollback checkpoints, the log.
+//! Files of a stage in the run directory during training: checkpoints, rollback checkpoints, log.
 
 use super::summary::{DecisionLine, DensifyLine, StageSummary};
 use crate::divergence::RollBack;
@@ -15,14 +15,14 @@ use std::path::PathBuf;
 /// Steps between lines of the log. The first and the last step have lines, too.
 const LOG_INTERVAL: u32 = 10;
 
-/// The record of one stage in a run directory.
+/// Record of one stage in a run directory.
 pub(super) struct Record {
     pub run: RunDirectory,
     kind: StageKind,
     log: File,
-    /// The settings in the run's `config.toml`.
+    /// Settings in `config.toml` of the run.
     settings: Settings,
-    /// The first failure to write the log. Training continues without it.
+    /// First failure to write the log. Training continues without it.
     log_error: Option<std::io::Error>,
     rollback: RollbackFiles,
 }
@@ -33,7 +33,8 @@ impl Record {
         let kind = stage.kind();
         run.write_settings(stage.settings())?;
         let rollback = run.rollback_files(kind);
-        // The state that a diverged training stopped with is good. Otherwise a kill may have come between checkpoint and link.
+        // The state that a diverged training stopped with is good. Otherwise the process may have been killed between
+        // checkpoint and link.
         if run.has_diverged() && stage.step() > 0 {
             rollback.set_candidate()?;
             rollback.validate()?;
@@ -54,12 +55,12 @@ impl Record {
         Ok(())
     }
 
-    /// The checkpoint.
+    /// Returns the path of the checkpoint.
     pub fn checkpoint(&self) -> PathBuf {
         self.run.checkpoint(self.kind)
     }
 
-    /// Appends an event to the log. `rates`: the factor of the rollbacks on learning rates.
+    /// Appends an event to the log. `rates`: factor of the rollbacks on learning rates.
     pub fn log(&mut self, event: &StageEvent<'_>, rates: f64, steps: u32) {
         let line = match event {
             StageEvent::Step(figures) => {
@@ -77,8 +78,10 @@ impl Record {
         }
     }
 
-    /// Writes a checkpoint. `regular`: whether it is at one of its own steps, and not where somebody stopped the training; a result that
-    /// depends on a rollback must not depend on stops.
+    /// Writes a checkpoint.
+    ///
+    /// `regular`: whether the checkpoint interval ends at this step. Only such a checkpoint becomes a rollback
+    /// candidate, because a result that depends on a rollback must not depend on where a caller stopped training.
     pub fn save(&self, stage: &mut dyn Stage, watched: bool, regular: bool) -> Result<()> {
         if watched {
             self.validate(stage)?;
@@ -91,7 +94,7 @@ impl Record {
         Ok(())
     }
 
-    /// Validates the rollback candidate if training has gone well since.
+    /// Validates the rollback candidate if training has gone well since it was set.
     pub fn validate(&self, stage: &mut dyn Stage) -> Result<()> {
         if stage.validate_candidate() {
             self.rollback.validate()?;
@@ -99,7 +102,7 @@ impl Record {
         Ok(())
     }
 
-    /// Restores a fresh stage to the last validated checkpoint, if there is one.
+    /// Restores a fresh stage to the last validated checkpoint, if the run has one.
     pub fn restore_validated(&self, stage: &mut dyn Stage) -> Result<()> {
         match self.rollback.last_validated()? {
             Some(path) => stage.restore(path),
@@ -107,13 +110,13 @@ impl Record {
         }
     }
 
-    /// Drops lines of the log after the stage's step.
+    /// Drops the lines of the log after the step of the stage.
     pub fn rewind_log(&mut self, stage: &dyn Stage) -> Result<()> {
         self.log = self.run.open_log(self.kind, stage.step())?;
         Ok(())
     }
 
-    /// Keeps the state of a stage that has diverged for good, and says in the error how to continue from it.
+    /// Saves the state of a stage that cannot recover from divergence. The returned error says how to continue from it.
     pub fn give_up(&self, stage: &mut dyn Stage, before: &[RollBack], error: TrainError) -> Result<TrainError> {
         let TrainError::Diverged { step, reason, .. } = error else { return Ok(error) };
         stage.save(&self.checkpoint())?;
@@ -134,7 +137,7 @@ impl Record {
         Ok(TrainError::Diverged { step, reason, advice })
     }
 
-    /// Writes what a trained stage leaves.
+    /// Writes the results of a trained stage.
     pub fn finish(&mut self, stage: &mut dyn Stage, summary: &StageSummary) -> Result<()> {
         if let Some(error) = self.log_error.take() {
             tracing::warn!("log.jsonl could not be written: {error}");

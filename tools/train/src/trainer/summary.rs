@@ -1,4 +1,4 @@
-//! What a stage leaves in `training.json`, and lines of `log.jsonl` between those of steps.
+//! Summary of a stage in `training.json`. Also the lines of `log.jsonl` that describe no step.
 
 use crate::decision::Decision;
 use crate::divergence::RollBack;
@@ -12,16 +12,16 @@ use sgs_run::StageKind;
 pub struct StageSummary {
     /// Number of steps.
     pub steps: u32,
-    /// The step that this part of the training began after; seconds are those of this part.
+    /// Step that training resumed after; 0 for a training from the start. `seconds` counts from there.
     pub resumed_from: u32,
     /// Seconds of training, without preparation.
     pub seconds: f64,
-    /// Steps a second.
+    /// Steps per second.
     pub steps_per_second: f64,
     /// Number of Gaussians, where the stage changes it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gaussians: Option<u32>,
-    /// Highest device memory in bytes.
+    /// Peak device memory in bytes.
     pub peak_device_bytes: u64,
     /// Name of the device.
     pub device: String,
@@ -39,7 +39,7 @@ pub struct StageSummary {
     pub warnings: Vec<IdleLoss>,
 }
 
-/// A decision in `log.jsonl`. Lines of the geometry stage have no `stage`.
+/// Decision in `log.jsonl`. Lines of the geometry stage have no `stage`.
 #[derive(Serialize)]
 pub(super) struct DecisionLine<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -54,14 +54,15 @@ impl<'a> DecisionLine<'a> {
     }
 }
 
-/// A densification in `log.jsonl`.
+/// Densification in `log.jsonl`.
 #[derive(Serialize)]
 pub(super) struct DensifyLine {
     step: u32,
     densified: DensifyCounts,
 }
 
-/// Counts of Gaussians. Among the pruned ones, `invalid` had values that are not finite, and `weightless` too little blending weight.
+/// Counts of Gaussians. Of the pruned ones, `invalid` had values that are not finite, and `weightless` too little
+/// blending weight.
 #[derive(Serialize)]
 struct DensifyCounts {
     before: u32,

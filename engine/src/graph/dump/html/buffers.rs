@@ -25,7 +25,6 @@ pub(super) fn write(page: &Page<'_>, out: &mut String) -> fmt::Result {
             BufferKind::Transient if info.keep => "kept transient",
             BufferKind::Transient => "transient",
             BufferKind::Uniform => "uniform",
-            BufferKind::History => "history",
         };
         let kind = match &info.image {
             Some(image) => format!("{kind} image {}x{} {}", image.size[0], image.size[1], image.format),

@@ -27,12 +27,8 @@ fn cells(plan: &Plan) -> Cells {
     Cells::new(plan.buffers.len(), slices.map(|(slice, ..)| (slice.buffer.index(), slice.range())))
 }
 
-/// Returns whether the pass neither preserves nor reads earlier contents of the slice.
+/// Returns whether the pass discards the slice's earlier contents. It neither preserves nor reads them.
 fn overwrites(pass: &Pass, slice: &Slice) -> bool {
-    // A pass that may not run overwrites nothing.
-    if pass.condition.is_some() {
-        return false;
-    }
     match &pass.kind {
         PassKind::Fill { target, .. } | PassKind::Copy { target, .. } => target == slice,
         PassKind::CopyToImage { target, .. } | PassKind::ClearImage { target, .. } => target.0 == slice.buffer,
@@ -41,7 +37,8 @@ fn overwrites(pass: &Pass, slice: &Slice) -> bool {
     }
 }
 
-/// Numbers all versions of all cells, then walks from the outputs back to the versions that they depend on.
+/// Checks that every pass that outputs depend on is in a group. Numbers all versions of all cells, then walks from the
+/// outputs back to the versions that they depend on.
 pub(super) fn check_needed(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), VerifyError> {
     let cells = cells(plan);
     let mut current: Vec<Vec<Option<usize>>> = cells.table();

@@ -1,6 +1,5 @@
 //! Memory verification: every used transient has exclusive memory during its lifetime.
 
-use super::lanes::Lanes;
 use super::{VerifyError, buffer_name};
 use crate::graph::plan::Plan;
 use crate::graph::resource::BufferKind;
@@ -14,15 +13,12 @@ struct Occupancy {
 
 /// Checks the placement of all transients.
 pub(super) fn check(plan: &Plan, group_of: &[Option<usize>]) -> Result<(), VerifyError> {
-    // Groups that may run concurrently on two queues count as one.
-    let together = Lanes::new(plan, 1).together(plan);
     let mut lifetime: Vec<Option<(usize, usize)>> = vec![None; plan.buffers.len()];
     for (pass, group) in plan.passes.iter().zip(group_of) {
         let Some(group) = *group else { continue };
         for (slice, ..) in &pass.accesses {
-            let (begin, end) = together[group];
-            let (first, last) = lifetime[slice.buffer.index()].unwrap_or((begin, end));
-            lifetime[slice.buffer.index()] = Some((first.min(begin), last.max(end)));
+            let (first, last) = lifetime[slice.buffer.index()].unwrap_or((group, group));
+            lifetime[slice.buffer.index()] = Some((first.min(group), last.max(group)));
         }
     }
     let mut occupancies = Vec::new();

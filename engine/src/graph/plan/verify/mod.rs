@@ -2,7 +2,7 @@
 //!
 //! Uses none of the compiler's steps. Slices become numbered cells instead of range maps, and data flow becomes a
 //! graph of versions walked from the outputs. Each memory operation tracks what is ordered after it, through two
-//! consecutive replays, or four with histories. Compiler and verifier share only data: declarations, the plan, and
+//! consecutive replays. Compiler and verifier share only data: declarations, the plan, and
 //! the names of stages and accesses.
 //!
 //! Guarantees for an accepted plan:
@@ -11,13 +11,11 @@
 //! * Every conflict between memory operations has a chain of barriers with the stages and accesses that Vulkan
 //!   requires. This covers conflicts within a replay, between two replays, and with readers of outputs.
 //! * Every image is in a layout that its users allow, keeps needed contents, and ends in its declared state.
-//! * Conflicts between queues have a wait in between, and no queue waits for a later submission.
 //!
 //! The verifier does not judge performance.
 
 mod cells;
 mod flow;
-mod lanes;
 mod layout;
 mod memory;
 mod ordering;
@@ -56,16 +54,13 @@ impl fmt::Display for Hazard {
 pub enum Missing {
     /// Makes an earlier write visible to accesses, or available to a layout transition.
     Visibility(Accesses),
-    /// Makes one queue wait for the other.
-    Wait,
-    /// Makes stages wait for an earlier read, or a layout transition for their operations.
+    /// Makes stages wait for an earlier read. Or makes a layout transition wait for their operations.
     Order(Stages),
 }
 
 impl fmt::Display for Missing {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Missing::Wait => write!(f, "between the queues comes before it"),
             Missing::Visibility(accesses) => write!(f, "makes the write visible to {accesses}"),
             Missing::Order(stages) => write!(f, "makes {stages} wait for the read"),
         }
@@ -89,15 +84,6 @@ pub enum VerifyError {
     /// The accesses of a pass do not match its kind.
     #[error("The declared accesses of pass [{pass}] do not match its kind: it {what}.")]
     Undeclared { pass: String, what: String },
-    /// The two buffers of a history differ.
-    #[error("Buffer [{buffer}] belongs to a history whose two buffers differ.")]
-    WrongPair { buffer: String },
-    /// A conditional pass has constant group counts or discards contents.
-    #[error("Pass [{pass}] runs on a condition, but its group counts are constant or it discards contents.")]
-    Conditional { pass: String },
-    /// Segments do not partition the plan, or wait for later ones.
-    #[error("Segment {segment} of the plan {what}.")]
-    Segment { segment: usize, what: &'static str },
     /// A pass accesses part of an image.
     #[error("Pass [{pass}] accesses part of image [{image}]; images are accessed as a whole.")]
     PartOfImage { pass: String, image: String },
@@ -173,7 +159,6 @@ pub enum VerifyError {
 
 /// Verifies a plan.
 pub fn verify(plan: &Plan) -> Result<(), VerifyError> {
-    lanes::check(plan)?;
     let group_of = shape::check(plan)?;
     flow::check_needed(plan, &group_of)?;
     flow::check_order(plan, &group_of)?;

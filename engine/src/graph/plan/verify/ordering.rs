@@ -101,8 +101,8 @@ impl OrderingStates {
         Operation(at)
     }
 
-    /// Returns why a layout transition inside `barrier`, which follows the first `barriers`, is not ordered after an
-    /// operation; `None` if it is.
+    /// Returns why a layout transition is not ordered after an operation; `None` if it is. The transition is inside
+    /// `barrier`, which follows the first `barriers`.
     pub(super) fn unordered_transition(
         &mut self,
         operation: Operation,
@@ -128,12 +128,12 @@ impl OrderingStates {
         *state
     }
 
-    /// Returns the stages of `stages` that are not ordered after the operation, after `barriers` barriers.
+    /// Returns the stages of `stages` that are not ordered after the operation. Applies the first `barriers` barriers.
     pub(super) fn unordered(&mut self, operation: Operation, barriers: usize, stages: Stages) -> Stages {
         stages.without(self.advance(operation, barriers).ordered)
     }
 
-    /// Returns the accesses of `accesses` that do not see the write, after `barriers` barriers.
+    /// Returns the accesses of `accesses` that do not see the write. Applies the first `barriers` barriers.
     pub(super) fn hidden(&mut self, operation: Operation, barriers: usize, accesses: Accesses) -> Accesses {
         accesses.without(self.advance(operation, barriers).visible)
     }

@@ -4,7 +4,7 @@ use super::{VerifyError, buffer_name, pass_name};
 use crate::graph::pass::{Dispatch, Pass, PassKind, Use};
 use crate::graph::plan::Plan;
 use crate::graph::plan::scope::{Accesses, Stages};
-use crate::graph::resource::{Buffer, BufferKind, Image, Pair, Slice};
+use crate::graph::resource::{BufferKind, Image, Slice};
 use crate::shader::{Access, BindingKind};
 
 /// Checks the shape; returns the group of each pass that runs.
@@ -31,17 +31,6 @@ pub(super) fn check(plan: &Plan) -> Result<Vec<Option<usize>>, VerifyError> {
     for pass in &plan.passes {
         check_slices(plan, pass)?;
         check_accesses(plan, pass)?;
-    }
-    for (index, info) in plan.buffers.iter().enumerate() {
-        let fits = |pair: Pair| {
-            plan.buffers.get(pair.partner.index()).is_some_and(|other| {
-                let back = Pair { partner: Buffer(index as u32), ..pair };
-                other.pair == Some(back) && other.bytes == info.bytes && other.keep != info.keep
-            })
-        };
-        if (info.kind == BufferKind::History) != info.pair.is_some() || info.pair.is_some_and(|pair| !fits(pair)) {
-            return Err(VerifyError::WrongPair { buffer: info.name.clone() });
-        }
     }
     let barriers = plan.groups.iter().map(|group| group.barrier).chain([plan.final_barrier]);
     for (group, barrier) in barriers.enumerate() {
@@ -93,8 +82,7 @@ fn check_slices(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
             let (pass, image) = (pass.name.clone(), info.name.clone());
             return Err(VerifyError::PartOfImage { pass, image });
         }
-        let bound = matches!(info.kind, BufferKind::External | BufferKind::History);
-        let input = info.kind == BufferKind::Uniform || (bound && !info.keep);
+        let input = info.kind == BufferKind::Uniform || (info.kind == BufferKind::External && !info.keep);
         if input && *access != Access::Read {
             let buffer = buffer_name(plan, slice.buffer.index());
             return Err(VerifyError::WriteToReadOnly { pass: pass.name.clone(), buffer });
@@ -103,12 +91,8 @@ fn check_slices(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
     Ok(())
 }
 
-/// Derives the accesses of a pass from its kind and compares them with the declared ones.
+/// Compares the declared accesses of a pass with those derived from its kind.
 fn check_accesses(plan: &Plan, pass: &Pass) -> Result<(), VerifyError> {
-    let indirect = matches!(pass.kind, PassKind::Compute { dispatch: Dispatch::Indirect { .. }, .. });
-    if pass.condition.is_some() && (!indirect || !pass.discards.is_empty()) {
-        return Err(VerifyError::Conditional { pass: pass.name.clone() });
-    }
     let whole = |image: Image| image.0.slice(0, plan.buffers.get(image.index()).map_or(0, |info| info.bytes));
     let mut expected: Vec<(Slice, Access, Use, String)> = Vec::new();
     match &pass.kind {

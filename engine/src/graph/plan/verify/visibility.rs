@@ -1,16 +1,14 @@
 //! Visibility verification: barriers separate conflicting memory operations, through two consecutive replays.
 //!
-//! Two replays suffice if each does the same to the same bytes: the third meets the same state as the second. The
-//! buffers of a history swap at each replay, so plans with histories are checked through four.
+//! Two replays suffice because each does the same to the same bytes: the third meets the same state as the second.
 
 use super::cells::Cells;
-use super::lanes::{self, Lanes};
 use super::ordering::{Operation, OrderingStates};
 use super::shape::performs;
 use super::{Hazard, Missing, VerifyError, buffer_name, pass_name};
 use crate::graph::pass::Use;
 use crate::graph::plan::scope::{Accesses, Barrier, Stages};
-use crate::graph::plan::{ImageMemory, ImageSlot, Lane, Plan, Transition};
+use crate::graph::plan::{ImageMemory, ImageSlot, Plan, Transition};
 use crate::graph::resource::{BufferInfo, BufferKind, BufferState, Slice};
 use crate::shader::Access;
 
@@ -22,9 +20,6 @@ struct Event {
     buffer: usize,
     replay: usize,
     access: Access,
-    lane: Lane,
-    /// Counted over all replays.
-    segment: usize,
 }
 
 /// Accesses of a cell in group order, starting with its last non-commuting write.
@@ -34,13 +29,11 @@ type RecentAccesses = Vec<Event>;
 pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
     let mut walk = Walk::new(plan);
     let points = plan.groups.len() + 1;
-    for replay in 0..replays(plan) {
+    for replay in 0..REPLAYS {
         walk.replay = replay;
-        walk.time.segment = walk.time.lanes.first(replay);
         walk.external_before();
         for (at, group) in plan.groups.iter().enumerate() {
-            let segment = walk.time.lanes.segment(replay, at);
-            walk.move_to(plan.segments[segment % plan.segments.len()].lane, segment, replay * points + at);
+            walk.time.now = walk.before[replay * points + at];
             if at == 0 {
                 walk.transitions(&plan.entry, group.barrier)?;
             }
@@ -50,9 +43,9 @@ pub(super) fn check(plan: &Plan) -> Result<(), VerifyError> {
                 }
             }
         }
-        walk.move_to(Lane::Main, walk.time.lanes.last(replay), replay * points + plan.groups.len());
+        walk.time.now = walk.before[replay * points + plan.groups.len()];
         walk.transitions(&plan.exit, plan.final_barrier)?;
-        walk.read_outputs(replay)?;
+        walk.read_outputs()?;
         walk.external_after()?;
     }
     Ok(())
@@ -78,77 +71,40 @@ fn device_accesses(access: Access, used: Use) -> Accesses {
     }
 }
 
-/// Position in the barrier sequences of both lanes, with the knowledge of the past there.
+/// Position in the barrier sequence, with the knowledge of the past there.
 struct Time {
-    /// Ordering states, by lane.
-    states: [OrderingStates; 2],
-    lanes: Lanes,
-    lane: Lane,
-    segment: usize,
-    /// Number of earlier barriers of the lane.
+    states: OrderingStates,
+    /// Number of earlier barriers.
     now: usize,
 }
 
 impl Time {
     /// Returns an operation at the current position.
     fn operation(&mut self, accesses: Accesses) -> Operation {
-        self.states[lanes::index(self.lane)].operation(self.now, accesses)
-    }
-
-    /// Returns `None` if an event ended before this segment began, or else the states that order it on this lane.
-    fn past(&mut self, event: &Event) -> Result<Option<&mut OrderingStates>, Missing> {
-        if self.lanes.has_ended(self.segment, event.lane, event.segment) {
-            return Ok(None);
-        }
-        if event.lane != self.lane {
-            return Err(Missing::Wait);
-        }
-        Ok(Some(&mut self.states[lanes::index(self.lane)]))
+        self.states.operation(self.now, accesses)
     }
 
     /// Returns why stages are not ordered after an event; `None` if they are.
     fn unordered(&mut self, event: &Event, stages: Stages) -> Option<Missing> {
-        let now = self.now;
-        match self.past(event) {
-            Ok(None) => None,
-            Ok(Some(states)) => {
-                let unordered = states.unordered(event.operation, now, stages);
-                (!unordered.is_empty()).then_some(Missing::Order(unordered))
-            }
-            Err(missing) => Some(missing),
-        }
+        let unordered = self.states.unordered(event.operation, self.now, stages);
+        (!unordered.is_empty()).then_some(Missing::Order(unordered))
     }
 
     /// Returns why accesses do not see a write; `None` if they do.
     fn hidden(&mut self, event: &Event, accesses: Accesses) -> Option<Missing> {
-        let now = self.now;
-        match self.past(event) {
-            Ok(None) => None,
-            Ok(Some(states)) => {
-                let hidden = states.hidden(event.operation, now, accesses);
-                (!hidden.is_empty()).then_some(Missing::Visibility(hidden))
-            }
-            Err(missing) => Some(missing),
-        }
-    }
-
-    /// Returns why a layout transition inside a barrier is not ordered after an event; `None` if it is.
-    fn unordered_transition(&mut self, event: &Event, before: usize, barrier: &Barrier) -> Option<Missing> {
-        match self.past(event) {
-            Ok(None) => None,
-            Ok(Some(states)) => states.unordered_transition(event.operation, before, barrier),
-            Err(missing) => Some(missing),
-        }
+        let hidden = self.states.hidden(event.operation, self.now, accesses);
+        (!hidden.is_empty()).then_some(Missing::Visibility(hidden))
     }
 }
+
+/// Number of consecutive replays to check.
+const REPLAYS: usize = 2;
 
 struct Walk<'p> {
     plan: &'p Plan,
     time: Time,
-    /// By group, and for the end of the main lane, of each replay: number of earlier barriers of the lane.
+    /// By group, and for the end, of each replay: number of earlier barriers.
     before: Vec<usize>,
-    /// By replay: number of barriers of the second lane before its end.
-    side_ends: Vec<usize>,
     replay: usize,
     /// Memory spaces: one per external buffer, the arena, and one per image slot.
     cells: Cells,
@@ -159,20 +115,14 @@ struct Walk<'p> {
 
 impl<'p> Walk<'p> {
     fn new(plan: &'p Plan) -> Self {
-        let mut barriers: [Vec<Barrier>; 2] = Default::default();
-        let (mut before, mut side_ends) = (Vec::new(), Vec::new());
-        for _ in 0..replays(plan) {
-            for segment in &plan.segments {
-                let lane = &mut barriers[lanes::index(segment.lane)];
-                for group in &plan.groups[segment.groups.clone()] {
-                    lane.extend(group.barrier);
-                    before.push(lane.len());
-                }
-                lane.extend(segment.last);
+        let (mut barriers, mut before) = (Vec::new(), Vec::new());
+        for _ in 0..REPLAYS {
+            for group in &plan.groups {
+                barriers.extend(group.barrier);
+                before.push(barriers.len());
             }
-            barriers[0].extend(plan.final_barrier);
-            before.push(barriers[0].len());
-            side_ends.push(barriers[1].len());
+            barriers.extend(plan.final_barrier);
+            before.push(barriers.len());
         }
         let mut written = vec![false; plan.buffers.len()];
         let running =
@@ -184,25 +134,17 @@ impl<'p> Walk<'p> {
         let shared = shared(plan);
         let slices = running().map(|(slice, ..)| slice).chain(&outputs).chain(&shared);
         let whole = |(slot, make): (usize, &ImageSlot)| (plan.buffers.len() + 1 + slot, 0..make.bytes());
-        // Both halves of a history are split where either is accessed.
-        let both = |slice| [place(plan, slice, 0), place(plan, slice, 1)];
-        let ranges = slices.flat_map(both).flatten().chain(plan.image_slots.iter().enumerate().map(whole));
+        let ranges =
+            slices.filter_map(|slice| place(plan, slice)).chain(plan.image_slots.iter().enumerate().map(whole));
         let cells = Cells::new(plan.buffers.len() + 1 + plan.image_slots.len(), ranges);
         let recent = cells.table();
-        let lanes = Lanes::new(plan, replays(plan));
-        let time = Time { states: barriers.map(OrderingStates::new), lanes, lane: Lane::Main, segment: 0, now: 0 };
-        Walk { plan, time, before, side_ends, replay: 0, cells, recent, written }
-    }
-
-    /// Moves to a point of a lane.
-    fn move_to(&mut self, lane: Lane, segment: usize, point: usize) {
-        (self.time.lane, self.time.segment, self.time.now) = (lane, segment, self.before[point]);
+        let time = Time { states: OrderingStates::new(barriers), now: 0 };
+        Walk { plan, time, before, replay: 0, cells, recent, written }
     }
 
     /// Creates an event at the current position.
     fn event(&self, operation: Operation, pass: usize, buffer: usize, access: Access) -> Event {
-        let (lane, segment) = (self.time.lane, self.time.segment);
-        Event { operation, pass, buffer, replay: self.replay, access, lane, segment }
+        Event { operation, pass, buffer, replay: self.replay, access }
     }
 
     fn touch(
@@ -220,7 +162,7 @@ impl<'p> Walk<'p> {
         if !changes && matches!(info.kind, BufferKind::External | BufferKind::Uniform) {
             return Ok(()); // Nothing to conflict with.
         }
-        let Some((space, range)) = place(self.plan, slice, self.replay) else { return Ok(()) };
+        let Some((space, range)) = place(self.plan, slice) else { return Ok(()) };
         let accesses = device_accesses(access, used);
         let operation = self.time.operation(accesses);
         let event = self.event(operation, pass, buffer, access);
@@ -257,8 +199,8 @@ impl<'p> Walk<'p> {
                 recent.clear();
             }
             let alike = |last: &Event| {
-                let when = (last.operation, last.replay, last.segment, last.lane);
-                when == (operation, replay, event.segment, event.lane) && last.buffer == buffer && last.access == access
+                let same = (last.operation, last.replay, last.access) == (operation, replay, access);
+                same && last.buffer == buffer
             };
             if !recent.last().is_some_and(alike) {
                 recent.push(event);
@@ -273,7 +215,7 @@ impl<'p> Walk<'p> {
         let operation = self.time.operation(Accesses::OUTSIDE_READ | Accesses::OUTSIDE_WRITE);
         for slice in shared(self.plan) {
             let buffer = slice.buffer.index();
-            let Some((space, range)) = place(self.plan, &slice, self.replay) else { continue };
+            let Some((space, range)) = place(self.plan, &slice) else { continue };
             if self.plan.buffers[buffer].entry == BufferState::Queue {
                 for cell in self.cells.of(space, &range) {
                     let event = self.event(operation, OTHERS, buffer, Access::ReadWrite);
@@ -300,7 +242,7 @@ impl<'p> Walk<'p> {
                 }
             };
             let now = self.time.now;
-            let operation = self.time.states[0].transition(now, &barrier);
+            let operation = self.time.states.transition(now, &barrier);
             let event = self.event(operation, TRANSITION, buffer, Access::Write);
             for cell in self.cells.of(space, &(0..bytes)) {
                 let byte = self.cells.byte(space, cell);
@@ -309,7 +251,8 @@ impl<'p> Walk<'p> {
                 for earlier in recent.iter().rev() {
                     let reads = earlier.access == Access::Read;
                     if (reads || !read_since)
-                        && let Some(missing) = self.time.unordered_transition(earlier, before, &barrier)
+                        && let Some(missing) =
+                            self.time.states.unordered_transition(earlier.operation, before, &barrier)
                     {
                         let hazard = if reads { Hazard::WriteAfterRead } else { Hazard::WriteAfterWrite };
                         return Err(hazard_error(self.plan, hazard, earlier, &event, byte, missing));
@@ -321,11 +264,11 @@ impl<'p> Walk<'p> {
         Ok(())
     }
 
-    /// Checks that other commands on the queue may access shared resources after a replay.
+    /// Checks accesses to shared resources after a replay. Other commands on the queue must be able to access them.
     fn external_after(&mut self) -> Result<(), VerifyError> {
         for slice in shared(self.plan) {
             let buffer = slice.buffer.index();
-            let Some((space, range)) = place(self.plan, &slice, self.replay) else { continue };
+            let Some((space, range)) = place(self.plan, &slice) else { continue };
             if self.plan.buffers[buffer].exit != BufferState::Queue {
                 continue;
             }
@@ -351,24 +294,19 @@ impl<'p> Walk<'p> {
     }
 
     /// Checks that the host and copies see the outputs after a replay.
-    fn read_outputs(&mut self, replay: usize) -> Result<(), VerifyError> {
+    fn read_outputs(&mut self) -> Result<(), VerifyError> {
         let reader_accesses = Accesses::TRANSFER_READ | Accesses::HOST_READ;
         let operation = self.time.operation(Accesses::TRANSFER_READ);
         for slice in outputs(self.plan) {
             let buffer = slice.buffer.index();
-            let Some((space, range)) = place(self.plan, &slice, self.replay).filter(|_| self.written[buffer]) else {
+            let Some((space, range)) = place(self.plan, &slice).filter(|_| self.written[buffer]) else {
                 continue;
             };
             let event = self.event(operation, OUTSIDE, buffer, Access::Read);
             for cell in self.cells.of(space, &range) {
                 let recent = &mut self.recent[space][cell];
                 for write in recent.iter().filter(|event| event.access != Access::Read) {
-                    let [main, side] = &mut self.time.states;
-                    let access = match write.lane {
-                        Lane::Main => main.hidden(write.operation, self.time.now, reader_accesses),
-                        // The main lane's wait suffices for copies, but not for the host.
-                        Lane::Side => side.hidden(write.operation, self.side_ends[replay], Accesses::HOST_READ),
-                    };
+                    let access = self.time.states.hidden(write.operation, self.time.now, reader_accesses);
                     if !access.is_empty() {
                         let (pass, buffer) = (pass_name(self.plan, write.pass), buffer_name(self.plan, buffer));
                         return Err(VerifyError::OutputHidden { pass, buffer, access });
@@ -391,15 +329,15 @@ fn pass_label(plan: &Plan, pass: usize) -> String {
     }
 }
 
-/// Returns the buffers that other commands on the queue use before or after a replay, as whole slices.
+/// Returns the buffers that other commands on the queue use, as whole slices. They use them before or after a replay.
 fn shared(plan: &Plan) -> Vec<Slice> {
     let queue = |info: &BufferInfo| info.entry == BufferState::Queue || info.exit == BufferState::Queue;
     let external = plan.buffers().filter(|(_, info)| info.kind == BufferKind::External && queue(info));
     external.map(|(buffer, info)| buffer.slice(0, info.bytes)).collect()
 }
 
-/// Returns the buffers that the host and copies read after a replay, as whole slices. Buffers left to the queue are
-/// excluded: their barrier covers copies too.
+/// Returns the output buffers as whole slices. The host and copies read them after a replay. Buffers left to the queue
+/// are excluded: their barrier covers copies too.
 fn outputs(plan: &Plan) -> Vec<Slice> {
     let left = |info: &BufferInfo| info.kind == BufferKind::External && info.exit == BufferState::Queue;
     plan.buffers()
@@ -408,13 +346,8 @@ fn outputs(plan: &Plan) -> Vec<Slice> {
         .collect()
 }
 
-/// Returns the number of consecutive replays to check.
-fn replays(plan: &Plan) -> usize {
-    if plan.buffers.iter().any(|info| info.kind == BufferKind::History) { 4 } else { 2 }
-}
-
-/// Returns the memory space and range of a slice in a replay; `None` for an unplaced transient.
-fn place(plan: &Plan, slice: &Slice, replay: usize) -> Option<(usize, std::ops::Range<u64>)> {
+/// Returns the memory space and range of a slice; `None` for an unplaced transient.
+fn place(plan: &Plan, slice: &Slice) -> Option<(usize, std::ops::Range<u64>)> {
     let buffer = slice.buffer.index();
     match plan.buffers[buffer].kind {
         BufferKind::Transient => {
@@ -426,10 +359,6 @@ fn place(plan: &Plan, slice: &Slice, replay: usize) -> Option<(usize, std::ops::
             Some((plan.buffers.len(), offset..offset + slice.bytes))
         }
         BufferKind::External | BufferKind::Uniform => Some((buffer, slice.range())),
-        BufferKind::History => {
-            let partner = plan.buffers[buffer].pair?.partner.index();
-            Some((if replay.is_multiple_of(2) { buffer } else { partner }, slice.range()))
-        }
     }
 }
 

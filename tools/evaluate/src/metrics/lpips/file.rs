@@ -1,17 +1,17 @@
-//! Weights in a file: safetensors of 32-bit floats, with the network's name in the metadata.
+//! File of LPIPS weights. Safetensors of 32-bit floats, with the network's name in the metadata.
 //!
-//! `features.N.weight` (outputs, inputs, rows, columns), `features.N.bias` (outputs) with the numbers of torchvision's networks, and
-//! `heads.0` to `heads.4` (channels).
+//! Tensors: `features.N.weight` (outputs, inputs, rows, columns) and `features.N.bias` (outputs), numbered as in
+//! torchvision, and `heads.0` to `heads.4` (channels).
 
 use super::layers::{LpipsNet, Numbers};
 use crate::metrics::MetricError;
 use safetensors::{Dtype, SafeTensors};
 use std::path::Path;
 
-/// What the file says it is.
+/// Format name in the metadata.
 const FORMAT: &str = "sgs-lpips-1";
 
-/// What a file holds.
+/// Weights of a file.
 pub(super) struct Weights {
     pub net: LpipsNet,
     pub convolutions: Vec<Numbers>,

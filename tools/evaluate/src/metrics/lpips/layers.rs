@@ -1,9 +1,9 @@
-//! The networks as steps, and what the steps compute.
+//! Layers of the networks, and their evaluation.
 
 use ndarray::{Array2, ArrayView2};
 use rayon::prelude::*;
 
-/// A network whose features are compared.
+/// Network whose features are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LpipsNet {
     /// VGG of 16 layers (Simonyan and Zisserman 2015).
@@ -12,19 +12,19 @@ pub enum LpipsNet {
     Alex,
 }
 
-/// Where a convolution stands in the published network, and its shape.
+/// Position of a convolution in the published network, and its shape.
 pub(super) struct Shape {
-    /// Its number in the file.
+    /// Number of the layer in the file.
     pub at: usize,
     pub outputs: usize,
     pub inputs: usize,
     pub width: usize,
     stride: usize,
-    /// Zeros around.
+    /// Width of the zero padding.
     around: usize,
-    /// Before it: the width of the maximum over every second place.
+    /// Width of the max pooling before the convolution, with stride 2.
     pool: Option<usize>,
-    /// Whether features are compared after it.
+    /// Whether features are compared after the convolution.
     compared: bool,
 }
 
@@ -57,10 +57,10 @@ const ALEX: [Shape; 5] = [
 ];
 
 impl LpipsNet {
-    /// All of them.
+    /// All networks.
     pub const ALL: [LpipsNet; 2] = [LpipsNet::Vgg, LpipsNet::Alex];
 
-    /// Its name in files.
+    /// Returns the name of the network in files.
     pub fn name(self) -> &'static str {
         match self {
             LpipsNet::Vgg => "vgg",
@@ -68,7 +68,7 @@ impl LpipsNet {
         }
     }
 
-    /// Rows and columns that a picture must have so that something is left for the last stage.
+    /// Returns the least image width and height in pixels. The last stage then has at least one pixel.
     pub fn least(self) -> u32 {
         match self {
             LpipsNet::Vgg => 16,
@@ -76,7 +76,7 @@ impl LpipsNet {
         }
     }
 
-    /// Its convolutions, in their order.
+    /// Returns the convolutions, in order.
     pub(super) fn shapes(self) -> &'static [Shape] {
         match self {
             LpipsNet::Vgg => &VGG,
@@ -84,12 +84,12 @@ impl LpipsNet {
         }
     }
 
-    /// Channels of the five stages.
+    /// Returns the number of channels of each of the five stages.
     pub(super) fn stages(self) -> impl Iterator<Item = usize> {
         self.shapes().iter().filter(|s| s.compared).map(|s| s.outputs)
     }
 
-    /// What is computed one after another, with these weights of the convolutions.
+    /// Returns the steps of the network with these weights, in order.
     pub(super) fn steps(self, convolutions: Vec<Numbers>) -> Vec<Step> {
         let mut steps = Vec::new();
         for (shape, numbers) in self.shapes().iter().zip(convolutions) {
@@ -109,17 +109,17 @@ pub(super) struct Numbers {
     pub biases: Vec<f32>,
 }
 
-/// A step of a network.
+/// Step of a network.
 pub(super) enum Step {
-    /// Weighted sums of neighbors, and nothing below 0.
+    /// Convolution with ReLU.
     Convolve(Convolution),
-    /// Maxima of squares at every second place.
+    /// Max pooling with stride 2.
     Pool { width: usize },
-    /// Features of the two pictures are compared.
+    /// Comparison of the features of both images.
     Compare,
 }
 
-/// Features: channel after channel, row after row.
+/// Feature map, stored channel by channel and row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Map {
     pub channels: usize,
@@ -129,7 +129,7 @@ pub(super) struct Map {
 }
 
 impl Map {
-    /// The largest of each square of `width` at every second place that it fits at.
+    /// Applies max pooling of `width` × `width` with stride 2, without padding.
     pub fn pooled(&self, width: usize) -> Map {
         let half = |n: usize| (n - width) / 2 + 1;
         let (w, h) = (half(self.width), half(self.height));
@@ -145,17 +145,17 @@ impl Map {
     }
 }
 
-/// A convolution with its numbers.
+/// Convolution with its weights.
 pub(super) struct Convolution {
     shape: &'static Shape,
     numbers: Numbers,
 }
 
-/// Numbers of neighborhoods that are laid out at a time: enough for one product to be worth it, and to fit into caches.
+/// Number of values that are laid out at a time. Large enough for an efficient product, small enough for caches.
 const LAID_OUT: usize = 1 << 19;
 
 impl Convolution {
-    /// Features after it; what is below 0 becomes 0.
+    /// Applies the convolution, bias and ReLU.
     pub fn apply(&self, from: &Map) -> Map {
         let s = self.shape;
         let after = |n: usize| (n + 2 * s.around - s.width) / s.stride + 1;
@@ -179,7 +179,7 @@ impl Convolution {
         Map { channels: s.outputs, width: w, height: h, data }
     }
 
-    /// The neighborhoods of some places, one a column; `w`: places in a row.
+    /// Lays out the neighborhoods of some output pixels as columns of a matrix. `w`: width of the output.
     fn laid_out(&self, from: &Map, places: std::ops::Range<usize>, w: usize) -> Array2<f32> {
         let s = self.shape;
         let mut out = Array2::zeros((s.inputs * s.width * s.width, places.len()));
@@ -187,7 +187,8 @@ impl Convolution {
             let (channel, dy, dx) = (k / (s.width * s.width), k / s.width % s.width, k % s.width);
             let plane = &from.data[channel * from.width * from.height..][..from.width * from.height];
             for (value, place) in row.iter_mut().zip(places.clone()) {
-                // Beyond the upper and left border they wrap around, and are too large, too.
+                // Coordinates beyond the upper and left border wrap around to large values, which fail the check as
+                // well.
                 let y = (place / w * s.stride + dy).wrapping_sub(s.around);
                 let x = (place % w * s.stride + dx).wrapping_sub(s.around);
                 if y < from.height && x < from.width {
@@ -204,7 +205,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sums_are_those_of_the_definition() {
+    fn convolution_matches_its_definition() {
         static SHAPE: Shape = Shape { width: 5, stride: 2, around: 1, ..shape(0, 3, 2, None, false) };
         let number = |i: usize| ((i * 37 + 11) % 23) as f32 / 23.0 - 0.5;
         let numbers = Numbers { weights: (0..150).map(number).collect(), biases: vec![0.1, -0.2, 0.3] };
@@ -226,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn maxima_are_of_what_fits() {
+    fn pooling_ignores_incomplete_windows() {
         let from = Map { channels: 1, width: 5, height: 4, data: (0..20).map(|i| (i * 7 % 20) as f32).collect() };
         let found = from.pooled(3);
         assert_eq!((found.width, found.height), (2, 1));
@@ -236,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_picture_leaves_one_place() {
+    fn smallest_image_leaves_one_pixel() {
         for net in LpipsNet::ALL {
             let left = |n: u32| {
                 let after = |n: Option<usize>, s: &Shape| {

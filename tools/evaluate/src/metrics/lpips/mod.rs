@@ -1,8 +1,9 @@
-//! LPIPS: how different two pictures look to a network that was trained on people's judgments.
+//! LPIPS: image distance by a network that was trained on human judgments.
 //!
-//! Zhang et al. 2018, "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", version 0.1, for the networks VGG
-//! (16 layers) and AlexNet. Runs on the processor; the sums of products are those of the crate `ndarray`. Weights come from a file
-//! that the user has (`tools/priors/sgs_priors/lpips_weights.py` makes it of published ones); none are here.
+//! Zhang et al. 2018, "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", version 0.1, for the
+//! networks VGG (16 layers) and AlexNet. Runs on the CPU, with matrix products of the crate `ndarray`. Weights are read
+//! from a file that the user provides: `tools/priors/sgs_priors/lpips_weights.py` converts published weights. The
+//! repository has none.
 
 mod file;
 mod layers;
@@ -15,40 +16,40 @@ use serde::Serialize;
 use sgs_scene::Image;
 use std::path::Path;
 
-/// What is taken from each channel, and what it is divided by: mean and spread of the training pictures of the networks,
-/// in -1 to 1.
+/// Mean of each channel over the networks' training images, in -1 to 1. Inputs are shifted by the mean and divided by
+/// [`SPREAD`], the standard deviation.
 const SHIFT: [f32; 3] = [-0.030, -0.088, -0.188];
 const SPREAD: [f32; 3] = [0.458, 0.448, 0.450];
-/// Of lengths of features.
+/// Addend to the length of features that avoids division by zero.
 const LEAST: f64 = 1e-10;
 
-/// Which numbers the network sees for black and white.
+/// Network inputs for black and white.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum LpipsRange {
-    /// 0 and 1, as the evaluations of 3DGS and of the paper's tables feed them.
+    /// 0 and 1, as in the evaluations of 3DGS and of the paper's tables.
     #[default]
     Plain,
-    /// -1 and 1, for which the measure is made.
+    /// -1 and 1, the range that the metric is defined for.
     Signed,
 }
 
-/// Which LPIPS it is, as files say it.
+/// Description of an LPIPS variant in files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct LpipsAbout {
-    /// The network.
+    /// Name of the network.
     pub net: &'static str,
-    /// The version of its weights.
+    /// Version of the weights.
     pub version: &'static str,
-    /// What the network sees for black and white.
+    /// Network inputs for black and white.
     pub range: [i8; 2],
 }
 
-/// The network with its weights.
+/// Network with its weights.
 pub struct Lpips {
     net: LpipsNet,
     range: LpipsRange,
     steps: Vec<Step>,
-    /// By stage: the weight of each channel's difference.
+    /// Weights of the channels' differences, by stage.
     heads: Vec<Vec<f32>>,
 }
 
@@ -56,32 +57,32 @@ impl Lpips {
     /// Reads weights from a file.
     ///
     /// # Errors
-    /// If there is no such file, or it does not hold them.
+    /// If the file does not exist, or does not hold the weights.
     pub fn load(path: &Path, range: LpipsRange) -> Result<Lpips, MetricError> {
         let file = file::Weights::load(path)?;
         let steps = file.net.steps(file.convolutions);
         Ok(Lpips { net: file.net, range, steps, heads: file.heads })
     }
 
-    /// Which it is.
+    /// Returns the description of the variant.
     pub fn about(&self) -> LpipsAbout {
         let range = if self.range == LpipsRange::Signed { [-1, 1] } else { [0, 1] };
         LpipsAbout { net: self.net.name(), version: "0.1", range }
     }
 
-    /// The distance of display-referred pictures of three channels in `[0, 1]`: 0 for equal ones. Pixels that do not count are
-    /// taken from `b` in both.
+    /// Returns the distance of display-referred images of three channels in `[0, 1]`. 0 for equal images. Masked pixels
+    /// of `a` are replaced by those of `b`.
     ///
     /// # Errors
-    /// If the pictures are not of one size, not of three channels, or too small for the network.
+    /// If the images differ in size, do not have three channels, or are too small for the network.
     pub fn distance(&self, a: &Image, b: &Image, mask: Option<&Image>) -> Result<f64, MetricError> {
         Ok(self.stages(a, b, mask)?.iter().sum())
     }
 
-    /// As [`Lpips::distance`], the part of each of the five stages.
+    /// Returns the terms of [`Lpips::distance`], one for each of the five stages.
     ///
     /// # Errors
-    /// As there.
+    /// As [`Lpips::distance`].
     pub fn stages(&self, a: &Image, b: &Image, mask: Option<&Image>) -> Result<Vec<f64>, MetricError> {
         const MEASURE: &str = "lpips";
         check(MEASURE, a, b, mask)?;
@@ -109,7 +110,7 @@ impl Lpips {
         Ok(parts)
     }
 
-    /// A picture as the network takes it; what does not count by the mask is the other's.
+    /// Converts an image to the network's input. Pixels outside the mask are taken from the other image.
     fn seen(&self, image: &Image, other: Option<(&Image, &Image)>) -> Map {
         let pixels = (image.width * image.height) as usize;
         let value = |p: usize, c: usize| {
@@ -126,7 +127,8 @@ impl Lpips {
     }
 }
 
-/// The mean over places of the weighted squared differences of features, which have the length 1 at each place.
+/// Returns the mean over pixels of the weighted squared differences of features. Features are scaled to unit length at
+/// each pixel.
 fn apart(x: &Map, y: &Map, head: &[f32]) -> f64 {
     let places = x.width * x.height;
     let length = |m: &Map, p: usize| {

@@ -1,7 +1,7 @@
 //! COLMAP's binary files.
 //!
-//! Little-endian records behind a 64-bit count. Files are read whole; every count is compared with the bytes that are
-//! left before anything is reserved for it.
+//! Little-endian records follow a 64-bit count. Files are read as a whole. Every count is checked against the remaining
+//! bytes before memory is allocated for it.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use super::{CameraRow, ImageRow, model};
 use crate::error::{Result, SceneError, io_error};
 use crate::points::{PointCloud, Tracks};
 
-/// The rest of a file.
+/// Reader of a file's remaining bytes.
 struct Bytes<'a> {
     path: &'a Path,
     all: &'a [u8],
@@ -56,7 +56,7 @@ impl<'a> Bytes<'a> {
         Ok(values)
     }
 
-    /// A count of records that have at least `size` bytes each.
+    /// Reads a count of records that have at least `size` bytes each.
     fn count(&mut self, size: usize) -> Result<usize> {
         let at = self.at;
         let count = self.u64()?;
@@ -120,7 +120,7 @@ pub(super) fn read_images(path: &Path) -> Result<Vec<ImageRow>> {
     })
 }
 
-/// Reads `points3D.bin`: points and the images that see them.
+/// Reads `points3D.bin`: points and their tracks.
 pub(super) fn read_points(path: &Path) -> Result<(PointCloud, Tracks)> {
     with_file(path, |bytes| {
         let count = bytes.count(51)?;

@@ -1,7 +1,9 @@
-//! The layout of COLMAP and of VGGT's export: `sparse/0` or `sparse` (nerfstudio: `colmap/sparse/0`) with `cameras`, `images`
-//! and `points3D`, in binary or as text, and the photographs in `images`.
+//! Layout of COLMAP and of VGGT's export.
 //!
-//! The binary form wins where both are present. Poses are world-to-camera with OpenCV axes already.
+//! The model is in `sparse/0` or `sparse` (nerfstudio: `colmap/sparse/0`), with `cameras`, `images` and `points3D`, in
+//! binary or text form. Photographs are in `images`.
+//!
+//! The binary form takes precedence if both exist. Poses are already world-to-camera with OpenCV axes.
 
 mod binary;
 mod model;
@@ -19,7 +21,7 @@ use crate::points::{PointCloud, Tracks};
 
 pub(super) use model::Model;
 
-/// A calibrated camera, shared by images.
+/// Calibrated camera, shared by images.
 #[derive(Clone, Debug, PartialEq)]
 struct CameraRow {
     id: u32,
@@ -28,21 +30,21 @@ struct CameraRow {
     model: Model,
 }
 
-/// A registered image.
+/// Registered image.
 #[derive(Clone, Debug, PartialEq)]
 struct ImageRow {
-    /// Its number, by which tracks name it.
+    /// Image id; tracks refer to it.
     id: u32,
     /// World-to-camera quaternion, `(w, x, y, z)`.
     rotation: [f64; 4],
     translation: [f64; 3],
     camera: u32,
     name: String,
-    /// Where in the file it stands, for errors.
+    /// Location in the file, for errors.
     place: String,
 }
 
-/// Where a model lies and in which form.
+/// Folder and form of a model.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Location {
     folder: PathBuf,
@@ -55,28 +57,28 @@ impl Location {
     }
 }
 
-/// Where a model may lie in a scene directory, in this order.
+/// Possible folders of a model in a scene directory, in search order.
 const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
 
-/// The model of a scene directory, if there is one.
+/// Returns the model of a scene directory if it exists.
 pub(super) fn find(root: &Path) -> Option<Location> {
     FOLDERS.iter().find_map(|folder| in_folder(root.join(folder)))
 }
 
-/// The model in a folder, if there is one.
+/// Returns the model in a folder if it exists.
 fn in_folder(folder: PathBuf) -> Option<Location> {
     let forms = [(true, "cameras.bin"), (false, "cameras.txt")];
     let (binary, _) = forms.into_iter().find(|(_, name)| folder.join(name).is_file())?;
     Some(Location { folder, binary })
 }
 
-/// The scene directory of a folder that holds a model itself, as `sparse/0` does; `None` for any other folder.
+/// Returns the scene directory of a folder that holds a model, such as `sparse/0`. Returns `None` for any other folder.
 pub(super) fn scene_of_model(folder: &Path) -> Option<PathBuf> {
     in_folder(folder.to_owned())?;
     let folder = folder.canonicalize().ok()?;
     let root =
         folder.ancestors().skip(1).take(3).find(|root| find(root).is_some_and(|model| model.folder == folder))?;
-    // COLMAP's folder of nerfstudio lies in the scene beside the images.
+    // In nerfstudio's layout, the `colmap` folder is in the scene directory beside the images.
     let outer = root.parent().filter(|_| root.ends_with("colmap") && !root.join("images").is_dir());
     Some(outer.unwrap_or(root).to_owned())
 }
@@ -151,17 +153,19 @@ pub(super) fn read(root: &Path) -> Result<Found> {
     Ok(found)
 }
 
-/// The photograph of a registered image: in `images`, else a smaller copy, else beside the model's folder.
+/// Returns the photograph of a registered image. Searches `images`, then smaller copies, then the scene directory
+/// itself.
 fn image_of(root: &Path, name: &str) -> Option<PathBuf> {
     let in_images = format!("images/{name}");
     let exact = find_image(root, &in_images).or_else(|| downscaled::find(root, &in_images));
-    // Smaller copies may be of another kind than the originals.
+    // Smaller copies may have a different format than the originals.
     let stem = || format!("images/{}", Path::new(name).with_extension("").display());
     let other_kind = || find_image(root, &stem()).or_else(|| downscaled::find(root, &stem()));
     exact.or_else(other_kind).or_else(|| find_image(root, name))
 }
 
-/// The model's points and their tracks: `points3D` in the model's form, else in any other. An empty file counts only if all are.
+/// Reads the model's points and tracks. Prefers `points3D` in the model's form over other forms. Fails if all files are
+/// empty.
 fn points_of(location: &Location) -> Result<Option<(PointCloud, Tracks)>> {
     let path = |name: &str| location.folder.join(name);
     let own = if location.binary { ["points3D.bin", "points3D.txt"] } else { ["points3D.txt", "points3D.bin"] };

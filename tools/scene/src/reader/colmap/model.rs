@@ -1,8 +1,8 @@
-//! COLMAP's camera models, as far as they are a pinhole behind OpenCV's distortion.
+//! COLMAP camera models that are a pinhole with OpenCV distortion.
 
 use crate::camera::Distortion;
 
-/// A pinhole camera and its lens.
+/// Pinhole camera with lens distortion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Model {
     pub(super) fx: f64,
@@ -12,7 +12,7 @@ pub(crate) struct Model {
     pub(super) lens: Distortion,
 }
 
-/// Names in the order of COLMAP's numbers, and how many parameters each has; 0 where it is not supported.
+/// Model names in the order of COLMAP's ids, with their numbers of parameters. Unsupported models have 0.
 const MODELS: [(&str, usize); 11] = [
     ("SIMPLE_PINHOLE", 3),
     ("PINHOLE", 4),
@@ -34,7 +34,7 @@ fn unsupported(name: &str) -> String {
     )
 }
 
-/// The name and number of parameters of the model with this number.
+/// Returns the name and the number of parameters of the model with this id.
 pub(super) fn by_number(number: i32) -> Result<(&'static str, usize), String> {
     match usize::try_from(number).ok().and_then(|n| MODELS.get(n)) {
         Some(&(name, 0)) => Err(unsupported(name)),
@@ -43,7 +43,7 @@ pub(super) fn by_number(number: i32) -> Result<(&'static str, usize), String> {
     }
 }
 
-/// The model of this name with these parameters.
+/// Returns the model with this name and these parameters.
 pub(super) fn from_parameters(name: &str, parameters: &[f64]) -> Result<Model, String> {
     let expected = match MODELS.iter().find(|(known, _)| *known == name) {
         Some(&(_, n)) if n > 0 => n,
@@ -68,7 +68,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parameters_have_colmap_s_order() {
+    fn parameters_follow_colmap_order() {
         let model = |name, p: &[f64]| from_parameters(name, p).unwrap();
         let values = |m: Model| [m.fx, m.fy, m.cx, m.cy, m.lens.k1, m.lens.k2, m.lens.p1, m.lens.p2];
         assert_eq!(values(model("SIMPLE_PINHOLE", &[1., 2., 3.])), [1., 1., 2., 3., 0., 0., 0., 0.]);
@@ -80,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn others_are_refused_by_name() {
+    fn unsupported_models_are_rejected_by_name() {
         assert!(from_parameters("FOV", &[0.0; 5]).unwrap_err().contains("camera model is FOV, but only"));
         assert!(from_parameters("NEW", &[]).unwrap_err().contains("camera model is NEW"));
         assert!(by_number(5).unwrap_err().contains("camera model is OPENCV_FISHEYE"));

@@ -30,7 +30,7 @@ fn text_scene() -> (TempDir, PathBuf) {
     (directory, root)
 }
 
-/// The same model in the binary form, written record by record.
+/// Returns the same model in binary form, written record by record.
 fn binary_files() -> [(&'static str, Vec<u8>); 3] {
     let floats = |v: &[f64]| v.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
     let mut cameras = 2_u64.to_le_bytes().to_vec();
@@ -93,26 +93,26 @@ fn check(found: &Found) {
     assert_eq!((lens.k1, lens.k2, lens.p1, lens.p2), (0.1, 0.2, 0.3, 0.4));
     assert!((first.camera.position() + DVec3::new(1.0, 2.0, 3.0)).length() < 1e-12);
     assert!(second.lens.is_none());
-    // A quarter turn about y takes the world's −x to the camera's z.
+    // A quarter turn about y maps the world's −x to the camera's z.
     assert!((second.camera.forward() + DVec3::X).length() < 1e-12);
     let points = found.points.as_ref().unwrap();
     assert_eq!(points.positions, [[0.5, -1.0, 2.0], [1.0, 2.0, 3.0]]);
     assert_eq!(points.colors.as_ref().unwrap()[0], [1.0, 0.0, 0.2]);
-    // Images 10 ("b c") and 11 ("a") see the first point, none sees the second.
+    // Images 10 ("b c") and 11 ("a") observe the first point; no image observes the second.
     let tracks = found.tracks.as_ref().unwrap();
     assert_eq!(tracks.seen_twice(&["a", "b c"].into()), [true, false]);
     assert_eq!(tracks.seen_twice(&["a"].into()), [false, false]);
 }
 
 #[test]
-fn text_is_read() {
+fn text_model_is_read() {
     let (_keep, root) = text_scene();
     assert_eq!(find(&root).unwrap(), Location { folder: root.join("sparse/0"), binary: false });
     check(&read(&root).unwrap());
 }
 
 #[test]
-fn binary_is_read_and_wins_over_text() {
+fn binary_model_takes_precedence_over_text() {
     let (_keep, root) = binary_scene();
     put(&root, "sparse/cameras.txt", b"not read");
     assert_eq!(find(&root).unwrap(), Location { folder: root.join("sparse"), binary: true });
@@ -120,7 +120,7 @@ fn binary_is_read_and_wins_over_text() {
 }
 
 #[test]
-fn points_may_be_a_ply_file() {
+fn points_are_read_from_a_ply_file() {
     let (_keep, root) = text_scene();
     std::fs::remove_file(root.join("sparse/0/points3D.txt")).unwrap();
     assert!(read(&root).unwrap().points.is_none());
@@ -130,7 +130,7 @@ fn points_may_be_a_ply_file() {
 }
 
 #[test]
-fn each_fault_of_the_text_has_its_sentence() {
+fn each_text_error_has_its_message() {
     let fail = |name: &str, content: &str| {
         let (_keep, root) = text_scene();
         put(&root, &format!("sparse/0/{name}"), content.as_bytes());
@@ -169,7 +169,7 @@ fn each_fault_of_the_text_has_its_sentence() {
 }
 
 #[test]
-fn binary_files_cut_anywhere_are_errors() {
+fn truncated_binary_files_are_errors() {
     let (_keep, root) = binary_scene();
     for (name, content) in binary_files() {
         for length in 0..content.len() {
@@ -192,7 +192,7 @@ fn binary_files_cut_anywhere_are_errors() {
 }
 
 #[test]
-fn text_files_cut_anywhere_never_panic() {
+fn truncated_text_files_never_panic() {
     for (name, content) in [("cameras.txt", CAMERAS), ("images.txt", IMAGES), ("points3D.txt", POINTS)] {
         let (_keep, root) = text_scene();
         for length in 0..content.len() {
@@ -203,7 +203,7 @@ fn text_files_cut_anywhere_never_panic() {
 }
 
 #[test]
-fn fisheye_is_refused_by_name() {
+fn fisheye_models_are_rejected_by_name() {
     let (_keep, root) = binary_scene();
     let mut cameras = binary_files()[0].1.clone();
     cameras[12] = 5;
@@ -213,21 +213,21 @@ fn fisheye_is_refused_by_name() {
 }
 
 #[test]
-fn a_model_itself_names_its_scene() {
+fn model_folder_opens_its_scene() {
     use crate::{Layout, Scene, SceneOptions};
     let (_directory, root) = text_scene();
     let root = root.canonicalize().unwrap();
     let open = |path: &Path| Scene::open(path, &SceneOptions::default()).unwrap();
     let scene = open(&root.join("sparse/0"));
     assert_eq!((scene.root.as_path(), scene.layout, scene.views.len()), (root.as_path(), Layout::Colmap, 2));
-    // nerfstudio keeps COLMAP's folder beside the images.
+    // nerfstudio stores COLMAP's folder beside the images.
     std::fs::create_dir(root.join("colmap")).unwrap();
     std::fs::rename(root.join("sparse"), root.join("colmap/sparse")).unwrap();
     for path in [root.clone(), root.join("colmap/sparse/0")] {
         let scene = open(&path);
         assert_eq!((scene.root.as_path(), scene.views.len()), (root.as_path(), 2));
     }
-    // A model in a folder of another name is none of a scene.
+    // A model in a folder with another name belongs to no scene.
     std::fs::rename(root.join("colmap/sparse/0"), root.join("colmap/sparse/1")).unwrap();
     assert!(Scene::open(&root.join("colmap/sparse/1"), &SceneOptions::default()).is_err());
 }

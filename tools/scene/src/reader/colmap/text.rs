@@ -8,12 +8,12 @@ use crate::points::{PointCloud, Tracks};
 
 fn read_text(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(io_error("read", path))?;
-    // Names of images may be in any encoding; numbers are the same in all.
+    // Image names may have any encoding; numbers are the same in all encodings.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     Ok(String::from_utf8_lossy(bytes).into_owned())
 }
 
-/// The words of one line, with errors that name it.
+/// Words of one line; errors name the line.
 struct Words<'a> {
     path: &'a Path,
     line: usize,
@@ -47,7 +47,7 @@ impl<'a> Words<'a> {
     }
 }
 
-/// Lines that say something, with their numbers from 1.
+/// Returns lines with content and their numbers, from 1.
 fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| is_content(line))
 }
@@ -93,16 +93,16 @@ pub(super) fn read_images(path: &Path) -> Result<Vec<ImageRow>> {
         let translation = words.numbers("part of a translation")?;
         let camera = words.number("camera number")?;
         words.word("the name of the image")?;
-        // The name is the rest of the line, because it may hold spaces.
+        // The name is the rest of the line, because it may contain spaces.
         let name = rest_after(content, 9).to_string();
         images.push(ImageRow { id, rotation, translation, camera, name, place: format!("line {}", i + 1) });
-        // The observed points have a line of their own, which is empty where there are none.
+        // Observed points follow on a separate line, which is empty if there are none.
         all.next();
     }
     Ok(images)
 }
 
-/// What follows the first `n` words of a line.
+/// Returns the text after the first `n` words of a line.
 fn rest_after(line: &str, n: usize) -> &str {
     let mut rest = line.trim();
     for _ in 0..n {
@@ -111,7 +111,7 @@ fn rest_after(line: &str, n: usize) -> &str {
     rest
 }
 
-/// Reads `points3D.txt`: points and the images that see them.
+/// Reads `points3D.txt`: points and their tracks.
 pub(super) fn read_points(path: &Path) -> Result<(PointCloud, Tracks)> {
     let text = read_text(path)?;
     let mut tracks = Tracks::default();
@@ -129,7 +129,7 @@ pub(super) fn read_points(path: &Path) -> Result<(PointCloud, Tracks)> {
             *value = f32::from(words.number::<u8>("color from 0 to 255")?) / 255.0;
         }
         colors.push(color);
-        // The error comes before the track, which is pairs of an image and the place among its observations.
+        // The reprojection error precedes the track. The track is pairs of an image id and an observation index.
         words.words.next();
         while let Some(word) = words.words.next() {
             let image = word

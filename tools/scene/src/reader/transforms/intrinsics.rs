@@ -1,4 +1,4 @@
-//! What may stand at the top of a `transforms.json`, at a frame, or at both.
+//! Fields at the top of a `transforms.json`, in a frame, or in both.
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
@@ -6,9 +6,10 @@ use serde::Deserialize;
 use crate::camera::{Camera, Distortion};
 use crate::reader::pose::{self, Axes};
 
-/// The top of the file or one of its frames. Everything is optional: what a frame does not say, the top may.
+/// Top level of the file or one of its frames. All fields are optional; frames inherit missing fields from the top
+/// level.
 ///
-/// One flat structure for both, because nested ones would lose the line of a wrong value.
+/// A flat structure serves both, because nested structures would lose the line of an invalid value.
 #[derive(Clone, Debug, Default, Deserialize)]
 pub(super) struct Entry {
     pub(super) file_path: Option<String>,
@@ -35,9 +36,9 @@ pub(super) struct Entry {
 }
 
 impl Entry {
-    /// The intrinsic values of a frame, completed with those of the whole file.
+    /// Returns a frame's intrinsic values, completed with those of the file.
     pub(super) fn or(&self, all: &Self) -> Self {
-        // A frame that gives any focal length does not want the file's other way of saying it.
+        // A focal length in a frame overrides both of the file's representations.
         let own_focal = self.fl_x.is_some() || self.camera_angle_x.is_some();
         let focal = if own_focal { self } else { all };
         Self {
@@ -65,7 +66,7 @@ impl Entry {
         }
     }
 
-    /// The image size, where it is given.
+    /// Returns the image size if the file states it.
     pub(super) fn size(&self) -> Result<Option<(u32, u32)>, String> {
         let (Some(w), Some(h)) = (self.w, self.h) else {
             return Ok(None);
@@ -77,7 +78,7 @@ impl Entry {
         }
     }
 
-    /// Whether the frame is said to be held out.
+    /// Returns whether the frame's `split` marks it as a test view.
     pub(super) fn test(&self) -> Option<bool> {
         match self.split.as_deref()? {
             "train" => Some(false),
@@ -86,7 +87,7 @@ impl Entry {
         }
     }
 
-    /// The lens.
+    /// Returns the lens distortion.
     pub(super) fn lens(&self) -> Result<Distortion, String> {
         let value = |k: Option<f64>| k.unwrap_or(0.0);
         let lens = Distortion {
@@ -100,7 +101,7 @@ impl Entry {
         if lens.is_finite() { Ok(lens) } else { Err("the distortion holds values that are not finite".into()) }
     }
 
-    /// The camera of an image of this size.
+    /// Returns the camera of an image with this size.
     pub(super) fn camera(
         &self,
         name: String,
@@ -134,7 +135,7 @@ impl Entry {
         }
     }
 
-    /// How an error calls the frame.
+    /// Returns the name of the frame in error messages.
     pub(super) fn place(&self, index: usize) -> String {
         match &self.file_path {
             Some(path) => format!("frame {index} ({path})"),
@@ -142,7 +143,7 @@ impl Entry {
         }
     }
 
-    /// The world-to-camera pose.
+    /// Returns the world-to-camera pose.
     pub(super) fn pose(&self, axes: Axes) -> Result<(DMat3, DVec3), String> {
         let rows = self.transform_matrix.as_ref().ok_or("there is no transform_matrix; every frame needs one")?;
         pose::from_matrix(rows, axes)

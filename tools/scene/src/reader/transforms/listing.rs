@@ -1,4 +1,4 @@
-//! Frames from the entries of a file, for every layout that lists them so.
+//! Conversion of file entries to frames, for all layouts that list frames.
 
 use std::path::{Path, PathBuf};
 
@@ -10,25 +10,26 @@ use crate::reader::frame::{find_image, missing_warning};
 use crate::reader::pose::Axes;
 use crate::reader::{Found, Frame, downscaled, stem_of};
 
-/// Finds a frame's image from its index and `file_path`: where it lies, if it exists, and the name of the view.
+/// Function that finds the image of a frame from its index and `file_path`. Returns the path of the image, if it
+/// exists, and the name of the view.
 type FindImage<'a> = dyn Fn(usize, &str) -> (Option<PathBuf>, String) + 'a;
 
-/// How the frames of a file are to be understood.
+/// Interpretation of the frames of a file.
 pub(in crate::reader) struct Source<'a> {
-    /// The file.
+    /// Path of the file.
     pub(in crate::reader) path: &'a Path,
-    /// The axes of its poses.
+    /// Camera axes of the poses.
     pub(in crate::reader) axes: Axes,
-    /// Whether a frame without `file_path` has an image all the same.
+    /// Whether frames without `file_path` have an image.
     pub(in crate::reader) by_index: bool,
-    /// Whether all of its frames are test views, or none; as they say themselves where this is absent.
+    /// Whether all frames are test views or all are not. If `None`, the frames' own values apply.
     pub(in crate::reader) test: Option<bool>,
     /// Finds images.
     pub(in crate::reader) image: Box<FindImage<'a>>,
 }
 
 impl<'a> Source<'a> {
-    /// As nerfstudio and instant-ngp write it.
+    /// Returns the source for files of nerfstudio and instant-ngp.
     pub(super) fn plain(path: &'a Path) -> Self {
         let root = path.parent().unwrap_or(Path::new(""));
         let image = |_, name: &str| {
@@ -40,7 +41,7 @@ impl<'a> Source<'a> {
     }
 }
 
-/// Adds the frames of a file whose name is `wanted`, or notes that their image is missing.
+/// Adds the frames of a file whose name is `wanted`. Frames whose image does not exist are recorded as missing.
 pub(in crate::reader) fn collect(
     source: &Source,
     file: &Listing,

@@ -1,7 +1,7 @@
-//! The layout of nerfstudio and instant-ngp: one `transforms.json` beside the images.
+//! Layout of nerfstudio and instant-ngp: one `transforms.json` beside the images.
 //!
-//! It gives pinhole intrinsics with OpenCV distortion, for all frames or per frame, and camera-to-world matrices with
-//! OpenGL axes. The same file without images describes cameras to render from ([`Camera::read_transforms`]).
+//! The file has pinhole intrinsics with OpenCV distortion, for all frames or per frame, and camera-to-world matrices
+//! with OpenGL axes. Without images, the same file describes cameras to render ([`Camera::read_transforms`]).
 
 mod intrinsics;
 mod listing;
@@ -24,30 +24,30 @@ use crate::json::read_json;
 use crate::points::PointCloud;
 use crate::split::Split;
 
-/// Point clouds that are taken when the file names none, in this order.
+/// Default names of point clouds, in search order. They apply if the file names no point cloud.
 const POINT_FILES: [&str; 4] = ["points.ply", "init.ply", "points3d.ply", "points3D.ply"];
 
-/// Where held-out frames are listed when `transforms.json` holds the training frames only.
+/// Files with held-out frames that `transforms.json` may lack.
 const COMPANIONS: [&str; 2] = ["transforms_val.json", "transforms_test.json"];
 
-/// A file of frames.
+/// File with a list of frames.
 #[derive(Deserialize)]
 pub(super) struct Listing {
     ply_file_path: Option<String>,
     frames: Vec<Entry>,
-    /// What stands at the top for all frames.
+    /// Top-level fields for all frames.
     #[serde(skip)]
     all: Entry,
 }
 
 impl Listing {
-    /// The name of the first frame's image.
+    /// Returns the image name of the first frame.
     pub(super) fn first(&self) -> Option<&str> {
         self.frames.first()?.file_path.as_deref()
     }
 }
 
-/// Reads a file that must have frames.
+/// Reads a file; fails if it has no frames.
 pub(super) fn open(path: &Path) -> Result<Listing> {
     let all: Entry = read_json(path)?;
     let listing: Listing = read_json(path)?;
@@ -58,20 +58,20 @@ pub(super) fn open(path: &Path) -> Result<Listing> {
     Ok(listing)
 }
 
-/// The `transforms.json` of a scene directory; DL3DV keeps it one folder down.
+/// Finds the `transforms.json` of a scene directory. DL3DV stores it in the subfolder `nerfstudio` or `gaussian_splat`.
 pub(super) fn find(root: &Path) -> Option<PathBuf> {
     let folders = ["", "nerfstudio", "gaussian_splat"];
     folders.iter().map(|folder| root.join(folder).join("transforms.json")).find(|path| path.is_file())
 }
 
-/// The image that the first frame of a file names, if it exists.
+/// Returns the image that the first frame of a file names, if it exists.
 pub(super) fn first_image(path: &Path) -> Result<Option<PathBuf>> {
     let file = open(path)?;
     let root = path.parent().unwrap_or(Path::new(""));
     Ok(file.first().and_then(|name| find_image(root, name)))
 }
 
-/// Reads a scene directory. `split` is a file that takes the place of the scene's `split.json`.
+/// Reads a scene directory. `split` is a file that replaces the scene's `split.json`.
 pub(super) fn read(root: &Path, split: Option<&Path>) -> Result<Found> {
     let path = find(root).unwrap_or_else(|| root.join("transforms.json"));
     let root = path.parent().unwrap_or(root);
@@ -92,8 +92,8 @@ pub(super) fn read(root: &Path, split: Option<&Path>) -> Result<Found> {
     Ok(found)
 }
 
-/// Some scenes list only their training frames in `transforms.json`. Views that `split.json` names and that file lacks
-/// are looked for in its companions.
+/// Adds held-out frames from the companion files. Some scenes list only training frames in `transforms.json`. Views
+/// that `split.json` names and `transforms.json` lacks are searched in its companions.
 fn held_out(root: &Path, split: Option<&Path>, found: &mut Found) -> Result<()> {
     let split = split.map_or_else(|| root.join("split.json"), Path::to_path_buf);
     if !split.is_file() {
@@ -115,7 +115,7 @@ fn held_out(root: &Path, split: Option<&Path>, found: &mut Found) -> Result<()> 
     Ok(())
 }
 
-/// The point cloud that the file names, or else one under a usual name.
+/// Reads the point cloud that the file names, or one with a default name.
 fn points_of(root: &Path, declared_in: &Path, named: Option<&str>) -> Result<Option<PointCloud>> {
     let named = named.filter(|name| !name.is_empty()).map(|name| root.join(name));
     if let Some(path) = &named
@@ -131,13 +131,13 @@ fn points_of(root: &Path, declared_in: &Path, named: Option<&str>) -> Result<Opt
     }
 }
 
-/// The point cloud of a folder under a usual name.
+/// Reads the point cloud of a folder with a default name.
 pub(super) fn usual_points(root: &Path) -> Result<Option<PointCloud>> {
     let usual = POINT_FILES.iter().map(|name| root.join(name)).find(|path| path.is_file());
     usual.map(|path| read_points(&path)).transpose()
 }
 
-/// Reads a point cloud that must not be empty.
+/// Reads a point cloud; fails if it is empty.
 pub(in crate::reader) fn read_points(path: &Path) -> Result<PointCloud> {
     let points = PointCloud::read_ply(path)?;
     if points.is_empty() {
@@ -148,10 +148,10 @@ pub(in crate::reader) fn read_points(path: &Path) -> Result<PointCloud> {
 }
 
 impl Camera {
-    /// Reads the cameras of a `transforms.json`, whose images need not exist, in the order of the file.
+    /// Reads the cameras of a `transforms.json`, in file order. Images need not exist.
     ///
-    /// The size comes from `w` and `h`, else from the image where there is one. A frame without `file_path` gets its
-    /// index as a name. Lens distortion is left out: what is rendered is the ideal image.
+    /// The size comes from `w` and `h`, or from the image if it exists. A frame without `file_path` has its index as
+    /// name. Lens distortion is ignored, because renders show the undistorted image.
     pub fn read_transforms(path: &Path) -> Result<Vec<Self>> {
         let file = open(path)?;
         let folder: PathBuf = path.parent().unwrap_or(Path::new("")).into();

@@ -13,7 +13,7 @@ fn read(root: &Path) -> Result<Found> {
     super::read(root, None)
 }
 
-/// A scene directory with gray images of 8×6 pixels.
+/// Creates a scene directory with black 8×6 images.
 fn scene(json: &str, images: &[&str]) -> (TempDir, PathBuf) {
     let directory = tempfile::tempdir().unwrap();
     let root = directory.path().to_path_buf();
@@ -37,13 +37,13 @@ fn fail(json: &str, images: &[&str]) -> String {
     error.replace(&format!("{}/", root.display()), "")
 }
 
-/// One frame with extra fields, and extra fields at the top.
+/// Returns a file with one frame, with extra fields in the frame and at the top.
 fn one(top: &str, frame: &str) -> String {
     format!("{{{top} \"frames\": [{{\"file_path\": \"a.png\", \"transform_matrix\": {POSE} {frame}}}]}}")
 }
 
 #[test]
-fn global_intrinsics_and_opengl_poses() {
+fn global_intrinsics_and_opengl_poses_are_read() {
     let found =
         found(&one("\"fl_x\": 5, \"fl_y\": 6, \"cx\": 3.5, \"cy\": 2.5, \"w\": 8.0, \"h\": 6,", ""), &["a.png"]);
     let Frame { camera, lens, image, .. } = &found.frames[0];
@@ -56,7 +56,7 @@ fn global_intrinsics_and_opengl_poses() {
 }
 
 #[test]
-fn frames_override_the_file_and_sizes_come_from_the_image() {
+fn frame_fields_override_the_file_and_size_defaults_to_the_image() {
     let json = one(
         "\"camera_angle_x\": 1.0, \"k1\": 0.1, \"p2\": 0.2, \"w\": 99, \"h\": 99,",
         ", \"fl_x\": 7, \"cx\": 1.25, \"k1\": 0.5, \"k4\": -1, \"width\": 8, \"height\": 6",
@@ -89,14 +89,14 @@ fn missing_images_are_skipped_with_one_warning() {
 }
 
 #[test]
-fn held_out_frames_may_stand_in_a_companion() {
+fn held_out_frames_are_read_from_a_companion_file() {
     let (_keep, root) = scene(&one("\"fl_x\": 5,", ""), &["a.png", "b.png", "c.png"]);
     let frame = |name: &str| format!("{{\"file_path\": \"{name}.png\", \"transform_matrix\": {POSE}}}");
     let frames = ["a", "b", "c", "gone"].map(frame).join(",");
     let json = format!("{{\"fl_x\": 7, \"frames\": [{frames}]}}");
     std::fs::write(root.join("transforms_val.json"), json).unwrap();
     let stems = |found: &Found| found.frames.iter().map(|f| f.camera.name.clone()).collect::<Vec<_>>();
-    // Without a split that names them, companions are not read.
+    // Companions are not read unless a split names their views.
     assert_eq!(stems(&read(&root).unwrap()), ["a"]);
     std::fs::write(root.join("split.json"), r#"{"train": ["a"], "test": ["b", "gone"]}"#).unwrap();
     let found = read(&root).unwrap();
@@ -107,7 +107,7 @@ fn held_out_frames_may_stand_in_a_companion() {
 }
 
 #[test]
-fn points_are_named_or_found() {
+fn points_come_from_the_named_or_a_default_file() {
     let cloud = |x: f32| PointCloud { positions: vec![[x, 0.0, 0.0]], ..Default::default() };
     let (_keep, root) = scene(&one("\"fl_x\": 5,", ""), &["a.png"]);
     for (x, name) in [(3.0, "points3d.ply"), (2.0, "init.ply"), (1.0, "points.ply")] {
@@ -126,7 +126,7 @@ fn points_are_named_or_found() {
 }
 
 #[test]
-fn each_fault_has_its_sentence() {
+fn each_error_has_its_message() {
     let good = &["a.png"];
     assert!(fail("{\n\"frames\": [\n}", good).starts_with("transforms.json, line 3, column 1: "));
     assert!(fail("{\"fl_x\": 5}", good).contains("missing field `frames`"));
@@ -158,7 +158,7 @@ fn each_fault_has_its_sentence() {
 }
 
 #[test]
-fn cameras_need_no_images() {
+fn cameras_are_read_without_images() {
     let cameras = |json: &str, images: &[&str]| {
         let (_keep, root) = scene(json, images);
         Camera::read_transforms(&root.join("transforms.json"))
@@ -183,7 +183,7 @@ fn cameras_need_no_images() {
 }
 
 #[test]
-fn a_file_cut_anywhere_is_an_error_and_damage_never_panics() {
+fn truncated_files_are_errors_and_damage_never_panics() {
     let json = one("\"fl_x\": 5, \"w\": 8, \"h\": 6, \"k1\": 0.1,", ", \"fl_y\": 6");
     let (_keep, root) = scene(&json, &["a.png"]);
     let path = root.join("transforms.json");

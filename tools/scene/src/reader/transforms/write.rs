@@ -1,4 +1,4 @@
-//! Cameras as a transforms file.
+//! Writing cameras to a transforms file.
 
 use std::io::Write;
 use std::path::Path;
@@ -11,11 +11,11 @@ use crate::camera::Camera;
 use crate::error::Result;
 
 impl Camera {
-    /// Writes cameras as a transforms file that [`Camera::read_transforms`] reads: intrinsics with every frame, poses
-    /// camera-to-world with OpenGL axes, and `NAME.png` as the frame's image, which need not exist.
+    /// Writes cameras as a transforms file for [`Camera::read_transforms`]. Every frame has its intrinsics and a
+    /// camera-to-world pose with OpenGL axes. The frame's image is `NAME.png`, which need not exist.
     ///
     /// # Errors
-    /// If the file cannot be written.
+    /// Fails if the file cannot be written.
     pub fn write_transforms(path: &Path, cameras: &[Camera]) -> Result<()> {
         let frames: Vec<_> = cameras.iter().map(frame).collect();
         let text = format!("{:#}\n", json!({ "frames": frames }));
@@ -50,7 +50,7 @@ mod tests {
     use crate::camera::tests::camera;
 
     #[test]
-    fn cameras_come_back_as_they_were() {
+    fn cameras_round_trip() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("cameras.json");
         let mut other = camera();

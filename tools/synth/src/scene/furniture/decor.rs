@@ -1,4 +1,4 @@
-//! Small things: bowls, cups, vases, stacks of books, balls.
+//! Small objects: bowls, cups, vases, stacks of books, balls.
 
 use std::f32::consts::TAU;
 
@@ -12,7 +12,7 @@ use crate::scene::material::Material;
 use crate::scene::texture::Texture;
 use crate::scene::theme::Theme;
 
-/// A bowl with round fruit in it.
+/// Adds a bowl with round fruit.
 pub(crate) fn fruit_bowl(b: &mut Builder, frame: Affine3A, theme: &Theme, rng: &mut Rng) {
     b.object("bowl", "tableware", frame);
     b.material(Material::new(Texture::Solid(theme.accents[2]), 0.2));
@@ -46,7 +46,7 @@ pub(crate) fn fruit_bowl(b: &mut Builder, frame: Affine3A, theme: &Theme, rng: &
     }
 }
 
-/// A cup without a handle.
+/// Adds a cup without a handle.
 pub(crate) fn cup(b: &mut Builder, frame: Affine3A, color: Vec3) {
     b.object("cup", "tableware", frame);
     b.material(Material::new(Texture::Solid(color), 0.18));
@@ -58,7 +58,7 @@ pub(crate) fn cup(b: &mut Builder, frame: Affine3A, color: Vec3) {
     );
 }
 
-/// A glazed vase, with or without branches in it.
+/// Adds a glazed vase; `filled` adds branches.
 pub(crate) fn vase(b: &mut Builder, name: &str, frame: Affine3A, color: Vec3, scale: f32, filled: bool, rng: &mut Rng) {
     b.object(name, "ornament", frame);
     let width = rng.range(0.8, 1.25);
@@ -90,7 +90,7 @@ pub(crate) fn vase(b: &mut Builder, name: &str, frame: Affine3A, color: Vec3, sc
     }
 }
 
-/// Books lying on each other.
+/// Adds a stack of lying books.
 pub(crate) fn book_stack(b: &mut Builder, frame: Affine3A, theme: &Theme, count: usize, rng: &mut Rng) {
     b.object("books_lying", "book", frame);
     let mut y = 0.0;

@@ -1,6 +1,6 @@
 //! Lamps with luminous globes: floor lamp, pendant, table lamp.
 //!
-//! The globes are exact spheres known to the light sampler. Unlit ones become glossy white balls.
+//! A lit globe is an exact sphere light, which the light sampler can choose. An unlit globe is a glossy white ball.
 
 use glam::{Affine3A, Vec3};
 
@@ -9,7 +9,7 @@ use crate::scene::light::{Emission, Shape};
 use crate::scene::material::Material;
 use crate::scene::texture::Texture;
 
-/// A globe with an intensity (radiance × projected area).
+/// Adds a globe with an intensity (radiance × projected area).
 fn globe(b: &mut Builder, name: &str, group: &str, center: Vec3, radius: f32, intensity: Vec3) {
     if intensity.max_element() > 0.0 {
         let group = b.group(group, false);
@@ -21,7 +21,7 @@ fn globe(b: &mut Builder, name: &str, group: &str, center: Vec3, radius: f32, in
     }
 }
 
-/// A globe on a tall stem.
+/// Adds a globe on a tall stem.
 pub(crate) fn floor_lamp(b: &mut Builder, frame: Affine3A, metal: u16, intensity: Vec3) {
     b.object("floor_lamp", "lamp", frame);
     b.paint(metal);
@@ -45,7 +45,7 @@ pub(crate) fn floor_lamp(b: &mut Builder, frame: Affine3A, metal: u16, intensity
     globe(b, "globe_floor", "lamp_floor", Vec3::Y * 1.555, 0.135, intensity);
 }
 
-/// A globe on a cord; the frame's origin is at the ceiling.
+/// Adds a globe on a cord. The frame's origin lies at the ceiling.
 pub(crate) fn pendant(b: &mut Builder, frame: Affine3A, drop: f32, metal: u16, intensity: Vec3) {
     b.object("pendant", "lamp", frame);
     b.paint(metal);
@@ -55,7 +55,7 @@ pub(crate) fn pendant(b: &mut Builder, frame: Affine3A, drop: f32, metal: u16, i
     globe(b, "globe_ceiling", "lamp_ceiling", Vec3::Y * (-drop - 0.135), 0.14, intensity);
 }
 
-/// A small globe on a ceramic foot.
+/// Adds a small globe on a ceramic foot.
 pub(crate) fn table_lamp(b: &mut Builder, frame: Affine3A, glaze: Vec3, metal: u16, intensity: Vec3) {
     b.object("table_lamp", "lamp", frame);
     b.material(Material::new(Texture::Solid(glaze), 0.2));

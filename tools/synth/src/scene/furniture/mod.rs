@@ -1,4 +1,4 @@
-//! Pieces of furniture. Each stands on the floor at the origin of its frame and faces +z.
+//! Furniture. Each item stands on the floor at the origin of its frame and faces +z.
 
 pub(crate) mod decor;
 pub(crate) mod lamps;

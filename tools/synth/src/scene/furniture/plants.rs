@@ -1,4 +1,4 @@
-//! Potted plants and twigs: leaves are bent strips seen from both sides.
+//! Potted plants and twigs. Leaves are bent strips, visible from both sides.
 
 use std::f32::consts::TAU;
 
@@ -10,7 +10,7 @@ use crate::scene::builder::{Builder, Vertex};
 use crate::scene::material::Material;
 use crate::scene::texture::Texture;
 
-/// A plant of the given height in a pot.
+/// Adds a plant of the given height in a pot.
 pub(crate) fn potted(b: &mut Builder, name: &str, frame: Affine3A, height: f32, pot: Vec3, rng: &mut Rng) {
     let s = 0.3 + 0.45 * height;
     b.object(&format!("pot_{name}"), "ornament", frame);
@@ -49,7 +49,7 @@ pub(crate) fn potted(b: &mut Builder, name: &str, frame: Affine3A, height: f32, 
     }
 }
 
-/// A few thin branches with small leaves, rising from the origin.
+/// Adds a few thin branches with small leaves, rising from the origin.
 pub(crate) fn twigs(b: &mut Builder, frame: Affine3A, height: f32, rng: &mut Rng) {
     b.object("twigs", "plant", frame);
     let green = hex(if rng.chance(0.5) { 0x7b8f55 } else { 0xb06a45 });
@@ -69,7 +69,7 @@ pub(crate) fn twigs(b: &mut Builder, frame: Affine3A, height: f32, rng: &mut Rng
     }
 }
 
-/// A pointed leaf from the origin along +y, drooping towards +z.
+/// Adds a pointed leaf from the origin along +y that droops towards +z.
 fn leaf(b: &mut Builder, length: f32, half_width: f32, droop: f32) {
     const STEPS: usize = 5;
     let cross = |i: usize| {
@@ -78,7 +78,7 @@ fn leaf(b: &mut Builder, length: f32, half_width: f32, droop: f32) {
         let middle = Vec3::new(0.0, length * (t - 0.12 * t * t), droop * t * t);
         let along = Vec3::new(0.0, length * (1.0 - 0.24 * t), 2.0 * droop * t).normalize();
         let normal = Vec3::X.cross(along).normalize();
-        // The blade is folded along its rib: its edges stand a little higher.
+        // The blade is folded along its rib, so its edges lie a little higher.
         let fold = 0.25 * width * normal;
         let vertex = |side: f32| Vertex {
             position: middle + side * width * Vec3::X + side.abs() * fold,

@@ -7,17 +7,21 @@ use crate::scene::builder::Builder;
 use crate::scene::material::Material;
 use crate::scene::texture::Texture;
 
-/// An upholstered seat for `places` people, with cushions on it.
-pub(crate) fn sofa(
-    b: &mut Builder,
-    name: &str,
-    frame: Affine3A,
-    places: usize,
-    cloth: [Vec3; 2],
-    wood: u16,
-    cushions: &[Vec3],
-    rng: &mut Rng,
-) {
+/// Size and materials of an upholstered seat.
+pub(crate) struct Upholstery<'a> {
+    /// Number of people.
+    pub places: usize,
+    /// Light and dark color of the cloth.
+    pub cloth: [Vec3; 2],
+    /// Material of the feet.
+    pub wood: u16,
+    /// Colors of the cushions.
+    pub cushions: &'a [Vec3],
+}
+
+/// Adds an upholstered seat with cushions.
+pub(crate) fn sofa(b: &mut Builder, name: &str, frame: Affine3A, upholstery: &Upholstery<'_>, rng: &mut Rng) {
+    let &Upholstery { places, cloth, wood, cushions } = upholstery;
     let seat = if places > 1 { 0.66 } else { 0.62 };
     let width = seat * places as f32 + 0.36;
     let (depth, arm) = (0.88, 0.18);
@@ -71,7 +75,7 @@ pub(crate) fn sofa(
     }
 }
 
-/// A dining chair: wooden or on metal legs.
+/// Adds a dining chair with wooden or metal legs.
 pub(crate) fn chair(b: &mut Builder, frame: Affine3A, wood: u16, legs: u16, pad: u16) {
     b.object("chair", "chair", frame);
     b.paint(wood);

@@ -1,4 +1,4 @@
-//! A bookcase filled with books and small things.
+//! Bookcase filled with books and small objects.
 
 use glam::{Affine3A, Quat, Vec3};
 
@@ -9,15 +9,13 @@ use crate::scene::material::Material;
 use crate::scene::texture::Texture;
 use crate::scene::theme::Theme;
 
-/// A bookcase against a wall; its back is at z = 0.
+/// Adds a bookcase against a wall. Its back lies at z = 0.
 pub(crate) fn bookcase(
     b: &mut Builder,
     frame: Affine3A,
-    width: f32,
-    height: f32,
+    [width, height]: [f32; 2],
     theme: &Theme,
-    wood: u16,
-    metal: u16,
+    [wood, metal]: [u16; 2],
     rng: &mut Rng,
 ) {
     let depth = 0.30;
@@ -43,18 +41,28 @@ pub(crate) fn bookcase(
         let room = step - board - 0.02;
         let on = |x: f32| frame * Affine3A::from_translation(Vec3::new(x, floor, 0.16));
         if rng.chance(0.5) {
-            books(b, frame, from, split, floor, room, theme, rng);
+            books(b, frame, &Row { from, to: split, floor, room }, theme, rng);
             thing(b, on(0.5 * (split + to)), room, theme, metal, rng);
         } else {
             let split = from + to - split;
             thing(b, on(0.5 * (from + split)), room, theme, metal, rng);
-            books(b, frame, split, to, floor, room, theme, rng);
+            books(b, frame, &Row { from: split, to, floor, room }, theme, rng);
         }
     }
 }
 
-/// Upright books between two places.
-fn books(b: &mut Builder, frame: Affine3A, from: f32, to: f32, floor: f32, room: f32, theme: &Theme, rng: &mut Rng) {
+/// Free part of a shelf, in meters.
+struct Row {
+    from: f32,
+    to: f32,
+    floor: f32,
+    /// Height above the floor.
+    room: f32,
+}
+
+/// Adds upright books to a shelf.
+fn books(b: &mut Builder, frame: Affine3A, row: &Row, theme: &Theme, rng: &mut Rng) {
+    let &Row { from, to, floor, room } = row;
     b.object("books", "book", frame);
     let mut x = from;
     loop {
@@ -75,7 +83,7 @@ fn books(b: &mut Builder, frame: Affine3A, from: f32, to: f32, floor: f32, room:
             },
             rng.range(0.3, 0.7),
         ));
-        // Now and then one leans against its neighbor.
+        // One book in ten leans against its neighbor.
         let lean = if rng.chance(0.1) { 0.12 } else { 0.0 };
         b.frame(
             frame
@@ -89,7 +97,7 @@ fn books(b: &mut Builder, frame: Affine3A, from: f32, to: f32, floor: f32, room:
     }
 }
 
-/// Something else on a shelf.
+/// Adds a vase, a stack of books, a ball or a box to a shelf.
 fn thing(b: &mut Builder, frame: Affine3A, room: f32, theme: &Theme, metal: u16, rng: &mut Rng) {
     let color = *rng.pick(&theme.accents);
     match rng.index(4) {

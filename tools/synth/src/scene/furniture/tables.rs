@@ -1,4 +1,4 @@
-//! Coffee table, dining table and sideboard, with what stands on them.
+//! Coffee table, dining table and sideboard, and the objects on the tables.
 
 use glam::{Affine3A, Vec3};
 
@@ -9,7 +9,7 @@ use crate::scene::material::Material;
 use crate::scene::texture::Texture;
 use crate::scene::theme::Theme;
 
-/// A low table with a bowl of fruit, books and a metal ball.
+/// Adds a low table with a bowl of fruit, books, a metal ball and a cup.
 pub(crate) fn coffee_table(b: &mut Builder, frame: Affine3A, theme: &Theme, wood: u16, metal: u16, rng: &mut Rng) {
     let half = Vec3::new(rng.range(0.46, 0.58), 0.022, rng.range(0.27, 0.33));
     let top = 0.40;
@@ -46,7 +46,7 @@ pub(crate) fn coffee_table(b: &mut Builder, frame: Affine3A, theme: &Theme, wood
     decor::cup(b, on(0.33 * side, 0.16), theme.accents[1]);
 }
 
-/// A round table with a vase.
+/// Adds a round table with a vase and two cups.
 pub(crate) fn dining_table(b: &mut Builder, frame: Affine3A, theme: &Theme, wood: u16, metal: u16, rng: &mut Rng) {
     let radius = rng.range(0.46, 0.54);
     b.object("dining_table", "table", frame);
@@ -73,7 +73,7 @@ pub(crate) fn dining_table(b: &mut Builder, frame: Affine3A, theme: &Theme, wood
     decor::cup(b, top(-0.22, 0.12), theme.accents[2]);
 }
 
-/// A long cabinet with doors; returns the height of its top.
+/// Adds a long cabinet with doors. Returns the height of its top.
 pub(crate) fn sideboard(
     b: &mut Builder,
     frame: Affine3A,

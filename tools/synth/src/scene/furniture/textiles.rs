@@ -8,14 +8,14 @@ use crate::scene::material::Material;
 use crate::scene::texture::Texture;
 use crate::scene::theme::Theme;
 
-/// A rug around the origin, wider in x.
+/// Adds a rug around the origin.
 pub(crate) fn rug(b: &mut Builder, frame: Affine3A, half: Vec2, theme: &Theme, rng: &mut Rng) {
     b.object("rug", "carpet", frame);
     let seed = rng.next_u32();
     b.material(Material::new(Texture::Rug { colors: theme.rug, half, seed }, 0.95));
     let thick = 0.014;
     b.quad_uv(Vec3::new(-half.x, thick, half.y), Vec3::X * 2.0 * half.x, Vec3::NEG_Z * 2.0 * half.y, -half, half);
-    // Its edge: four narrow strips.
+    // Edge of the rug: four narrow strips.
     let corner = Vec3::new(half.x, 0.0, half.y);
     let (x, y, z) = (Vec3::X * 2.0 * half.x, Vec3::Y * thick, Vec3::Z * 2.0 * half.y);
     b.quad_uv(corner - x, x, y, Vec2::new(-half.x, half.y), half);
@@ -24,7 +24,9 @@ pub(crate) fn rug(b: &mut Builder, frame: Affine3A, half: Vec2, theme: &Theme, r
     b.quad_uv(corner - x - z, z, y, -half, Vec2::new(-half.x, half.y));
 }
 
-/// A rod with a pair of curtains beside an opening; the frame lies in the wall, origin in the opening's middle.
+/// Adds a rod with a pair of curtains beside an opening.
+///
+/// The frame lies in the wall with its origin at the center of the opening.
 pub(crate) fn curtains(
     b: &mut Builder,
     frame: Affine3A,

@@ -1,4 +1,4 @@
-//! Things on walls: framed pictures and mirrors.
+//! Objects on walls: framed pictures and mirrors.
 
 use glam::{Affine3A, Vec2, Vec3};
 
@@ -8,7 +8,7 @@ use crate::scene::material::Material;
 use crate::scene::texture::Texture;
 use crate::scene::theme::Theme;
 
-/// Four bars around a rectangle.
+/// Adds four bars around a rectangle.
 fn bars(b: &mut Builder, half: Vec2, width: f32, depth: f32) {
     let (w, h) = (half.x, half.y);
     b.block(Vec3::new(-w, -h, 0.0), Vec3::new(w, -h + width, depth));
@@ -17,7 +17,9 @@ fn bars(b: &mut Builder, half: Vec2, width: f32, depth: f32) {
     b.block(Vec3::new(w - width, -h + width, 0.0), Vec3::new(w, h - width, depth));
 }
 
-/// A framed picture; the frame lies in the wall, origin in the picture's middle.
+/// Adds a framed picture.
+///
+/// The frame lies in the wall with its origin at the center of the picture.
 pub(crate) fn picture(b: &mut Builder, frame: Affine3A, half: Vec2, theme: &Theme, border: u16, rng: &mut Rng) {
     b.object("picture", "picture", frame);
     b.paint(border);
@@ -40,7 +42,7 @@ pub(crate) fn picture(b: &mut Builder, frame: Affine3A, half: Vec2, theme: &Them
     flat(b, mat - Vec2::splat(passe), 0.014);
 }
 
-/// A framed mirror.
+/// Adds a framed mirror.
 pub(crate) fn mirror(b: &mut Builder, frame: Affine3A, half: Vec2, border: u16) {
     b.object("mirror", "mirror", frame);
     b.paint(border);

@@ -1,10 +1,12 @@
-//! Looking at what training has come to, and leaving out what is worth too little ([`super::worth`] says how that is measured).
+//! Measurement of the model's components, and removal of needless ones.
+//! Components whose contribution is too small are removed. [`super::contribution`] describes the measure.
 //!
-//! Promises: everything is judged before anything changes, each part with what has been found needless before it already gone, so that
-//! of two of which either would do one stays; and what stays is said with its measure, too.
+//! Guarantees: all components are measured before anything changes. Each measurement excludes components that have
+//! already been rejected, so of two redundant components one stays. Decisions to keep a component also report its
+//! measure.
 
+use super::contribution::{Light, ShadedViews, add, error, loss, needless};
 use super::lobes::merged;
-use super::worth::{Light, Pictures, add, error, loss, needless};
 use super::{Automatic, PARTED, Part, Remembered, WHOLE, Watched};
 use crate::decision::Decision;
 use crate::error::Result;
@@ -17,35 +19,35 @@ use sgs_passes::splat::Channels;
 use sgs_run::{RunLight, Visibility, gaussian_data};
 use sgs_scene::Splats;
 
-/// Numbers of lobes that are tried.
+/// Candidate numbers of lobes.
 const FEWER: [u32; 5] = [1, 2, 3, 4, 6];
 
-/// What was looked at, and what was decided by it.
+/// State of a measurement, and its decisions.
 struct Seen<'v> {
     step: u32,
-    /// What a part must be worth, decibels.
+    /// Least PSNR contribution of a component that stays, in dB.
     gain: f64,
     views: &'v [Watched],
     before: &'v [Remembered],
     photos: Vec<[f32; 3]>,
     splats: Splats,
-    /// What shines by now: what has been judged needless is out of it.
+    /// Current light without the components rejected before.
     light: RunLight,
-    /// Pictures by that light.
-    all: Pictures,
-    /// The error of all of it together.
+    /// Components of the shaded images under this light.
+    all: ShadedViews,
+    /// Squared error of the complete image.
     with: f64,
     decisions: Vec<Decision>,
 }
 
 impl Seen<'_> {
-    /// The error of pictures with this light, before what lies behind.
+    /// Returns the squared error of images with this light over the background.
     fn error(&self, direct: &[[f32; 3]], ambient: &[[f32; 3]]) -> f64 {
         let of = |light: &[[f32; 3]], i: usize| light.get(i).copied().unwrap_or_default();
         error(&self.photos, |i| add(add(self.all.behind[i], of(direct, i)), of(ambient, i)))
     }
 
-    /// Takes another light of lamps or surroundings for what there is.
+    /// Replaces the direct or the ambient light, and updates the error.
     fn shine(&mut self, direct: Option<Light>, ambient: Option<Light>) {
         if let Some(direct) = direct {
             self.all.direct = direct;
@@ -56,56 +58,64 @@ impl Seen<'_> {
         self.with = self.error(&self.all.direct, &self.all.ambient);
     }
 
-    fn decided(&mut self, what: &str, on: bool, reason: String, worth: f64) {
-        let (step, what, setting) = (self.step, what.to_owned(), format!("intrinsic.automatic.{what}"));
+    fn decided(&mut self, what: &str, on: bool, reason: String, contribution: f64) {
+        let (step, what, setting) = (self.step, what.to_owned(), "intrinsic.automatic.parts".to_owned());
         self.decisions.push(Decision {
             step,
             what,
             on,
             reason,
-            measured: Some(worth),
-            asked: Some(self.gain),
+            measured: Some(contribution),
+            requested: Some(self.gain),
             setting,
         });
     }
 
-    /// Decides whether a part stays that is worth so much.
-    fn keeps(&mut self, part: Part, worth: f64) -> bool {
+    /// Decides whether a component with this PSNR contribution stays.
+    fn keeps(&mut self, part: Part, contribution: f64) -> bool {
         let gain = self.gain;
-        self.decided(part.name(), worth > gain, format!("it is worth {worth:.3} dB (asked: {gain})"), worth);
-        worth > gain
+        self.decided(
+            part.name(),
+            contribution > gain,
+            format!("it contributes {contribution:.3} dB (limit: {gain})"),
+            contribution,
+        );
+        contribution > gain
     }
 
-    /// Says that all of something stay, since even the most of them that were tried instead would cost too much.
+    /// Records that nothing is reduced.
+    /// Even the largest candidate tried would cost too much.
     fn stay(&mut self, what: &str, all: &str, tried: Option<(u32, f64)>) {
-        if let Some((few, worth)) = tried {
-            let reason = format!("{all} stay: {few} would cost {worth:.3} dB (asked: {})", self.gain);
-            self.decided(what, true, reason, worth);
+        if let Some((few, contribution)) = tried {
+            let reason = format!("{all} stay: {few} would cost {contribution:.3} dB (limit: {})", self.gain);
+            self.decided(what, true, reason, contribution);
         }
     }
 }
 
-/// What is done about it.
+/// Changes to the model.
 #[derive(Default)]
 struct Changes {
     gains: Option<Vec<f32>>,
     lobes: Option<u32>,
     levels: Option<u32>,
     texels: Option<u32>,
-    pace: Option<u32>,
+    update_interval: Option<u32>,
     out: Vec<Part>,
 }
 
-/// Everything stays where memory does not suffice for looking.
+/// Makes the decision that all components stay for lack of memory.
+/// Memory does not suffice for a measurement.
 fn no_room(step: u32) -> Decision {
     let reason = "there is no memory to see what could be left out".to_owned();
     Decision { on: true, ..Decision::of_memory(step, "all parts", reason) }
 }
 
 impl Intrinsic {
-    /// Leaves out what is worth too little by now. Where memory does not suffice for looking, everything stays.
+    /// Removes the components that contribute too little.
+    /// Everything stays if memory does not suffice for the measurement.
     pub(in super::super) fn decide(&mut self, step: u32) -> Result<()> {
-        // Pictures take about the room that steps do: not both at once.
+        // A measurement takes about the memory of a step; both may not fit at once.
         self.finish()?;
         self.forget_steps();
         let (decided, changes) = match self.worthless(step) {
@@ -113,10 +123,11 @@ impl Intrinsic {
             other => other?,
         };
         let resized = changes.texels.is_some();
-        // Looking has changed nothing. From here on an error ends the training: it would go on with half a model.
+        // The measurement changed nothing. An error from here on ends the training, which would otherwise continue with
+        // half a model.
         self.change(step, changes)?;
         if let Some(a) = self.automatic.as_mut().filter(|_| resized) {
-            // Of a cube that is no more.
+            // The snapshots belong to a cube of another size.
             a.before.clear();
         }
         for decision in decided {
@@ -126,13 +137,14 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// Finds out before the first step what looking will take, by doing so once; nothing where memory does not suffice for it.
+    /// Finds the memory of a measurement by a trial before the first step.
+    /// Records a decision if memory does not suffice.
     pub(in super::super) fn expect_to_look(&mut self) -> Result<()> {
         let Some(mut watched) = self.automatic.take() else { return Ok(()) };
         let (found, bytes) = self.device.memory_during(|| self.try_to_look(&mut watched));
         self.automatic = Some(watched);
         match found {
-            Ok(()) => self.needs.look(bytes),
+            Ok(()) => self.needs.poll(bytes),
             Err(e) if e.is_out_of_memory() => self.decisions.push(no_room(0)),
             Err(e) => return Err(e),
         }
@@ -141,12 +153,12 @@ impl Intrinsic {
 
     fn try_to_look(&self, watched: &mut Automatic) -> Result<()> {
         watched.own = Some(self.own(&watched.views)?);
-        self.pictures(&mut self.shading(&self.scaled_splats()?, &self.scaled_light()?)?, &watched.views)?;
+        self.images(&mut self.shading(&self.scaled_splats()?, &self.scaled_light()?)?, &watched.views)?;
         Ok(())
     }
 
     fn worthless(&mut self, step: u32) -> Result<(Vec<Decision>, Changes)> {
-        let (asked, watched) = (*self.automatic_settings(), self.automatic.take());
+        let (requested, watched) = (*self.automatic_settings(), self.automatic.take());
         let Some(mut watched) = watched else { return Ok(Default::default()) };
         let found = match watched.own {
             Some(own) => Ok(own),
@@ -154,13 +166,14 @@ impl Intrinsic {
         };
         let found = found.and_then(|own| {
             watched.own = Some(own);
-            self.found(step, &asked, &mut watched, own)
+            self.found(step, &requested, &mut watched, own)
         });
         self.automatic = Some(watched);
         found
     }
 
-    /// The sum of squared errors of the pictures that the splats' own colors make: about as good as shaded ones can get.
+    /// Returns the sum of squared errors of images with the splats' own colors.
+    /// Shaded images can hardly get better than these.
     fn own(&self, views: &[Watched]) -> Result<f64> {
         let model = Model { sh_degree: self.splats.sh_degree() as u32, normals: false, semantics: false };
         let gaussians = Gaussians::with(&self.device, model, self.splats.len() as u32, false, false)?;
@@ -170,16 +183,16 @@ impl Intrinsic {
         let mut sum = 0.0;
         for view in views {
             let background = self.required.geometry.background;
-            let picture = renderer.render(&gaussians, &view.camera, model.sh_degree, background)?;
+            let rendered = renderer.render(&gaussians, &view.camera, model.sh_degree, background)?;
             for (p, photo) in &view.pixels {
-                let off = |c: usize| f64::from(picture.image[3 * p + c].clamp(0.0, 1.0) - photo[c]).powi(2);
+                let off = |c: usize| f64::from(rendered.image[3 * p + c].clamp(0.0, 1.0) - photo[c]).powi(2);
                 sum += (0..3).map(off).sum::<f64>();
             }
         }
         Ok(sum)
     }
 
-    /// What is decided, and what is to be done about it.
+    /// Measures all components. Returns the decisions and the changes.
     fn found(
         &mut self,
         step: u32,
@@ -188,11 +201,11 @@ impl Intrinsic {
         own: f64,
     ) -> Result<(Vec<Decision>, Changes)> {
         let Automatic { views, before, last, .. } = watched;
-        // As it is written, not as it is nearest to in binary.
+        // Uses the value as written in decimal, not its nearest binary neighbor.
         let gain: f64 = a.gain.to_string().parse().unwrap_or(f64::from(a.gain));
         let photos: Vec<[f32; 3]> = views.iter().flat_map(|v| v.pixels.iter().map(|p| p.1)).collect();
         let (splats, light) = (self.scaled_splats()?, self.scaled_light()?);
-        let all = self.pictures(&mut self.shading(&splats, &light)?, views)?;
+        let all = self.images(&mut self.shading(&splats, &light)?, views)?;
         let mut seen = Seen { step, gain, views, before, photos, splats, light, all, with: 0.0, decisions: Vec::new() };
         seen.with = seen.error(&seen.all.direct, &seen.all.ambient);
         let gained = last.replace(seen.with).map(|last| loss(seen.with, last));
@@ -200,39 +213,40 @@ impl Intrinsic {
         if short > f64::from(a.ready) {
             let (ready, setting) = (a.ready, "intrinsic.automatic.ready".to_owned());
             let reason = format!(
-                "shaded pictures are {short:.1} dB short of the splats' own colors (asked: {ready}): nothing is judged yet"
+                "shaded images are {short:.1} dB below those of the splats' own colors (limit: {ready}): nothing is measured yet"
             );
-            let (what, asked) = ("all parts".to_owned(), Some(f64::from(ready)));
-            let waits = Decision { step, what, on: true, reason, measured: Some(short), asked, setting };
+            let (what, requested) = ("all parts".to_owned(), Some(f64::from(ready)));
+            let waits = Decision { step, what, on: true, reason, measured: Some(short), requested, setting };
             return Ok((vec![waits], Changes::default()));
         }
-        tracing::info!("after step {step} shaded pictures are {short:.2} dB short of the splats' own colors");
-        // Pictures that have become worse are swinging.
+        tracing::info!("after step {step} shaded images are {short:.2} dB short of the splats' own colors");
+        // Images that have become worse are oscillating.
         let settled = gained.is_some_and(|gained| gained.abs() <= f64::from(a.settled));
-        let waits = (a.lobes || a.levels || a.pace) && self.judges(WHOLE, step);
+        let waits = (a.parts.lobes || a.parts.levels || a.parts.update_interval) && self.judges(WHOLE, step);
         if let Some(gained) = gained.filter(|_| waits && !settled) {
             let (settled, setting) = (a.settled, "intrinsic.automatic.settled".to_owned());
             let reason = format!(
-                "pictures have become {gained:.2} dB better since the last look (asked: {settled} either way): these stay as they are"
+                "images gained {gained:.2} dB since the last measurement (limit: {settled} either way): these stay as they are"
             );
-            let (what, asked) = ("lobes, levels and pace".to_owned(), Some(f64::from(settled)));
-            seen.decisions.push(Decision { step, what, on: true, reason, measured: Some(gained), asked, setting });
+            let (what, requested) = ("lobes, levels and update interval".to_owned(), Some(f64::from(settled)));
+            seen.decisions.push(Decision { step, what, on: true, reason, measured: Some(gained), requested, setting });
         }
         let changes = self.judged(a, &mut seen, settled)?;
         Ok((seen.decisions, changes))
     }
 
-    /// Whether what is judged from a share of the steps on is judged after this one. Where a network is shown views under other lights,
-    /// that is done by graphs of its own, which have all parts.
+    /// Returns whether components that are judged from a share on are judged now.
+    /// With a provider of materials they never are: its views under other lights come from separate graphs with all
+    /// components.
     fn judges(&self, from: f64, step: u32) -> bool {
         self.relit.is_none() && super::judges(from, step, self.required.intrinsic.steps)
     }
 
-    /// What can go. Nothing has changed yet.
+    /// Selects the components that can be removed. Changes nothing yet.
     fn judged(&self, a: &AutomaticSettings, seen: &mut Seen<'_>, settled: bool) -> Result<Changes> {
         let (parts, lobes) = (self.judges(WHOLE, seen.step), self.judges(PARTED, seen.step) && settled);
         let mut changes = Changes::default();
-        if a.lights && self.has(Part::Lights) {
+        if a.parts.lights && self.has(Part::Lights) {
             let (gains, none) = self.judge_lights(seen, self.relit.is_none() && self.has(Part::Environment))?;
             changes.gains = Some(gains);
             if none {
@@ -240,11 +254,11 @@ impl Intrinsic {
             }
         }
         let lit = self.has(Part::Lights) && !changes.out.contains(&Part::Lights);
-        if lobes && a.lobes && lit && self.light_model.axes == Axes::Free {
+        if lobes && a.parts.lobes && lit && self.light_model.axes == Axes::Free {
             changes.lobes = self.judge_lobes(seen)?;
         }
         let mut surrounded = self.has(Part::Environment);
-        if parts && a.environment && surrounded && lit {
+        if parts && a.parts.environment && surrounded && lit {
             surrounded = seen.keeps(Part::Environment, loss(seen.with, seen.error(&seen.all.direct, &[])));
             if !surrounded {
                 changes.out.push(Part::Environment);
@@ -253,23 +267,23 @@ impl Intrinsic {
             }
         }
         let mut shadows = self.has(Part::Visibility) && lit;
-        if parts && a.visibility && shadows {
-            let (worth, direct) = self.shadowed(seen, &Visibility::None)?;
-            shadows = seen.keeps(Part::Visibility, worth);
+        if parts && a.parts.visibility && shadows {
+            let (contribution, direct) = self.shadowed(seen, &Visibility::None)?;
+            shadows = seen.keeps(Part::Visibility, contribution);
             if !shadows {
                 changes.out.push(Part::Visibility);
                 seen.light.visibility = Visibility::None;
                 seen.shine(Some(direct), None);
             }
         }
-        if parts && settled && a.levels && shadows {
+        if parts && settled && a.parts.levels && shadows {
             changes.levels = self.judge_levels(seen)?;
         }
-        // Before texels go: those that are remembered are as many as there are.
-        if parts && settled && a.pace && surrounded {
-            changes.pace = self.judge_pace(seen)?;
+        // Before the texels are reduced: the snapshots have the current number of texels.
+        if parts && settled && a.parts.update_interval && surrounded {
+            changes.update_interval = self.judge_update_interval(seen)?;
         }
-        if parts && a.texels && surrounded {
+        if parts && a.parts.texels && surrounded {
             changes.texels = self.judge_texels(seen)?;
         }
         Ok(changes)
@@ -291,36 +305,48 @@ impl Intrinsic {
         if let Some(size) = changes.texels {
             self.set_texels(size)?;
         }
-        match changes.pace {
-            Some(every) => self.set_pace(every, step, self.moves(step)),
+        match changes.update_interval {
+            Some(every) => self.set_update_interval(every, step, self.moves(step)),
             None => Ok(()),
         }
     }
 
-    /// Gains without what is worth too little, and whether nothing is left, which only may be if all may go.
+    /// Returns gains without the faint lights, and whether no light remains.
+    /// All lights may go only if `all_may` is true.
     fn judge_lights(&self, seen: &mut Seen<'_>, all_may: bool) -> Result<(Vec<f32>, bool)> {
         let mut gains: Vec<f32> = seen.light.lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
-        // Surroundings would be filtered anew for each.
+        // The environment map would be filtered again for each light.
         let only = RunLight { environment: None, ..seen.light.clone() };
         let parts = self.each(&mut self.shading(&seen.splats, &only)?, seen.views, &gains)?;
         let rest: Light = seen.all.behind.iter().zip(&seen.all.ambient).map(|(b, a)| add(*b, *a)).collect();
         let on = gains.iter().filter(|g| **g != 0.0).count();
         let (mut gone, next) = needless(&seen.photos, &rest, &parts, seen.gain);
         if gone.len() == on && !all_may {
-            // Something has to shine.
+            // One light must remain.
             gone.pop();
         }
         let none = gone.len() == on && on > 0;
         gone.iter().for_each(|(i, _)| gains[*i] = 0.0);
-        let (worth, gain) = (gone.last().map_or(0.0, |g| g.1), seen.gain);
+        let (contribution, gain) = (gone.last().map_or(0.0, |g| g.1), seen.gain);
         if none {
-            seen.decided("lights", false, format!("together they are worth {worth:.3} dB (asked: {gain})"), worth);
+            seen.decided(
+                "lights",
+                false,
+                format!("together they contribute {contribution:.3} dB (limit: {gain})"),
+                contribution,
+            );
         } else if !gone.is_empty() {
             let left = on - gone.len();
-            let reason = format!("{left} of {on} stay: all others together are worth {worth:.3} dB (asked: {gain})");
-            seen.decided("lights", true, reason, worth);
-        } else if let Some(worth) = next {
-            seen.decided("lights", true, format!("the faintest of {on} is worth {worth:.3} dB (asked: {gain})"), worth);
+            let reason =
+                format!("{left} of {on} stay: all others together contribute {contribution:.3} dB (limit: {gain})");
+            seen.decided("lights", true, reason, contribution);
+        } else if let Some(contribution) = next {
+            seen.decided(
+                "lights",
+                true,
+                format!("the faintest of {on} contributes {contribution:.3} dB (limit: {gain})"),
+                contribution,
+            );
         }
         if !gone.is_empty() {
             seen.light.lights.iter_mut().flat_map(|l| &mut l.lights).zip(&gains).for_each(|(l, gain)| l.gain = *gain);
@@ -333,7 +359,7 @@ impl Intrinsic {
         Ok((gains, none))
     }
 
-    /// To how few lobes those of each light can be merged.
+    /// Finds the smallest number of lobes to which each light can be merged.
     fn judge_lobes(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let (lobes, gain, mut least) = (self.lobes(), seen.gain, None);
         for few in FEWER.into_iter().filter(|few| *few < lobes) {
@@ -341,22 +367,23 @@ impl Intrinsic {
             if let Some(file) = &mut some.lights {
                 file.lights.iter_mut().for_each(|l| *l = merged(l, few as usize));
             }
-            let direct = self.pictures(&mut self.shading(&seen.splats, &some)?, seen.views)?.direct;
-            let worth = loss(seen.with, seen.error(&direct, &seen.all.ambient));
-            if worth <= gain {
-                let reason = format!("{few} of {lobes} stay: merging the others costs {worth:.3} dB (asked: {gain})");
-                seen.decided("lobes", true, reason, worth);
+            let direct = self.images(&mut self.shading(&seen.splats, &some)?, seen.views)?.direct;
+            let contribution = loss(seen.with, seen.error(&direct, &seen.all.ambient));
+            if contribution <= gain {
+                let reason =
+                    format!("{few} of {lobes} stay: merging the others costs {contribution:.3} dB (limit: {gain})");
+                seen.decided("lobes", true, reason, contribution);
                 seen.light.lights = some.lights;
                 seen.shine(Some(direct), None);
                 return Ok(Some(few));
             }
-            least = Some((few, worth));
+            least = Some((few, contribution));
         }
         seen.stay("lobes", &format!("all {lobes}"), least);
         Ok(None)
     }
 
-    /// Without how many of its finest levels the visibility field will do.
+    /// Finds the smallest sufficient number of levels of the visibility field.
     fn judge_levels(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let (gain, mut least) = (seen.gain, None);
         let Visibility::Learned(field) = seen.light.visibility.clone() else { return Ok(None) };
@@ -364,79 +391,83 @@ impl Intrinsic {
         let fewer = [levels / 4, levels / 2, 3 * levels / 4, levels - 1];
         for few in fewer.into_iter().filter(|n| (1..levels).contains(n)) {
             let other = Visibility::Learned(Box::new(field.first_levels(few)));
-            let (worth, direct) = self.shadowed(seen, &other)?;
-            if worth <= gain {
+            let (contribution, direct) = self.shadowed(seen, &other)?;
+            if contribution <= gain {
                 let share = 100.0 * self.reached(few)?;
                 let reason = format!(
-                    "{few} of {levels} stay: without the others pictures lose {worth:.3} dB (asked: {gain}); gradients have \
+                    "{few} of {levels} stay: without the others images lose {contribution:.3} dB (limit: {gain}); gradients have \
                      reached {share:.0} % of their entries"
                 );
-                seen.decided("levels", true, reason, worth);
+                seen.decided("levels", true, reason, contribution);
                 seen.light.visibility = other;
                 seen.shine(Some(direct), None);
                 return Ok(Some(few));
             }
-            least = Some((few, worth));
+            least = Some((few, contribution));
         }
         seen.stay("levels", &format!("all {levels}"), least);
         Ok(None)
     }
 
-    /// How few texels of the surroundings will do.
+    /// Finds the smallest sufficient resolution of the environment map.
     fn judge_texels(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let Some(size) = self.environment_size() else { return Ok(None) };
         let gain = seen.gain;
-        let Some((few, worth)) = self.enough_texels(gain, |few| self.surrounded(seen, few))? else { return Ok(None) };
-        if worth > gain {
-            seen.stay("texels", &format!("{size} along an edge"), Some((few, worth)));
+        let Some((few, contribution)) = self.enough_texels(gain, |few| self.surrounded(seen, few))? else {
+            return Ok(None);
+        };
+        if contribution > gain {
+            seen.stay("texels", &format!("{size} along an edge"), Some((few, contribution)));
             return Ok(None);
         }
         let reason = format!(
-            "{few} along an edge instead of {size} stay: pictures lose {worth:.3} dB under means of them (asked: {gain})"
+            "{few} along an edge instead of {size} stay: with averaged texels images lose {contribution:.3} dB (limit: {gain})"
         );
-        seen.decided("texels", true, reason, worth);
+        seen.decided("texels", true, reason, contribution);
         Ok(Some(few))
     }
 
-    /// How seldom surroundings may move.
-    fn judge_pace(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
+    /// Finds the longest acceptable update interval of the environment map.
+    fn judge_update_interval(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let gain = seen.gain;
-        let tried = self.pace(seen.before, gain, |old| self.surrounded(seen, old))?;
-        let Some((every, worth)) = tried else { return Ok(None) };
-        let cost = format!("{every} steps old they cost {worth:.3} dB (asked: {gain})");
-        let moves =
-            format!("surroundings move once in {every} steps: as old as that they cost {worth:.3} dB (asked: {gain})");
-        let (reason, pace) = if worth > gain {
-            (format!("surroundings move as often as they did: {cost}"), None)
+        let tried = self.update_interval(seen.before, gain, |old| self.surrounded(seen, old))?;
+        let Some((every, contribution)) = tried else { return Ok(None) };
+        let cost = format!("at an age of {every} steps it costs {contribution:.3} dB (limit: {gain})");
+        let moves = format!(
+            "the environment map is updated every {every} steps: at that age it costs {contribution:.3} dB (limit: {gain})"
+        );
+        let (reason, update_interval) = if contribution > gain {
+            (format!("the update interval of the environment map stays: {cost}"), None)
         } else if !self.fits(every)? {
             (
                 format!(
-                    "surroundings move as often as they did: {cost}, but there is no room to keep what is filtered"
+                    "the update interval of the environment map stays: {cost}, but memory does not hold its stored levels"
                 ),
                 None,
             )
         } else {
             (moves, Some(every))
         };
-        seen.decided("pace", true, reason, worth);
-        Ok(pace)
+        seen.decided("update_interval", true, reason, contribution);
+        Ok(update_interval)
     }
 
-    /// Decibels that pictures lose under other surroundings.
+    /// Returns the PSNR loss in dB of images under another environment map.
     fn surrounded(&self, seen: &Seen<'_>, other: &RunLight) -> Result<f64> {
-        let ambient = self.pictures(&mut self.shading(&seen.splats, other)?, seen.views)?.ambient;
+        let ambient = self.images(&mut self.shading(&seen.splats, other)?, seen.views)?.ambient;
         Ok(loss(seen.with, seen.error(&seen.all.direct, &ambient)))
     }
 
-    /// Decibels that pictures lose with other shadows, and what lamps come to with these.
+    /// Returns the PSNR loss in dB with another visibility, and its direct light.
     fn shadowed(&self, seen: &Seen<'_>, visibility: &Visibility) -> Result<(f64, Light)> {
         let lights = seen.light.lights.clone();
         let light = RunLight { lights, environment: None, visibility: visibility.clone() };
-        let direct = self.pictures(&mut self.shading(&seen.splats, &light)?, seen.views)?.direct;
+        let direct = self.images(&mut self.shading(&seen.splats, &light)?, seen.views)?.direct;
         Ok((loss(seen.with, seen.error(&direct, &seen.all.ambient)), direct))
     }
 
-    /// The share of entries of the visibility field's levels behind the first ones that gradients have ever reached.
+    /// Returns the share of finer-level entries that gradients have ever reached.
+    /// The finer levels are those of the visibility field behind the `first` coarsest ones.
     fn reached(&self, first: u32) -> Result<f64> {
         let Some(field) = &self.parameters.visibility else { return Ok(0.0) };
         let behind = field.config().first_levels(first).entries() as usize;

@@ -1,18 +1,20 @@
-//! Lobes of lights that are merged.
+//! Merging of light lobes.
 //!
-//! A lobe is to directions what a von Mises-Fisher distribution is, but for its size. Two become one with the energy of both in each channel
-//! and their mean direction, whose length says how narrow it is (Banerjee et al. 2005 for the inverse). Pairs are taken by how much their directions
-//! spread around their mean, weighted by energy, the least first (Ward 1963), until few enough are left.
+//! A lobe is an unnormalized von Mises-Fisher distribution over directions. A merged lobe has the energy of both in
+//! each channel and their mean direction. The length of the mean direction determines the sharpness (inverse: Banerjee
+//! et al. 2005). The pair whose merging least increases the energy-weighted variance of directions is merged first
+//! (Ward 1963), until few enough lobes remain.
 
 use sgs_run::{LightRow, LobeRow};
 use std::f64::consts::PI;
 
 type V3 = [f64; 3];
 
-/// Sharper lobes are no different for pictures, and their energy has no digits left.
+/// Largest sharpness.
+/// Sharper lobes look the same, and their energy loses all precision.
 const SHARPEST: f64 = 1e4;
 
-/// The integral of exp(sharpness (cosine - 1)) over the sphere.
+/// Returns the integral of exp(sharpness (cosine - 1)) over the sphere.
 fn integral(sharpness: f64) -> f64 {
     match sharpness {
         s if s < 1e-6 => 4.0 * PI,
@@ -20,7 +22,7 @@ fn integral(sharpness: f64) -> f64 {
     }
 }
 
-/// The mean cosine to the axis.
+/// Returns the mean cosine of the angle to the axis.
 fn concentration(sharpness: f64) -> f64 {
     match sharpness {
         s if s < 1e-3 => s / 3.0,
@@ -28,7 +30,7 @@ fn concentration(sharpness: f64) -> f64 {
     }
 }
 
-/// The sharpness of a mean cosine.
+/// Returns the sharpness of a lobe with this mean cosine.
 fn sharpness(mean: f64) -> f64 {
     let square = mean * mean;
     let first = mean * (3.0 - square) / (1.0 - square).max(1e-9);
@@ -68,7 +70,7 @@ impl Moments {
         }
     }
 
-    /// How much worse directions are told when the two are one.
+    /// Returns the increase of the energy-weighted variance of directions by a merge.
     fn price(&self, other: &Moments) -> f64 {
         let (a, b) = (self.all(), other.all());
         if a + b <= 0.0 {
@@ -85,12 +87,13 @@ impl Moments {
     }
 }
 
-/// A light with at most so many lobes, at least one. What it has fewer of stays as it is.
+/// Merges a light's lobes until at most `lobes`, and at least one, remain.
+/// A light with fewer lobes stays unchanged.
 pub(super) fn merged(light: &LightRow, lobes: usize) -> LightRow {
     if light.lobes.len() <= lobes.max(1) {
         return light.clone();
     }
-    // Those that nothing happens to stay bit by bit.
+    // Lobes that are not merged stay equal bit for bit.
     let mut left: Vec<(Moments, Option<LobeRow>)> = light.lobes.iter().map(|l| (Moments::of(l), Some(*l))).collect();
     while left.len() > lobes.max(1) {
         let (mut pair, mut least) = ((0, 1), f64::INFINITY);
@@ -127,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mean_cosine_has_one_sharpness() {
+    fn sharpness_inverts_the_mean_cosine() {
         for s in [1e-4, 0.01, 0.5, 1.0, 7.0, 100.0, 9000.0] {
             let found = sharpness(concentration(s));
             assert!((found - s).abs() < 0.02 * s + 1e-6, "{s}: {found}");
@@ -136,14 +139,14 @@ mod tests {
     }
 
     #[test]
-    fn what_agrees_is_merged_first_and_keeps_its_energy() {
+    fn similar_lobes_merge_first_and_preserve_energy() {
         let x = lobe([1.0, 0.0, 0.0], 8.0, 2.0);
         let near = lobe([0.995, 0.0998, 0.0], 8.0, 1.0);
         let away = lobe([0.0, 0.0, -1.0], 20.0, 5.0);
         let dark = lobe([0.0, 1.0, 0.0], 3.0, 0.0);
         let all = light(vec![x, away, near, dark]);
         let three = merged(&all, 3);
-        // The dark one goes for nothing, wherever it points, and changes nobody.
+        // The dark lobe merges at no cost, whatever its axis, and changes no other lobe.
         assert_eq!(three.lobes.len(), 3);
         let two = merged(&all, 2);
         assert!(two.lobes.len() == 2 && (two.position, two.gain) == (all.position, all.gain));
@@ -152,10 +155,10 @@ mod tests {
             let (a, b) = (energy(&all), energy(&merged(&all, count)));
             (0..3).for_each(|c| assert!((a[c] - b[c]).abs() < 1e-4 * a[0], "{count}: {a:?} {b:?}"));
         }
-        // Twice the same is the same with twice the size.
+        // Two equal lobes merge into the same lobe with twice the amplitude.
         let double = merged(&light(vec![x, x]), 1).lobes[0];
         assert!((double.sharpness - 8.0).abs() < 0.05 && (double.amplitude[0] - 4.0).abs() < 0.03, "{double:?}");
-        // Two that look opposite ways shine everywhere.
+        // Two opposite lobes merge into a uniform one.
         let opposite = merged(&light(vec![lobe([0.0, 0.0, 1.0], 2.0, 1.0), lobe([0.0, 0.0, -1.0], 2.0, 1.0)]), 1);
         assert!(opposite.lobes[0].sharpness < 1e-3 && opposite.lobes[0].amplitude.iter().all(|a| a.is_finite()));
         assert_eq!(merged(&all, 0).lobes.len(), 1);

@@ -1,19 +1,21 @@
-//! The intrinsic stage without what a scene does not require.
+//! Automatic model selection of the intrinsic stage.
 //!
-//! Before the first step sizes follow from what cameras can tell apart ([`sizes`]); while training, at a few steps, what adds nothing to
-//! pictures of training views is left out ([`judge`], [`worth`]). Promises: decisions depend on the scene, the splats, the settings and the seed alone;
-//! checkpoints hold them; what has been left out does not come back. What must be measured against ground truth is left to others.
+//! Before the first step, sizes follow from what the cameras can resolve ([`sizes`]). During training, a few
+//! measurements remove components that contribute nothing to images of training views ([`judge`], [`contribution`]).
+//!
+//! Guarantees: decisions depend only on the scene, the splats, the settings and the seed. Checkpoints store the
+//! decisions. A removed component does not return. Quantities that need ground truth are not measured here.
 
+mod contribution;
 mod judge;
 mod lobes;
-mod pace;
 mod sizes;
 mod texels;
-mod worth;
+mod update_interval;
 
-pub(super) use pace::Remembered;
 pub(super) use sizes::{Found, required};
 pub(super) use texels::tables;
+pub(super) use update_interval::Remembered;
 
 use super::Intrinsic;
 use crate::data::Packed;
@@ -24,41 +26,42 @@ use sgs_passes::pipeline::Camera;
 use sgs_passes::scene::Trainable;
 use sgs_passes::shade::visibility::{FieldConfig, VisibilityField};
 
-/// Shares of the steps after which it is looked at. Lights can be judged at all of them; surroundings and shadows have to be learned first,
-/// and are judged from [`WHOLE`] on.
+/// Shares of the steps after which components are measured.
+/// Lights can be judged at all of them. The environment map and the visibility must be learned first, and are judged
+/// from [`WHOLE`] on.
 const LOOKS: [f64; 3] = [0.25, 0.5, 0.75];
 
-/// The share of the steps from which whole parts are judged.
+/// Share of the steps from which whole components are judged.
 const WHOLE: f64 = 0.5;
 
-/// The share from which lobes are judged: those of a light begin alike, and part late.
+/// Share from which lobes are judged. The lobes of a light start alike and differentiate late.
 const PARTED: f64 = 0.75;
 
-/// Most training views that are looked at.
+/// Maximum number of training views in a measurement.
 const VIEWS: usize = 6;
 
-/// Most pixels of each.
+/// Maximum number of pixels per view.
 const PIXELS: usize = 6000;
 
-/// What it takes to look.
+/// State of automatic model selection.
 pub(super) struct Automatic {
     views: Vec<Watched>,
-    /// The sum of squared errors of the splats' own colors there, once it is known.
+    /// Squared error of the splats' own colors at the selected pixels, once known.
     own: Option<f64>,
-    /// The sum of squared errors of shaded pictures when they were last looked at.
+    /// Sum of squared errors of the shaded images at the last measurement.
     pub last: Option<f64>,
-    /// Surroundings as they were a few steps ago.
+    /// Snapshots of the environment map from a few steps ago.
     pub before: Vec<Remembered>,
 }
 
-/// Pixels of a training view.
+/// Selected pixels of a training view.
 struct Watched {
     camera: Camera,
-    /// Which pixels, and what the photograph shows there (display-referred); those that do not count are left out.
+    /// Indices of the pixels and their display-referred colors in the photograph; valid pixels only.
     pixels: Vec<(usize, [f32; 3])>,
 }
 
-/// What can be left out whole.
+/// Component that can be removed as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     Lights,
@@ -79,7 +82,7 @@ impl Part {
 }
 
 impl Automatic {
-    /// Takes what is looked at from the training views.
+    /// Selects views and pixels for the measurements.
     pub fn new(packed: &Packed) -> Automatic {
         let views = packed.views();
         let chosen = VIEWS.min(views.len());
@@ -87,7 +90,7 @@ impl Automatic {
             let i = k * views.len() / chosen;
             let image = packed.image(i);
             let stride = image.len().div_ceil(PIXELS).max(1);
-            // Of every so many pixels in a row one, in another place from row to row.
+            // Takes one in `stride` pixels of a row, with an offset that changes from row to row.
             let width = views[i].0.size[0] as usize;
             let taken = (0..image.len()).filter(|p| (p % width.max(1) + 7 * (p / width.max(1))).is_multiple_of(stride));
             let color = |word: u32| [0, 8, 16].map(|shift| (word >> shift & 0xff) as f32 / 255.0);
@@ -98,23 +101,23 @@ impl Automatic {
     }
 }
 
-/// Whether it is looked at after this step.
-fn looks(step: u32, steps: u32) -> bool {
+/// Returns whether components are measured after this step.
+fn polls(step: u32, steps: u32) -> bool {
     LOOKS.iter().any(|share| due(*share, steps) == step) && step < steps
 }
 
-/// Whether what is judged from a share on is judged then.
+/// Returns whether components that are judged from a share on are judged at a step.
 fn judges(from: f64, step: u32, steps: u32) -> bool {
     step >= due(from, steps)
 }
 
-/// The step at a share of all.
+/// Returns the step at a share of all steps.
 fn due(share: f64, steps: u32) -> u32 {
     (share * f64::from(steps)).ceil() as u32
 }
 
 impl Intrinsic {
-    /// Decisions about the model, in order.
+    /// Returns the decisions about the model, in order.
     pub fn decisions(&self) -> &[Decision] {
         &self.decisions
     }
@@ -123,12 +126,12 @@ impl Intrinsic {
         &self.required.intrinsic.automatic
     }
 
-    /// Whether something is decided after this step.
+    /// Returns whether the model may change after this step.
     pub(super) fn decides_after(&self, step: u32) -> bool {
-        self.automatic.is_some() && looks(step, self.required.intrinsic.steps)
+        self.automatic.is_some() && polls(step, self.required.intrinsic.steps)
     }
 
-    /// Whether a part is modeled.
+    /// Returns whether a component is modeled.
     fn has(&self, part: Part) -> bool {
         match part {
             Part::Lights => self.options.lights.is_some(),
@@ -137,13 +140,13 @@ impl Intrinsic {
         }
     }
 
-    /// Gives up what a part has in memory; graphs are made without it when they are due.
+    /// Removes a component and frees its memory. Graphs without it are built on first use.
     fn leave_out(&mut self, part: Part) -> Result<()> {
         self.finish()?;
         self.forget_steps();
         match part {
             Part::Environment => {
-                self.seldom = None;
+                self.environment_updates = None;
                 self.environment = None;
                 self.parameters.environment = None;
             }
@@ -162,14 +165,15 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// Lobes of each light, at most.
+    /// Returns the maximum number of lobes of each light.
     pub(super) fn lobes(&self) -> u32 {
         self.light_model.lobes
     }
 
-    /// Merges the lobes of each light until so many are left. They begin without momentum. What is
-    /// asked of a lobe is what was asked of all that went into it together, so that its scale is the sum of theirs: with that of one alone
-    /// moves would be as many times too long, until the mean of a thousand steps forgets it.
+    /// Merges the lobes of each light until at most `most` remain.
+    /// The first moments restart at zero. The gradient of a merged lobe is the sum of its lobes' gradients, so the root
+    /// of its second moment is the sum of theirs. With the second moment of a single lobe, updates would be too long by
+    /// the number of merged lobes. This would last until the mean of about a thousand steps forgets it.
     fn merge_lobes(&mut self, most: u32) -> Result<()> {
         self.finish()?;
         let (Some(mut file), Some([_, before])) = (self.scaled_lights()?, &self.parameters.lights) else {
@@ -192,12 +196,14 @@ impl Intrinsic {
         }
     }
 
-    /// Levels of the visibility field, if there is one.
+    /// Returns the number of levels of the visibility field, if there is one.
     pub(super) fn levels(&self) -> Option<u32> {
         self.parameters.visibility.as_ref().map(|f| f.config().levels)
     }
 
-    /// Makes it a field of so many levels. What is there of these stays, with its moments; levels that are not start anew.
+    /// Changes the number of levels of the visibility field.
+    /// A field with fewer levels keeps the coarsest ones with their moments. Otherwise a new field starts from initial
+    /// values.
     pub(super) fn set_levels(&mut self, levels: u32) -> Result<()> {
         self.finish()?;
         self.forget_steps();
@@ -216,7 +222,7 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// Room for so many lobes of each light, with these values.
+    /// Replaces the lobes: `lobes` of each light, with the raw parameters `raw`.
     pub(super) fn set_lobes(&mut self, lobes: u32, raw: &[f32]) -> Result<()> {
         self.finish()?;
         self.forget_steps();
@@ -229,7 +235,8 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// Takes over what a checkpoint says was decided. False if something has been left out that it still has.
+    /// Applies the decisions of a checkpoint.
+    /// Returns false if the checkpoint still has a component that has been removed since.
     pub(super) fn take_decisions(&mut self, decisions: Vec<Decision>) -> Result<bool> {
         let out = |part: Part| decisions.iter().any(|d| d.step > 0 && !d.on && d.what == part.name());
         let lights = out(Part::Lights);
@@ -252,8 +259,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_looked_at_a_few_times_and_never_at_the_end() {
-        let all = |steps: u32| (1..=steps).filter(|step| looks(*step, steps)).collect::<Vec<_>>();
+    fn measurements_run_at_fixed_shares_and_never_at_the_end() {
+        let all = |steps: u32| (1..=steps).filter(|step| polls(*step, steps)).collect::<Vec<_>>();
         assert_eq!(all(300), [75, 150, 225]);
         assert_eq!(all(3000), [750, 1500, 2250]);
         assert_eq!(all(4), [1, 2, 3]);

@@ -1,10 +1,11 @@
-//! How many texels surroundings have: no more than pictures need.
+//! Resolution of the environment map: no more texels than the images need.
 //!
-//! What the smoothest surfaces could tell apart is known before the first step ([`super::sizes`]); what there is to tell apart only
-//! once it has been learned. A step filters all texels however few pixels a view has, so that half as many along an edge take a
-//! quarter of that. What the finer ones are worth is measured: pictures lose so many decibels under a cube whose texels are means of theirs.
+//! The resolution that the smoothest surfaces can resolve is known before the first step ([`super::sizes`]). The detail
+//! of the map itself is known only after it has been learned. A step filters all texels regardless of the number of
+//! pixels, so half the edge length costs a quarter. The contribution of the finer texels is measured: the PSNR loss of
+//! images under a cube whose texels are means of the finer ones.
 
-use crate::error::{Result, TrainError};
+use crate::error::{Requirement, Result};
 use crate::intrinsic::Intrinsic;
 use sgs_config::IntrinsicSettings;
 use sgs_passes::pipeline::EnvironmentMemory;
@@ -12,18 +13,19 @@ use sgs_passes::scene::Trainable;
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions, cube};
 use sgs_run::{RunLight, Texels, Visibility};
 
-/// The smallest cube.
+/// Edge length of the smallest cube, in texels.
 const LEAST: u32 = 16;
 
-/// What does not change of surroundings with so many texels along an edge.
+/// Returns the constant tables of an environment map with `size` texels per edge.
 pub(in super::super) fn tables(s: &IntrinsicSettings, size: u32) -> Result<Environment> {
     let options = EnvironmentOptions::default();
     let smoothness = options.smoothness.filter(|_| s.losses.environment_smooth > 0.0);
     let made = Environment::new(size, &EnvironmentOptions { smoothness, ..options });
-    made.map_err(|e| TrainError::Setting(e.to_string()))
+    made.map_err(|e| Requirement::Size { setting: "intrinsic.environment", reason: e.to_string() }.into())
 }
 
-/// What of a cube goes into each texel of a smaller one: the numbers of texels, and which part of its solid angle each is.
+/// Returns the texels of a cube that each texel of a smaller cube covers.
+/// Each entry holds the index and the share of the smaller cube's solid angle.
 fn parts(size: u32, smaller: u32) -> impl Iterator<Item = Vec<(usize, f64)>> {
     let k = size / smaller;
     (0..6 * smaller * smaller).map(move |texel| {
@@ -37,7 +39,7 @@ fn parts(size: u32, smaller: u32) -> impl Iterator<Item = Vec<(usize, f64)>> {
     })
 }
 
-/// The same light in a smaller cube; sizes are powers of two.
+/// Averages an environment map to a smaller cube. Sizes are powers of two.
 fn coarser(texels: &Texels, size: u32) -> Texels {
     let mean = |part: Vec<(usize, f64)>| -> [f32; 3] {
         [0, 1, 2].map(|c| part.iter().map(|(i, share)| share * f64::from(texels.data[3 * i + c])).sum::<f64>() as f32)
@@ -45,8 +47,9 @@ fn coarser(texels: &Texels, size: u32) -> Texels {
     Texels { size, data: parts(texels.size, size).flat_map(mean).collect() }
 }
 
-/// Moments of the texels of a smaller cube, in pairs as [`Trainable::download_moments`] has them. A texel is asked for what its parts were asked for
-/// together; its scale is the sum of theirs, which it is at most.
+/// Returns Adam moments for the texels of a smaller cube.
+/// The moments are pairs as in [`Trainable::download_moments`]. The gradient of a coarse texel is the sum of its parts'
+/// gradients, and so is the first moment. The root of its second moment is the sum of the parts' roots, an upper bound.
 fn coarser_moments(moments: &[f32], from: u32, size: u32) -> Vec<f32> {
     let of = |part: Vec<(usize, f64)>| -> [f32; 6] {
         let pair = |c: usize| {
@@ -61,8 +64,9 @@ fn coarser_moments(moments: &[f32], from: u32, size: u32) -> Vec<f32> {
 }
 
 impl Intrinsic {
-    /// The smallest cube whose texels suffice by now, or if none does the largest that was tried, and what is lost; none if there is no
-    /// smaller one. `loss`: decibels that pictures lose under such surroundings.
+    /// Finds the smallest sufficient cube, with its PSNR loss.
+    /// If no smaller cube suffices, returns the largest one tried and its loss. Returns none if no smaller cube exists.
+    /// `loss`: PSNR loss in dB of images under the given environment map.
     pub(super) fn enough_texels(
         &self,
         gain: f64,
@@ -73,17 +77,18 @@ impl Intrinsic {
         let smaller = std::iter::successors(Some(LEAST), |size| Some(2 * size)).take_while(|size| *size < fine.size);
         for size in smaller {
             let environment = Some(coarser(&fine, size));
-            let worth = loss(&RunLight { lights: None, environment, visibility: Visibility::None })?;
-            tried = Some((size, worth));
-            if worth <= gain {
+            let contribution = loss(&RunLight { lights: None, environment, visibility: Visibility::None })?;
+            tried = Some((size, contribution));
+            if contribution <= gain {
                 break;
             }
         }
         Ok(tried)
     }
 
-    /// Makes surroundings of so many texels along an edge. Fewer are means of what there is, with their moments; more start anew.
-    /// What steps have asked of texels that move seldom is forgotten.
+    /// Changes the number of texels per edge of the environment map.
+    /// A smaller map averages the current one and keeps its moments; a larger map starts from initial values. The
+    /// gradient accumulated since the last update is discarded.
     pub(in super::super) fn set_texels(&mut self, size: u32) -> Result<()> {
         self.finish()?;
         let (Some((e, _)), Some(texels)) = (&self.environment, &self.parameters.environment) else { return Ok(()) };
@@ -94,7 +99,7 @@ impl Intrinsic {
         let moments = texels.download_moments(&self.device)?;
         let tables = tables(&self.required.intrinsic, size)?;
         self.forget_steps();
-        (self.seldom, self.environment, self.parameters.environment) = (None, None, None);
+        (self.environment_updates, self.environment, self.parameters.environment) = (None, None, None);
         let fewer = size < fine.size;
         let start = if fewer { coarser(&fine, size).data } else { tables.start(self.required.seed as u32) };
         let texels = Trainable::new(&self.device, "environment", &start, true)?;
@@ -113,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_smaller_cube_shines_alike() {
+    fn coarser_cube_preserves_total_light() {
         let fine = |size: u32| {
             let at = |t: u32| cube::texel_direction(size, t).map(|v| (1.0 + v) as f32);
             Texels { size, data: (0..6 * size * size).flat_map(at).collect() }
@@ -128,17 +133,17 @@ mod tests {
             assert_eq!((less.size, less.data.len()), (size, 18 * (size * size) as usize));
             let (a, b) = (light(&whole), light(&less));
             assert!((0..3).all(|c| (a[c] - b[c]).abs() < 1e-6 * a[c]), "{a:?} {b:?}");
-            // Each is where it was: faces and rows are not mixed up.
+            // Every texel lies where it was: faces and rows are not mixed up.
             let off = less.data.iter().zip(&fine(size).data).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(off < 4.0 / (size * size) as f32 + 0.1 / size as f32, "{from} {size}: {off}");
         }
     }
 
     #[test]
-    fn what_was_asked_of_parts_is_asked_of_the_whole() {
+    fn coarser_moments_sum_gradients_and_scales() {
         let (from, size) = (32, 16);
         let floats = 18 * (from * from) as usize;
-        // Every number of a texel has the same moments, its color told apart.
+        // All texels share their moments, which differ only by color channel.
         let moments: Vec<f32> = (0..floats).flat_map(|i| [(i % 3) as f32 - 1.0, (1 + i % 3) as f32]).collect();
         let less = coarser_moments(&moments, from, size);
         assert_eq!(less.len(), 2 * 18 * (size * size) as usize);
