@@ -74,7 +74,7 @@ pub fn fabricate(root: &Path, parts: Parts) {
     write_lights(&run.path("lights.json"), &lights).expect("lights");
     if parts.environment {
         let image = Image::from_data(32, 16, 3, map(32, 5)).expect("a map");
-        write_environment(&run.path("environment.exr"), &image).expect("surroundings");
+        write_environment(&run.path("environment.exr"), &image).expect("an environment map");
     }
     if parts.visibility == VisibilityKind::Field {
         let config = FieldConfig::new(4, 10, 4, 40);

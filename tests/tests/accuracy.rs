@@ -113,7 +113,7 @@ fn equal_short_keys_keep_index_order() {
     let short = render_image(&gpu, &g, &camera, Accuracy { depth_bits: 16, ..EXACT });
     assert!(short[middle] > short[middle + 1], "the first comes first");
     let truth = render_at(&g, &camera, 0, false, BACKGROUND, &Accuracy { depth_bits: 16, ..EXACT });
-    assert!(truth.image[middle] > truth.image[middle + 1], "the twin agrees");
+    assert!(truth.image[middle] > truth.image[middle + 1], "the reference agrees");
 }
 
 /// Checks the bounds of `Accuracy` for thresholds.

@@ -90,7 +90,7 @@ fn losses_that_cannot_run_are_warnings() {
     assert!(line["environment_smooth"].as_f64().unwrap() > 0.0, "{line}");
     let training: Value = serde_json::from_slice(&place.read("run/training.json")).unwrap();
     let geometry = ["normal", "normal_smooth", "semantic", "semantic_class", "correspondence"];
-    let materials = ["albedo", "roughness", "metallic", "gradients", "cross_view", "relight", "own_prior"];
+    let materials = ["albedo", "roughness", "metallic", "cross_view", "relight", "own_prior"];
     let of = |stage: &str, names: &[&str]| names.iter().map(|n| format!("{stage} {n}")).collect::<Vec<_>>();
     let (geometry, materials) = (of("geometry", &geometry), of("intrinsic", &materials));
     assert_eq!(settings_of(&training["warnings"]), geometry);

@@ -27,7 +27,7 @@ fn visibility_values_match_reference() {
         let case = Case::random(config, pixels, lights, 3);
         let expected = case.expected(None);
         assert_close("mean", &expected, &case.forward(&gpu, None, true), VALUES);
-        assert_close("mean, first layer anew", &expected, &case.forward(&gpu, None, false), VALUES);
+        assert_close("mean, first layer recomputed", &expected, &case.forward(&gpu, None, false), VALUES);
         let last = Some(lights as u32 - 1);
         assert_close("one light", &case.expected(last), &case.forward(&gpu, last, true), VALUES);
     }
@@ -70,7 +70,7 @@ fn visibility_of_16_bit_tables_matches_reference() {
         let (expected, found) = (case.expected(None), case.forward(&gpu, None, true));
         let tolerance = if size > 1.0 { Tolerance::new(1e-4, 1e-4) } else { VALUES };
         assert_close("mean", &expected, &found, tolerance);
-        assert_close("mean, first layer anew", &expected, &case.forward(&gpu, None, false), tolerance);
+        assert_close("mean, first layer recomputed", &expected, &case.forward(&gpu, None, false), tolerance);
         let off = exact.iter().zip(&found).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
         println!("tables times {size}: {off:.2e}");
         if size <= 1.0 {

@@ -203,7 +203,7 @@ impl LitView {
         if capacity == self.capacity && self.state.key == Key::of(scene, lighting) {
             return Ok(());
         }
-        tracing::debug!(?capacity, "the plan of a shaded view is made anew");
+        tracing::debug!(?capacity, "the plan of a shaded view is rebuilt");
         let (device, tuning) = (&self.device, &self.tuning);
         let state = State::new(device, tuning, scene, lighting, &self.options, capacity, &self.report)?;
         self.capacity = capacity;

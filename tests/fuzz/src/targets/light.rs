@@ -46,7 +46,7 @@ pub(crate) fn environment(bytes: &[u8]) -> String {
     words
         + &said(read_light(&place.path("scene.ply"), 16), |light| {
             let texels = light.environment.map_or_else(Vec::new, |e| e.data);
-            assert!(texels.iter().all(|v| v.is_finite()), "surroundings are finite");
+            assert!(texels.iter().all(|v| v.is_finite()), "the environment map is finite");
             format!("{}", texels.len())
         })
 }

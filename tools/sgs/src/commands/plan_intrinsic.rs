@@ -138,7 +138,7 @@ impl IntrinsicPlan {
         }
         println!(
             "surfaces    {}",
-            if self.kept { "kept for all training views" } else { "worked out anew in each step: memory is short" }
+            if self.kept { "kept for all training views" } else { "recomputed in each step: memory is short" }
         );
         println!(
             "a step      {} passes in {} groups, {} barriers",

@@ -102,7 +102,7 @@ impl Geometry {
                 self.allowed as f64 / f64::from(1 << 20),
                 stats.after
             );
-            self.decide(Decision::of_memory(step, "births", reason), on_report);
+            self.decide(Decision::of_memory(step, "new Gaussians", reason), on_report);
         }
     }
 

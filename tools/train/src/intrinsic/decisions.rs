@@ -57,7 +57,7 @@ pub(super) fn without_surfaces(s: &IntrinsicSettings, bytes: u64) -> Decision {
         0 => ("memory is short", "memory.budget"),
         _ => ("it is more than was allowed", "intrinsic.surface_bytes"),
     };
-    let reason = format!("{why}: it takes {bytes} bytes, and is worked out anew in each step");
+    let reason = format!("{why}: it takes {bytes} bytes, and is recomputed in each step");
     of("what views see of the geometry", false, reason, setting)
 }
 
