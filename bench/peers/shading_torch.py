@@ -1,12 +1,12 @@
-"""The shading of `engine-bench passes --filter lights` in PyTorch, on the processor: the plain way to write it.
+"""The shading of `engine-bench passes --filter lights` in PyTorch: the plain way to write it.
 
     engine-bench passes --filter lights --dump CASE
-    python3 shading_torch.py CASE [--repeats 3] [--threads N]
+    python3 shading_torch.py CASE [--repeats 3] [--threads N] [--device cuda]
 
 Reads the case that engine-bench wrote, shades forward and back with tensors of pixels x lights x lobes and automatic
-differentiation, compares radiance and every gradient with those of the kernels, and prints its times beside theirs. Uses
-every core that the process may use, as the kernels do, unless `--threads` says otherwise. Exit status 1 if they disagree.
-Needs torch and numpy.
+differentiation, compares radiance and every gradient with those of the kernels, and prints its times beside theirs. On a
+processor it uses every core that the process may use, as the kernels do, unless `--threads` says otherwise. Exit
+status 1 if they disagree. Needs torch and numpy.
 """
 
 import argparse
@@ -24,7 +24,7 @@ LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 
 def load(folder, name, shape):
-    return torch.from_numpy(np.fromfile(folder / f"{name}.f32", dtype="<f4").reshape(shape).copy())
+    return torch.from_numpy(np.fromfile(folder / f"{name}.f32", dtype="<f4").reshape(shape).copy()).to(torch.get_default_device())
 
 
 def lobe_parameters(raw):
@@ -77,7 +77,9 @@ def main():
     parser.add_argument("case", type=pathlib.Path)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--threads", type=int)
+    parser.add_argument("--device", default="cpu", help="cpu, or cuda for the first GPU")
     options = parser.parse_args()
+    torch.set_default_device(options.device)
     torch.set_num_threads(options.threads or len(os.sched_getaffinity(0)))
     case = json.loads((options.case / "case.json").read_text())
     pixels, lights, lobes = case["pixels"], case["lights"], case["lobes"]
@@ -90,13 +92,17 @@ def main():
         tensor.requires_grad_()
 
     forward, backward = [], []
+    finish = torch.cuda.synchronize if options.device.startswith("cuda") else lambda: None
     for _ in range(options.repeats):
         for tensor in wanted:
             tensor.grad = None
+        finish()
         begin = time.perf_counter()
         radiance = shade(points, normals, wanted[0], wanted[1], camera, wanted[2], wanted[3], case["normalizer"])
+        finish()
         middle = time.perf_counter()
         radiance.backward(gradient)
+        finish()
         end = time.perf_counter()
         forward.append(1e3 * (middle - begin))
         backward.append(1e3 * (end - middle))
@@ -110,9 +116,10 @@ def main():
         agree("gradient of lobes", get("lobes_gradient", lights, lobes, 6), wanted[3].grad, 1e-3),
     ]
     best = min(f + b for f, b in zip(forward, backward))
-    print(f"{pixels} pixels, {lights} lights of {lobes} lobes; torch {torch.__version__}, {torch.get_num_threads()} threads")
-    print(f"torch: forward {min(forward):.0f} ms, backward {min(backward):.0f} ms, both {best:.0f} ms at best")
-    print(f"ours:  both {case['milliseconds']:.1f} ms (median), {case['device']}; {best / case['milliseconds']:.1f} times")
+    where = torch.cuda.get_device_name() if options.device.startswith("cuda") else f"{torch.get_num_threads()} threads"
+    print(f"{pixels} pixels, {lights} lights of {lobes} lobes; torch {torch.__version__}, {where}")
+    print(f"torch: forward {min(forward):.1f} ms, backward {min(backward):.1f} ms, both {best:.1f} ms at best")
+    print(f"ours:  both {case['milliseconds']:.2f} ms (median), {case['device']}; {best / case['milliseconds']:.1f} times")
     sys.exit(0 if all(right) else 1)
 
 

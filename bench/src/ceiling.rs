@@ -8,7 +8,7 @@ use sgs_passes::cost::Cost;
 pub struct Ceiling {
     /// Bytes read plus bytes written per second.
     ///
-    /// Maximum of a large `vkCmdCopyBuffer` and a fill kernel.
+    /// Maximum of a large `vkCmdCopyBuffer`, a copy kernel and a fill kernel.
     pub bytes_per_second: f64,
     /// Single-precision operations per second; a multiply-add counts as two.
     pub operations_per_second: f64,
@@ -16,6 +16,9 @@ pub struct Ceiling {
     pub copy_bytes_per_second: f64,
     /// Rate of the fill kernel.
     pub fill_bytes_per_second: f64,
+    /// Rate of the copy kernel, 16 bytes per invocation; zero in reports from before it was measured.
+    #[serde(default)]
+    pub copy_kernel_bytes_per_second: f64,
 }
 
 impl Ceiling {

@@ -40,7 +40,13 @@ pub struct Common {
 impl Common {
     /// Opens the requested device.
     pub fn open_device(&self) -> anyhow::Result<Device> {
+        self.open_with_statistics(false)
+    }
+
+    /// Opens the requested device, which may report statistics of its kernels.
+    pub fn open_with_statistics(&self, kernel_statistics: bool) -> anyhow::Result<Device> {
         let options = DeviceOptions {
+            kernel_statistics,
             select: self.device.clone(),
             validation: self.validate,
             timeout: std::time::Duration::from_secs(self.timeout),

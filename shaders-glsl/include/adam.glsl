@@ -11,6 +11,9 @@ const float ADAM_LARGEST = 1e15;
 // By the exponent's bits: compilers may assume that isnan() and isinf() are never true.
 bool is_finite(float x) { return (floatBitsToUint(x) & 0x7f800000u) != 0x7f800000u; }
 
+// By the bits: a device that flushes denormals finds them equal to zero.
+bool is_zero(float x) { return (floatBitsToUint(x) & 0x7fffffffu) == 0u; }
+
 // `moments`: first and second; `correction1`, `correction2`: 1 / (1 - beta^t). A gradient that is not finite changes
 // nothing; counting those is the caller's.
 void adam(inout float parameter, inout vec2 moments, float gradient, float lr, float correction1, float correction2,

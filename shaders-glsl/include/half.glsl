@@ -3,6 +3,9 @@
 // Rounding is to nearest, ties to even, in code: devices may round packing differently. Values beyond the largest half
 // are clamped to it; NaN stays NaN.
 
+#ifndef HALF_GLSL
+#define HALF_GLSL
+
 uint half_bits(float x) {
     uint bits = floatBitsToUint(x), magnitude = bits & 0x7fffffffu;
     uint magnitude_bits;
@@ -22,3 +25,5 @@ uint half_bits(float x) {
 uint pack_halves(vec2 x) { return half_bits(x.x) | half_bits(x.y) << 16; }
 
 vec2 unpack_halves(uint word) { return unpackHalf2x16(word); }
+
+#endif

@@ -20,10 +20,10 @@ const float LARGEST_HALF = 65504.0;
 #define HALF float16_t
 HALF half_of(float x) { return float16_t(clamp(x, -LARGEST_HALF, LARGEST_HALF)); }
 #else
+#include "half.glsl"
 #define HALF float
-HALF half_of(float x) {
-    return unpackHalf2x16(packHalf2x16(vec2(clamp(x, -LARGEST_HALF, LARGEST_HALF), 0.0))).x;
-}
+// Rounded in code: NVIDIA's compiler removes a packing that is unpacked at once, and the rounding with it.
+HALF half_of(float x) { return unpackHalf2x16(half_bits(x)).x; }
 #endif
 
 shared HALF matrix_layer[WIDTH * WIDTH];

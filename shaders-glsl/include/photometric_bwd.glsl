@@ -16,6 +16,7 @@ layout(constant_id = 2) const uint TILE_X = 22;
 layout(constant_id = 3) const uint TILE_Y = 16;
 layout(constant_id = 4) const uint RUN = 11;
 layout(constant_id = 5) const uint CHANNELS = 3;
+layout(constant_id = 6) const uint AHEAD = 2;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
@@ -53,12 +54,20 @@ void main() {
         uint channel = item / COLUMNS, column = item % COLUMNS;
         uint x = origin.x + column - WINDOW_RADIUS;
         Window window = window_start();
-        for (uint k = 0u; k < rows + WINDOW_DELAY; k++) {
-            uint y = origin.y + k - WINDOW_RADIUS;
-            vec3 v = vec3(0.0);
-            if (x < size.x && y < size.y) v = partials[(channel * size.y + y) * size.x + x];
-            v = window_next(window, v);
-            if (k >= WINDOW_DELAY) spread[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = v;
+        for (uint begin = 0u; begin < rows + WINDOW_DELAY; begin += AHEAD) {
+            vec3 values[AHEAD];
+            [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+                uint y = origin.y + begin + i - WINDOW_RADIUS;
+                values[i] = vec3(0.0);
+                if (AHEAD == 1u && (x >= size.x || y >= size.y)) continue;
+                vec3 v = partials[(channel * size.y + min(y, size.y - 1u)) * size.x + min(x, size.x - 1u)];
+                if (x < size.x && y < size.y) values[i] = v;
+            }
+            [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+                uint k = begin + i;
+                vec3 v = window_next(window, values[i]);
+                if (k >= WINDOW_DELAY) spread[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = v;
+            }
         }
     }
     barrier();

@@ -17,6 +17,7 @@ layout(constant_id = 2) const uint TILE_X = 22;   // columns of a tile; 32 with 
 layout(constant_id = 3) const uint TILE_Y = 16;
 layout(constant_id = 4) const uint RUN = 11;      // outputs of one invocation along a row; divides TILE_X
 layout(constant_id = 5) const uint CHANNELS = 3;  // floats of a pixel of the image
+layout(constant_id = 6) const uint AHEAD = 2;     // rows that are loaded together; divides TILE_Y + WINDOW_DELAY
 
 #define SUM_T vec2
 #include "group_sum.glsl"
@@ -40,6 +41,13 @@ vec2 fetch(uint pixel, uint channel) {
     float y = float(bitfieldExtract(packed, int(8u * channel), 8)) / 255.0;
     // A masked pixel takes the value of its photograph, so that its difference is zero.
     return vec2(packed >> 24 == 0u ? y : image[pixel * CHANNELS + channel], y);
+}
+
+// Several loads are unconditional, so that they can be issued together.
+vec2 fetch_or_zero(uvec2 size, uint x, uint y, uint channel) {
+    if (AHEAD == 1u && (x >= size.x || y >= size.y)) return vec2(0.0);
+    vec2 v = fetch(min(y, size.y - 1u) * size.x + min(x, size.x - 1u), channel);
+    return x < size.x && y < size.y ? v : vec2(0.0);
 }
 
 // Returns SSIM from the windowed means of shifted values, and its derivatives by the means of x, x^2 and xy.
@@ -81,14 +89,19 @@ void main() {
         uint x = origin.x + column - WINDOW_RADIUS; // left of the image, wraps around and fails the comparison
         bool inside = column >= WINDOW_RADIUS && column < WINDOW_RADIUS + TILE_X;
         Window window = window_start();
-        for (uint k = 0u; k < rows + WINDOW_DELAY; k++) {
-            uint y = origin.y + k - WINDOW_RADIUS;
-            vec2 v = vec2(0.0);
-            if (x < size.x && y < size.y) v = fetch(y * size.x + x, channel);
-            if (inside && k - WINDOW_RADIUS < rows) sum.x += abs(v.x - v.y);
-            v -= 0.5;
-            vec4 mean = window_next(window, vec4(v, dot(v, v), v.x * v.y));
-            if (k >= WINDOW_DELAY) means[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = mean;
+        for (uint begin = 0u; begin < rows + WINDOW_DELAY; begin += AHEAD) {
+            vec2 values[AHEAD];
+            [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+                values[i] = fetch_or_zero(size, x, origin.y + begin + i - WINDOW_RADIUS, channel);
+            }
+            [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+                uint k = begin + i;
+                vec2 v = values[i];
+                if (inside && k - WINDOW_RADIUS < rows) sum.x += abs(v.x - v.y);
+                v -= 0.5;
+                vec4 mean = window_next(window, vec4(v, dot(v, v), v.x * v.y));
+                if (k >= WINDOW_DELAY) means[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = mean;
+            }
         }
     }
     barrier();

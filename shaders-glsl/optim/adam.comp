@@ -53,7 +53,7 @@ void main() {
     uint bad = 0u;
     for (uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x; i < count; i += stride) {
         float gradient = gradients[i];
-        if (SKIP_ZERO && gradient == 0.0) continue;
+        if (SKIP_ZERO && is_zero(gradient)) continue;
         if (!is_finite(gradient)) {
             bad++;
             continue;

@@ -53,11 +53,11 @@ void main() {
     for (uint k = 0u; k < WIDTH; ++k) {
         float gradient = 0.0;
         if (STRIDE > 0u) gradient = gradients[i * STRIDE + FIRST + k];
-        if (SPARSE && gradient == 0.0) continue;
+        if (SPARSE && is_zero(gradient)) continue;
         uint j = i * WIDTH + k;
         vec2 m = moments[j];
         // What never had a gradient stays exactly as it is.
-        if (gradient == 0.0 && m.x == 0.0 && m.y == 0.0) continue;
+        if (is_zero(gradient) && is_zero(m.x) && is_zero(m.y)) continue;
         float parameter = parameters[j];
         adam(parameter, m, gradient, lr, params.step.correction1, params.step.correction2);
         parameters[j] = parameter;

@@ -1,4 +1,4 @@
-// Sets `count` words to a value. Also the copy-bandwidth probe of the benchmark.
+// Sets `count` words to a value. Also a probe of the benchmark.
 #version 460
 #include "common.glsl"
 

@@ -1,4 +1,4 @@
-// Adam for the visibility field's tables, at touched entries; an invocation does a word of 32 bits.
+// Adam for the visibility field's tables, at touched entries.
 //
 // Clears gradients and bits, whether or not an update was allowed. An entry with a gradient of exactly zero is unchanged.
 #version 460

@@ -26,7 +26,7 @@ void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (raised != 0u || i >= push.count) return;
     float gradient = mlp_gradient[i];
-    if (gradient == 0.0) return;
+    if (is_zero(gradient)) return;
     if (!is_finite(gradient)) {
         atomicAdd(skipped[0], 1u);
         return;

@@ -44,7 +44,7 @@ void main() {
         vec4 sum = entry_sum(mine, of, c);
         if (subgroupBallotBitExtract(exist, of) && (DENSE || sum != vec4(0.0))) {
             [[unroll]] for (uint k = 0u; k < 4u; ++k) {
-                if (!DENSE && sum[k] == 0.0) continue;
+                if (!DENSE && is_zero(sum[k])) continue;
                 if (!is_finite(sum[k])) {
                     bad++;
                     continue;

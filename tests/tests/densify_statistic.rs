@@ -112,7 +112,11 @@ fn semantic_gradients_enter_the_total_alone() {
             s.geometry.semantics = semantics;
         })
     };
-    assert!(colors(DensifyStatistic::Photometric, true) == colors(DensifyStatistic::Photometric, false));
+    // These are other kernels; their compiler may contract other sums.
+    let (with, without) = (colors(DensifyStatistic::Photometric, true), colors(DensifyStatistic::Photometric, false));
+    near("gradients", &without[0], &with[0]);
+    near("weights", &without[2], &with[2]);
+    assert_eq!((&with[1], &with[3]), (&without[1], &without[3]));
     assert!(colors(DensifyStatistic::Total, true)[0] != colors(DensifyStatistic::Total, false)[0]);
 }
 

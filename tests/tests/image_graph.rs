@@ -32,6 +32,12 @@ fn floats(bytes: &[u8]) -> Vec<f32> {
     bytemuck::pod_collect_to_vec(bytes)
 }
 
+/// Returns whether a byte stores a value: to 0.6 of its last place, as Direct3D requires of devices. Vulkan states no
+/// bound.
+fn stored(byte: u8, value: f32) -> bool {
+    (f32::from(byte) - value.clamp(0.0, 1.0) * 255.0).abs() <= 0.6
+}
+
 #[test]
 fn reflection_finds_the_access_to_texels() {
     let found: Vec<_> = image_probe::KERNEL.bindings.iter().map(|b| (b.name.as_ref(), b.access, b.kind)).collect();
@@ -97,7 +103,7 @@ fn kernels_and_copies_on_images() {
     assert_eq!(floats(&gpu.device().download_image(&images[0]).unwrap()), values);
     let shown = gpu.device().download_image(&images[1]).unwrap();
     for (byte, value) in shown.iter().zip(&expected) {
-        assert!((f32::from(*byte) - (value * 0.5).clamp(0.0, 1.0) * 255.0).abs() <= 0.51, "{byte} for {value}");
+        assert!(stored(*byte, value * 0.5), "{byte} for {value}");
     }
 }
 
@@ -128,7 +134,8 @@ fn images_are_left_in_the_declared_state() {
         read.finish().unwrap();
         exec.finish().unwrap();
         let texel: Vec<u8> = gpu.device().download(&memory, 0, 4).unwrap();
-        assert_eq!(texel, [64, 96, 128, 191], "{exit:?}");
+        let values = [0.25, 0.375, 0.5, 0.75];
+        assert!(texel.iter().zip(values).all(|(byte, value)| stored(*byte, value)), "{exit:?}: {texel:?}");
         assert_eq!(gpu.device().download_image(&images[1]).unwrap()[..4], texel);
     }
 }

@@ -123,6 +123,9 @@ const UNSEEN: [Case; 4] = [
     }),
 ];
 
+/// Layer of Debian 12. Newer layers word messages differently and detect other hazards.
+const OLDER: (u32, u32, u32) = (1, 3, 239);
+
 fn plan(declare: fn(&mut Graph)) -> Plan {
     let mut graph = Graph::new("planted");
     declare(&mut graph);
@@ -203,14 +206,17 @@ fn aliased_memory_without_a_barrier_is_refused_and_reported() {
     damaged.groups[2].barrier = None;
     assert!(verify(&damaged).is_err());
     let messages = run(&device, &damaged);
-    let of_the_arena = |m: &&String| m.contains("arena of hands") && m.contains("WRITE-AFTER-READ");
-    assert!(messages.iter().find(of_the_arena).is_some(), "{messages:?}");
+    // A newer layer reports only the first hazard of a dispatch: here that of `a`.
+    let of_the_arena = |m: &String| m.contains("arena of hands") && m.contains("WRITE-AFTER-READ");
+    let of_the_flow = |m: &String| m.contains("[a]") && m.contains("READ-AFTER-WRITE");
+    let newer = device.validation_version().is_some_and(|version| version > OLDER);
+    assert!(messages.iter().any(|m| of_the_arena(m) || newer && of_the_flow(m)), "{messages:?}");
 }
 
 #[test]
 fn verifier_finds_hazards_missed_by_validation_layer() {
     let device = device();
-    let blind = device.validation_version().is_some_and(|version| version <= (1, 3, 239));
+    let blind = device.validation_version().is_some_and(|version| version <= OLDER);
     for (what, hazard, declare) in UNSEEN {
         let sound = plan(declare);
         assert_eq!(run(&device, &sound), [""; 0], "{what}: the sound plan");
@@ -238,15 +244,18 @@ fn messages_name_the_plan_the_group_the_pass_and_the_objects() {
     pass(&mut graph, "reader pass", "twice", &[middle, out]);
     let mut plan = graph.compile(&CompileOptions::default()).unwrap();
     assert_eq!(run(&device, &plan), [""; 0]);
+    let newer = device.validation_version().is_some_and(|version| version > OLDER);
     plan.groups[1].barrier = None;
     let messages = run(&device, &plan);
     let message = messages.first().expect("the layer reports the missing barrier");
-    // Labels come first, outermost first. Then come the buffer, the pipeline and the command buffer.
-    assert!(message.contains("Recording: labeled plan, group 1, reader pass."), "{message}");
-    for name in ["[middle buffer]", "[twice]", "[labeled plan]"] {
+    // The buffer and the pipeline come first, then labels, outermost first. A newer layer passes them itself.
+    let place = if newer { "In the command buffer" } else { "Recording" };
+    assert!(message.contains(&format!("{place}: labeled plan, group 1, reader pass.")), "{message}");
+    for name in ["[middle buffer]", "[twice]"] {
         assert!(message.contains(name), "{name} is missing: {message}");
     }
-    assert!(!message.contains("maker pass"), "a label was not closed: {message}");
+    assert!(newer || message.contains("[labeled plan]"), "the command buffer is missing: {message}");
+    assert!(!message.contains("group 0, maker pass"), "a label was not closed: {message}");
     // For the command buffer itself, the layer lists the labels that were recorded in it.
     let maker = plan.passes.iter_mut().find(|pass| pass.name == "maker pass").unwrap();
     let PassKind::Compute { dispatch, .. } = &mut maker.kind else { panic!("a kernel is a kernel") };

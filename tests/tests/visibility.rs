@@ -1,6 +1,7 @@
 //! Visibility field on the device against its reference: values and Adam.
 
 use sgs_engine::graph::Graph;
+use sgs_passes::Tuning;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
 use sgs_passes::shade::visibility::{
     Field, FieldConfig, Gradients, Moments, packed_tables, visibility_adam, visibility_encode,
@@ -164,6 +165,17 @@ type Stepped = (Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>, Vec<u32>);
 
 /// Runs one step with the gradients of `found`, from nonzero moments.
 fn step_sparse(case: &Case, gpu: &Gpu, found: &Found, scale: [f32; 2], flag: u32) -> Stepped {
+    // An invocation updates the entries of a word, or one entry; results are equal bit for bit.
+    let of = |subgroup_size| {
+        let tuning = Tuning { subgroup_size, ..gpu.tuning() };
+        step_sparse_with(case, gpu, tuning, found, (scale, flag))
+    };
+    let (by_word, by_entry) = (of(8), of(32));
+    assert!(by_word == by_entry);
+    by_word
+}
+
+fn step_sparse_with(case: &Case, gpu: &Gpu, tuning: Tuning, found: &Found, (scale, flag): ([f32; 2], u32)) -> Stepped {
     let (mut g, mut inputs) = (Graph::new("visibility_adam"), Vec::new());
     let mut provided = |g: &mut Graph, name: &str, data: Vec<u8>| {
         let buffer = g.external(name, data.len() as u64);
@@ -190,7 +202,7 @@ fn step_sparse(case: &Case, gpu: &Gpu, found: &Found, scale: [f32; 2], flag: u32
     let step = g.uniform("field", size_of::<FieldStep>() as u64);
     inputs.push((step, bytes(&[case.step])));
     let field = Field { config: case.config, step, levels: tables, tables, packed, mlp };
-    visibility_adam(&mut g, gpu.tuning(), &field, &gradients, &moments).unwrap();
+    visibility_adam(&mut g, tuning, &field, &gradients, &moments).unwrap();
     let out = gpu.run(g, &inputs);
     if let Some(packed) = packed {
         // After every step, the copy equals the rounded tables.

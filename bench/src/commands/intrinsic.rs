@@ -19,7 +19,7 @@ use std::time::Instant;
 /// # Errors
 /// If the device fails, or a result is wrong.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let device = common.open_device()?;
+    let device = common.open_with_statistics(a.kernels)?;
     let mut report = common.report("step", &device);
     let steps = a.steps.unwrap_or(common.repeats);
     report.repeats = steps;
@@ -80,6 +80,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     report.fact("of it what views see of the geometry, MB", training.surface_bytes() as f64 / 1e6);
     anyhow::ensure!(losses.iter().all(|l| l.is_finite()), "a loss is not finite");
     report.check(format!("over {steps} steps no buffer was made or freed, and every step reported finite losses"));
+    if a.kernels {
+        super::step::kernels(&device, &mut report)?;
+    }
     if let Some(path) = &a.html {
         let page = html(&plan, &times);
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, page.as_bytes()))?;

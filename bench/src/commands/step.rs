@@ -10,6 +10,7 @@ use crate::report::Report;
 use crate::stats::Summary;
 use crate::trainer::{Run, Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic};
+use anyhow::Context as _;
 use sgs_engine::Device;
 use sgs_engine::graph::Plan;
 use sgs_engine::graph::dump::{Track, html, trace};
@@ -67,6 +68,9 @@ pub struct Args {
     /// Backward kernel of blending.
     #[arg(long, value_enum, default_value = "pixel")]
     pub backward: Backward,
+    /// Report the driver's statistics of each kernel, such as registers.
+    #[arg(long)]
+    pub kernels: bool,
     /// Write a Chrome trace of one step and one render.
     #[arg(long, value_name = "FILE.json")]
     pub trace: Option<PathBuf>,
@@ -160,7 +164,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.stage == Stage::Intrinsic || a.run.is_some() {
         return super::intrinsic::run(common, a);
     }
-    let device = common.open_device()?;
+    let device = common.open_with_statistics(a.kernels)?;
     let mut report = common.report("step", &device);
     let steps = a.steps.unwrap_or(common.repeats);
     report.repeats = steps;
@@ -199,6 +203,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         densify::one(&context, &mut report)?;
     }
     super::compile::measure(&device, &mut report, common.repeats)?;
+    if a.kernels {
+        kernels(&device, &mut report)?;
+    }
     if let Some(path) = &a.html {
         let page = html(&plan, &timed.times);
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, page.as_bytes()))?;
@@ -213,6 +220,24 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
     }
     common.finish(&report, &device)
+}
+
+/// Adds the driver's statistics of every kernel compiled so far. Zeros are left out.
+///
+/// # Errors
+/// If the driver reports none.
+pub(super) fn kernels(device: &Device, report: &mut Report) -> anyhow::Result<()> {
+    let all = device.kernel_statistics()?.context("The driver reports no statistics of kernels.")?;
+    for kernel in all {
+        let numbers = kernel.statistics.iter().filter(|s| s.value != 0.0);
+        let text: Vec<String> = numbers.map(|s| format!("{} {}", s.name, s.value)).collect();
+        let p = &kernel.pipeline;
+        report.fact(
+            &format!("kernel {}, {} lanes a workgroup", p.kernel, p.workgroup.iter().product::<u32>()),
+            text.join(", "),
+        );
+    }
+    Ok(())
 }
 
 /// Returns the mean counts over the measured steps.

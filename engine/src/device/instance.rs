@@ -238,6 +238,12 @@ unsafe extern "system" fn on_message(
     // SAFETY: as above; the text is zero-terminated.
     let text = unsafe { data.message_as_c_str() };
     let mut text = text.map_or_else(String::new, |t| t.to_string_lossy().into_owned());
+    // SAFETY: as above.
+    let id = unsafe { data.message_id_name_as_c_str() };
+    if let Some(id) = id.map(CStr::to_string_lossy).filter(|id| !text.contains(id.as_ref())) {
+        // Newer layers leave it out of the text.
+        text = format!("{id}: {text}");
+    }
     // SAFETY: as above; the layer passes as many labels as it counts.
     let labels = unsafe { labels(data) };
     // Layers pass labels only with messages about the command buffer itself.

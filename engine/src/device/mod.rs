@@ -14,6 +14,7 @@ mod objects;
 mod pipeline;
 mod requirements;
 mod select;
+mod statistics;
 mod surface;
 mod swapchain;
 
@@ -30,6 +31,7 @@ pub use pipeline::PipelineInfo;
 pub(crate) use pipeline::{Pipeline, descriptor_type};
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
 pub use select::{DeviceInfo, MatrixShape, OptionalFeatures};
+pub use statistics::{KernelStatistics, Statistic};
 pub use surface::{Surface, Window};
 pub use swapchain::{PresentStatus, Swapchain};
 
@@ -60,6 +62,8 @@ pub struct DeviceOptions {
     pub memory_budget: Option<u64>,
     /// Limits below the device's own, to test or plan for a smaller device.
     pub limits: Limits,
+    /// Makes the driver capture statistics of kernels; see [`Device::kernel_statistics`].
+    pub kernel_statistics: bool,
     /// Injected faults, active from the first call of opening; none by default.
     pub faults: Faults,
     /// Counters of live Vulkan objects.
@@ -76,6 +80,7 @@ impl Default for DeviceOptions {
             close_timeout: Duration::from_secs(30),
             memory_budget: None,
             limits: Limits::default(),
+            kernel_statistics: false,
             faults: Faults::default(),
             objects: Objects::default(),
         }
@@ -101,6 +106,8 @@ pub(crate) struct Shared {
     timeline: vk::Semaphore,
     pub memory: Memory,
     pub pipelines: pipeline::Pipelines,
+    /// Queries of statistics; present if they were requested and the driver reports them.
+    statistics: Option<ash::khr::pipeline_executable_properties::Device>,
     pub labels: Option<ext::debug_utils::Device>,
     pub deferred: DeferredDestruction,
     timeout: Duration,
@@ -129,6 +136,8 @@ struct RawDevice {
     queue: vk::Queue,
     lock: Option<Box<dyn QueueLock>>,
     gate: Gate,
+    /// Whether the driver can report statistics of kernels.
+    statistics: bool,
 }
 
 /// Lists every device of the loader, with the features that each lacks.
@@ -168,10 +177,19 @@ impl Device {
         })?;
         let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&[1.0])];
         let needs = Requirements::new(info.clone(), Some(queue_family));
-        let extensions: Vec<_> = needs.extensions().iter().chain(extra_extensions).map(|name| name.as_ptr()).collect();
+        let statistics = options.kernel_statistics && statistics::supported(&instance, &gate, selected.physical)?;
+        let statistics_extension = statistics.then_some(statistics::EXTENSION);
+        let extensions =
+            needs.extensions().into_iter().chain(extra_extensions.iter().copied()).chain(statistics_extension);
+        let extensions: Vec<_> = extensions.map(CStr::as_ptr).collect();
         let mut features = needs.feature_structs();
+        let mut executables =
+            vk::PhysicalDevicePipelineExecutablePropertiesFeaturesKHR::default().pipeline_executable_info(true);
         let create = vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_extension_names(&extensions);
-        let create = features.chain(create);
+        let mut create = features.chain(create);
+        if statistics {
+            create = create.push_next(&mut executables);
+        }
         // SAFETY: the physical device belongs to the instance; it reported every enabled feature and extension.
         let raw = gate.make(ObjectKind::Device, "vkCreateDevice", &info.name, || unsafe {
             instance.raw.create_device(selected.physical, &create, None)
@@ -180,13 +198,14 @@ impl Device {
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         let physical = selected.physical;
         let raw_device =
-            RawDevice { instance, physical, raw, owned: true, info, queue_family, queue, lock: None, gate };
+            RawDevice { instance, physical, raw, owned: true, info, queue_family, queue, lock: None, gate, statistics };
         Device::assemble(raw_device, options)
     }
 
     /// Adds timeline, memory and pipelines to a device. Destroys an owned device on failure.
     fn assemble(raw_device: RawDevice, options: &DeviceOptions) -> Result<Device> {
-        let RawDevice { instance, physical, raw, owned, mut info, queue_family, queue, lock, gate } = raw_device;
+        let RawDevice { instance, physical, raw, owned, mut info, queue_family, queue, lock, gate, statistics } =
+            raw_device;
         options.limits.lower(&mut info);
         let resources = create_resources(&instance, &raw, &gate, physical, &info, options.pipeline_cache.clone());
         let (timeline, memory, pipelines) = match resources {
@@ -202,6 +221,7 @@ impl Device {
         };
         memory.set_budget(options.memory_budget);
         let labels = instance.debug_utils.then(|| ext::debug_utils::Device::new(&instance.raw, &raw));
+        let statistics = statistics.then(|| ash::khr::pipeline_executable_properties::Device::new(&instance.raw, &raw));
         tracing::debug!(device = info.name, driver = info.driver, owned, "device opened");
         let device = Device(Arc::new(Shared {
             raw,
@@ -213,6 +233,7 @@ impl Device {
             timeline,
             memory,
             pipelines,
+            statistics,
             labels,
             deferred: DeferredDestruction::default(),
             timeout: options.timeout,

@@ -118,22 +118,30 @@ impl Pipelines {
     }
 
     fn infos(&self) -> Vec<PipelineInfo> {
+        self.compiled().into_iter().map(|(info, _)| info).collect()
+    }
+
+    /// Lists all pipelines by kernel name and specialization.
+    pub fn compiled(&self) -> Vec<(PipelineInfo, vk::Pipeline)> {
         let pipelines = self.pipelines.lock().unwrap_or_else(|e| e.into_inner());
         let name_of = |shader: &Shader, id: u32| {
             let known = shader.specs.iter().find(|s| s.id == id);
             known.map_or_else(|| id.to_string(), |s| s.name.to_string())
         };
-        let info = |(key, pipeline): (&Key, &Pipeline)| PipelineInfo {
-            kernel: key.shader.name.to_string(),
-            specs: key.specs.iter().map(|(id, bits)| (name_of(&key.shader, *id), *bits)).collect(),
-            workgroup: pipeline.workgroup,
-            subgroup_size: key.subgroup_size,
-            requested: self.subgroup_size_control,
-            full_subgroups: pipeline.full_subgroups,
-            uses_subgroups: key.shader.uses_subgroups(),
+        let info = |(key, pipeline): (&Key, &Pipeline)| {
+            let info = PipelineInfo {
+                kernel: key.shader.name.to_string(),
+                specs: key.specs.iter().map(|(id, bits)| (name_of(&key.shader, *id), *bits)).collect(),
+                workgroup: pipeline.workgroup,
+                subgroup_size: key.subgroup_size,
+                requested: self.subgroup_size_control,
+                full_subgroups: pipeline.full_subgroups,
+                uses_subgroups: key.shader.uses_subgroups(),
+            };
+            (info, pipeline.raw)
         };
         let mut infos: Vec<_> = pipelines.iter().map(info).collect();
-        infos.sort_by(|a, b| (&a.kernel, &a.specs).cmp(&(&b.kernel, &b.specs)));
+        infos.sort_by(|(a, _), (b, _)| (&a.kernel, &a.specs).cmp(&(&b.kernel, &b.specs)));
         infos
     }
 
@@ -274,7 +282,11 @@ fn compile(
     if subgroups.full {
         stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS);
     }
-    let info = [vk::ComputePipelineCreateInfo::default().stage(stage).layout(layout)];
+    let flags = match device.statistics {
+        Some(_) => vk::PipelineCreateFlags::CAPTURE_STATISTICS_KHR,
+        None => vk::PipelineCreateFlags::empty(),
+    };
+    let info = [vk::ComputePipelineCreateInfo::default().flags(flags).stage(stage).layout(layout)];
     // SAFETY: module, layout and cache belong to this device; the specialization covers 32-bit constants.
     let result = gate.make(ObjectKind::Pipeline, "vkCreateComputePipelines", &shader.name, || unsafe {
         raw.create_compute_pipelines(cache, &info, None).map(|p| p[0]).map_err(|(_, result)| result)

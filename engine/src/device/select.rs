@@ -78,6 +78,9 @@ pub struct OptionalFeatures {
     pub cooperative_matrix: bool,
 }
 
+/// First version of the validation layer that knows `VK_KHR_cooperative_matrix`.
+const COOPERATIVE_MATRIX_LAYER: (u32, u32, u32) = (1, 3, 255);
+
 /// Shape of a subgroup-scope cooperative matrix. Operands are 16-bit floats, sums are 32-bit floats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct MatrixShape {
@@ -124,7 +127,9 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let has_atomics = has(ash::ext::shader_atomic_float::NAME);
     let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default();
     let mut cooperative_stages = vk::PhysicalDeviceCooperativeMatrixPropertiesKHR::default();
-    let has_matrices = has(ash::khr::cooperative_matrix::NAME);
+    // A validation layer reports structs of extensions that it does not know as errors.
+    let layer_knows_matrices = instance.layer_version.is_none_or(|v| v >= COOPERATIVE_MATRIX_LAYER);
+    let has_matrices = has(ash::khr::cooperative_matrix::NAME) && layer_knows_matrices;
     let mut properties = vk::PhysicalDeviceProperties2::default();
     if modern {
         properties = properties.push_next(&mut subgroup).push_next(&mut sizes).push_next(&mut driver);
@@ -214,7 +219,12 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     if !optional.memory_budget {
         fallbacks.push("VK_EXT_memory_budget absent: the budget is the size of the heap".to_owned());
     }
-    if matrices.is_empty() {
+    if !layer_knows_matrices {
+        fallbacks.push(
+            "VK_KHR_cooperative_matrix unknown to this validation layer: matrices are multiplied by ordinary instructions"
+                .to_owned(),
+        );
+    } else if matrices.is_empty() {
         fallbacks.push(
             "VK_KHR_cooperative_matrix absent: matrices are multiplied by ordinary instructions, in 32 bits".to_owned(),
         );

@@ -10,10 +10,10 @@
 //! sums of the workgroups with [`super::sum`] after.
 //!
 //! Cost per pixel. Device memory: 4 C + 4 bytes read, 36 written (`photometric`); 36 + 4 C + 4 read, 12 written, in a
-//! pixel of 4 C (`photometric_bwd`; in place 4 more are written). That is 104 bytes for C = 3. With a tile's margins,
-//! caches supply 2.1 times as much. Arithmetic: a window takes 11 multiply-adds per value; columns are filtered 2.4
-//! times (both margins) and rows 1.9 times. That is 3 channels x 11 x (4 + 3) values x 4.3 = 990 multiply-adds, and 3 x
-//! 40 for SSIM.
+//! pixel of 4 C (`photometric_bwd`; in place 4 more are written). That is 104 bytes for C = 3. With the margins of a
+//! high tile, caches supply 2.1 times as much. Arithmetic: a window takes 11 multiply-adds per value; columns are
+//! filtered 2.4 times (both margins) and rows 1.9 times. That is 3 channels x 11 x (4 + 3) values x 4.3 = 990
+//! multiply-adds, and 3 x 40 for SSIM. Low tiles filter columns 5 times.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -47,23 +47,37 @@ pub struct Partials {
     pub count: u32,
 }
 
-/// Columns and rows of a tile. With margins of 5 a tile is 32 columns wide and takes 25 KiB of shared memory.
-const TILE: [u32; 2] = [22, 16];
-
-/// Returns the workgroup size: one invocation for each of the 32 columns of the 3 channels. On a CPU it is smaller,
-/// since barriers cost time per invocation.
-fn workgroup(tuning: Tuning) -> u32 {
-    (3 * tuning.subgroup_size).min(96)
+/// Sizes of the kernels' tiles.
+#[derive(Clone, Copy, Debug)]
+struct Tile {
+    /// Columns and rows. With margins of 5 on both sides, columns are a multiple of 32.
+    size: [u32; 2],
+    /// Invocations of a workgroup: at most one for each column of the 3 channels.
+    workgroup: u32,
+    /// Pixels of a row that one invocation filters.
+    run: u32,
+    /// Rows that an invocation loads together; divides the rows of a tile and its margins.
+    ahead: u32,
 }
 
-/// Returns the pixels of a row that one invocation filters. On a GPU this is half of the tile, so that rows occupy all
-/// invocations. On a CPU it is the whole row: idle invocations cost nothing there, but margins do.
-fn run(tuning: Tuning) -> u32 {
-    if tuning.subgroup_size < 32 { TILE[0] } else { TILE[0] / 2 }
-}
+impl Tile {
+    /// Returns the sizes for a device.
+    ///
+    /// A GPU hides the latency of memory by the number of workgroups, so tiles are low (6 KiB of shared memory), and by
+    /// loads that are issued together. On a CPU, margins cost more than latency: tiles are high and runs long. Barriers
+    /// cost time per invocation there, so workgroups are small.
+    fn of(tuning: Tuning) -> Tile {
+        if tuning.subgroup_size < 32 {
+            Tile { size: [22, 16], workgroup: (3 * tuning.subgroup_size).min(96), run: 22, ahead: 1 }
+        } else {
+            Tile { size: [22, 4], workgroup: 96, run: 11, ahead: 7 }
+        }
+    }
 
-fn tiles(largest: [u32; 2]) -> u32 {
-    largest[0].div_ceil(TILE[0]) * largest[1].div_ceil(TILE[1])
+    /// Returns the tiles of a view.
+    fn count(&self, largest: [u32; 2]) -> u32 {
+        largest[0].div_ceil(self.size[0]) * largest[1].div_ceil(self.size[1])
+    }
 }
 
 /// Adds the forward pass.
@@ -71,7 +85,8 @@ fn tiles(largest: [u32; 2]) -> u32 {
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn photometric(g: &mut Graph, tuning: Tuning, a: &Photometric) -> Result<Partials, GraphError> {
-    let count = tiles(a.largest);
+    let tile = Tile::of(tuning);
+    let count = tile.count(a.largest);
     let pixels = u64::from(a.largest[0]) * u64::from(a.largest[1]);
     let partials = g.transient("photometric.partials", pixels * 36);
     let sums = g.transient("photometric.sums", u64::from(count) * 8);
@@ -83,11 +98,12 @@ pub fn photometric(g: &mut Graph, tuning: Tuning, a: &Photometric) -> Result<Par
         sums: sums.into(),
     };
     let specs = forward::Specs {
-        workgroup: workgroup(tuning),
-        tile_x: TILE[0],
-        tile_y: TILE[1],
-        run: run(tuning),
+        workgroup: tile.workgroup,
+        tile_x: tile.size[0],
+        tile_y: tile.size[1],
+        run: tile.run,
         channels: a.channels,
+        ahead: tile.ahead,
     };
     stage(g, "photometric", &forward::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(count), 1))?;
@@ -105,6 +121,7 @@ pub fn photometric_bwd(
     partials: &Partials,
     grad_image: Buffer,
 ) -> Result<(), GraphError> {
+    let tile = Tile::of(tuning);
     let bindings = backward::Bindings {
         params: a.step.into(),
         image: a.image.into(),
@@ -113,11 +130,12 @@ pub fn photometric_bwd(
         grad_image: grad_image.into(),
     };
     let specs = backward::Specs {
-        workgroup: workgroup(tuning),
-        tile_x: TILE[0],
-        tile_y: TILE[1],
-        run: run(tuning),
+        workgroup: tile.workgroup,
+        tile_x: tile.size[0],
+        tile_y: tile.size[1],
+        run: tile.run,
         channels: a.channels,
+        ahead: tile.ahead,
     };
     stage(g, "photometric_bwd", &backward::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(partials.count), 1))
@@ -137,6 +155,7 @@ pub fn photometric_bwd_in_place(
 ) -> Result<PixelGradients, GraphError> {
     debug_assert_eq!(a.channels, 3, "a loss of color alone");
     let debt = g.transient("debt", 4 * u64::from(a.largest[0]) * u64::from(a.largest[1]));
+    let tile = Tile::of(tuning);
     let bindings = in_place::Bindings {
         params: a.step.into(),
         image: a.image.into(),
@@ -145,11 +164,12 @@ pub fn photometric_bwd_in_place(
         debt: debt.into(),
     };
     let specs = in_place::Specs {
-        workgroup: workgroup(tuning),
-        tile_x: TILE[0],
-        tile_y: TILE[1],
-        run: run(tuning),
+        workgroup: tile.workgroup,
+        tile_x: tile.size[0],
+        tile_y: tile.size[1],
+        run: tile.run,
         channels: 3,
+        ahead: tile.ahead,
     };
     stage(g, "photometric_bwd_in_place", &in_place::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(partials.count), 1))?;

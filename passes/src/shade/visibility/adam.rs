@@ -52,11 +52,13 @@ pub fn visibility_adam(
                 moments: moments.tables.into(),
                 $($more)*
             };
-            let specs = $kernel::Specs { workgroup, flags: moments.flag_words };
+            let by_entry = workgroup.is_multiple_of(32) && tuning.subgroup_size >= 32;
+            let specs = $kernel::Specs { workgroup, flags: moments.flag_words, by_entry };
             let push = $kernel::Push { words: field.config.entries().div_ceil(32) };
+            let invocations = u64::from(push.words) * if by_entry { 32 } else { 1 };
             let bytes = bytemuck::bytes_of(&push);
             stage(g, "visibility_adam", &$kernel::KERNEL, bindings.entries(), specs.entries(), bytes)
-                .dispatch(groups(u64::from(push.words), workgroup))?;
+                .dispatch(groups(invocations, workgroup))?;
         }};
     }
     match field.packed {

@@ -5,8 +5,13 @@ use serde::Serialize;
 use sgs_engine::{DeviceInfo, MatrixShape};
 use sgs_passes::{Matrices, NoMatrices};
 
-/// Subgroup sizes at which the project's tests have run, all on Mesa's lavapipe.
+/// Subgroup sizes of the project's tests on Mesa's lavapipe.
 const TESTED_LANES: [u32; 2] = [8, 16];
+
+/// Driver, subgroup size and name of GPUs on which the device tests have run.
+///
+/// See `bench/results/nvidia-h100`.
+const TESTED_GPUS: [(&str, u32, &str); 1] = [("NVIDIA 580.159.04", 32, "NVIDIA H100 80GB HBM3")];
 
 /// Device in the output of `--json`.
 #[derive(Serialize)]
@@ -25,8 +30,8 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
         .iter()
         .map(|info| Listed {
             info,
-            tests: if tested(&info.driver, info.subgroup_size) { "tested" } else { "not tested" },
-            tested_lanes: if is_lavapipe(&info.driver) { &TESTED_LANES } else { &[] },
+            tests: if tested(&info.name, &info.driver, info.subgroup_size) { "tested" } else { "not tested" },
+            tested_lanes: tested_lanes(&info.name, &info.driver),
         })
         .collect();
     if common.answer(&listed)? {
@@ -65,15 +70,33 @@ fn is_lavapipe(driver: &str) -> bool {
     driver.starts_with("llvmpipe")
 }
 
+fn is_tested_gpu(name: &str, driver: &str, lanes: u32) -> bool {
+    TESTED_GPUS.contains(&(driver.trim(), lanes, name))
+}
+
+/// Returns the subgroup sizes at which the tests have run on a kind of device.
+fn tested_lanes(name: &str, driver: &str) -> &'static [u32] {
+    if is_lavapipe(driver) {
+        &TESTED_LANES
+    } else if is_tested_gpu(name, driver, 32) {
+        &[32]
+    } else {
+        &[]
+    }
+}
+
 /// Returns whether the project's tests have run on such a device.
-fn tested(driver: &str, lanes: u32) -> bool {
-    is_lavapipe(driver) && TESTED_LANES.contains(&lanes)
+fn tested(name: &str, driver: &str, lanes: u32) -> bool {
+    tested_lanes(name, driver).contains(&lanes)
 }
 
 /// Describes which tests have run on a device.
 fn tests(info: &DeviceInfo) -> String {
     let lanes = TESTED_LANES.map(|lanes| lanes.to_string()).join(" and ");
-    if tested(&info.driver, info.subgroup_size) {
+    let size = info.subgroup_size;
+    if is_tested_gpu(&info.name, &info.driver, size) {
+        format!("tested: the device tests have run on it with {size} lanes")
+    } else if tested(&info.name, &info.driver, size) {
         format!("tested: lavapipe with {lanes} lanes")
     } else {
         format!("not tested: the tests run on lavapipe with {lanes} lanes")
@@ -98,10 +121,12 @@ fn units(info: &DeviceInfo) -> Option<String> {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn only_lavapipe_at_tested_subgroup_sizes_is_tested() {
-        let tested = super::tested;
+    fn devices_of_the_tests_are_tested_at_their_subgroup_sizes() {
+        let tested = |driver: &str, lanes: u32| super::tested("a device", driver, lanes);
         assert!(tested("llvmpipe Mesa 22.3.6 (LLVM 15.0.6)", 8) && tested("llvmpipe Mesa 25.0.7", 16));
         assert!(!tested("llvmpipe Mesa 22.3.6 (LLVM 15.0.6)", 32));
         assert!(!tested("radv Mesa 25.0.7", 8) && !tested("NVIDIA 550.54", 32) && !tested("", 8));
+        let h100 = |driver: &str, lanes: u32| super::tested("NVIDIA H100 80GB HBM3", driver, lanes);
+        assert!(h100("NVIDIA 580.159.04", 32) && !h100("NVIDIA 580.159.04", 64) && !h100("NVIDIA 550.54", 32));
     }
 }
