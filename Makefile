@@ -10,7 +10,7 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-lanes test-priors bench lint docs check fuzz setup setup-tests install
+.PHONY: help demo test test-lanes test-priors bench lint docs check deny fuzz setup setup-tests install
 .NOTPARALLEL:
 
 help:
@@ -21,6 +21,7 @@ help:
 	@echo "make bench   time every pass and a whole step on this machine's device"
 	@echo "make fuzz    feed every reader damaged files, in turns, until each has had an hour of the processor; stop it and go on at will"
 	@echo "make lint    formatting, clippy, documentation and the crates' layers, without the other tests"
+	@echo "make deny    licenses, duplicates and sources of all packages; needs cargo-deny"
 	@echo "make docs    the API documentation, in target/doc"
 	@echo "make install put sgs with its manual and completions, libsgs, sgs.h and sgs.pc under PREFIX ($(PREFIX))"
 	@echo "make setup   install or name missing system packages"
@@ -38,6 +39,7 @@ demo: setup
 # The tests include the layers, so this is lint and more.
 test: setup-tests check
 	python3 -B -m unittest discover -s tools/priors/tests -p 'test_[ps]*.py'
+	$(CARGO) build --locked -p sgs
 	$(CARGO) test --workspace --locked
 
 test-lanes: setup-tests
@@ -56,6 +58,11 @@ check: setup
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --locked
+	@if command -v cargo-deny >/dev/null; then $(MAKE) --no-print-directory deny; fi
+
+# The test tests/tests/dependencies.rs checks the same lists on machines without cargo-deny.
+deny:
+	$(CARGO) deny --locked check bans licenses sources
 
 docs: setup
 	$(CARGO) doc --workspace --no-deps --locked

@@ -3,7 +3,7 @@
 use crate::ceiling::Ceiling;
 use crate::report::{PassRow, Report};
 use crate::stats::Summary;
-use sgs_engine::graph::exec::{ExecOptions, Executor, HostTimes, PassTime};
+use sgs_engine::exec::{ExecOptions, Executor, HostTimes, PassTime};
 use sgs_engine::graph::{Buffer, BufferKind, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::cost::{Counts, cost};

@@ -5,8 +5,8 @@
 use crate::process::cpu_seconds;
 use crate::workload::Workload;
 use anyhow::Context;
+use sgs_engine::exec::PassTime;
 use sgs_engine::graph::Plan;
-use sgs_engine::graph::exec::PassTime;
 use sgs_engine::{Activity, Device};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Status, StepReport};
@@ -86,7 +86,7 @@ impl<'w> Trainer<'w> {
         dense_adam: bool,
         entry_capacity: u32,
     ) -> anyhow::Result<Self> {
-        let densify = workload.settings.geometry.densify.enabled;
+        let densify = workload.settings.geometry.densify.enabled();
         let count = workload.start.len() as u32;
         // Capacity for the new Gaussians of one densification.
         let capacity = if densify { count + count / 2 } else { count };

@@ -28,7 +28,7 @@ impl Shader {
         const OP_CAPABILITY: u32 = 17;
         const GROUP_NON_UNIFORM: std::ops::RangeInclusive<u32> = 61..=68;
         // Capabilities are the first instructions of a module.
-        crate::device::instructions(&self.spirv)
+        instructions(&self.spirv)
             .map_while(|op| if op[0] & 0xffff == OP_CAPABILITY { op.get(1) } else { None })
             .any(|capability| GROUP_NON_UNIFORM.contains(capability))
     }
@@ -37,4 +37,15 @@ impl Shader {
     pub fn binding(&self, name: &str) -> Option<&Binding> {
         self.bindings.iter().find(|b| b.name == name)
     }
+}
+
+/// Iterates over the instructions of a module, leading word included; stops at a damaged one.
+pub(crate) fn instructions(spirv: &[u32]) -> impl Iterator<Item = &[u32]> {
+    let mut rest = spirv.get(5..).unwrap_or_default();
+    std::iter::from_fn(move || {
+        let words = (*rest.first()? >> 16) as usize;
+        let (op, after) = rest.split_at_checked(words).filter(|_| words > 0)?;
+        rest = after;
+        Some(op)
+    })
 }

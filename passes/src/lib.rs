@@ -12,6 +12,7 @@ pub mod optim;
 pub mod pipeline;
 pub mod prim;
 pub mod reference;
+pub mod rng;
 pub mod scene;
 pub mod shade;
 pub mod splat;

@@ -7,8 +7,8 @@
 
 use sgs_engine::{DeviceInfo, MatrixShape};
 
-/// Rows and columns of the layers that matrix units multiply.
-const WIDTH: u32 = crate::shade::visibility::FIELD_WIDTH as u32;
+/// Rows and columns of the layers that matrix units multiply: those of the visibility field.
+pub(crate) const WIDTH: u32 = 32;
 
 /// GLSL extension that the kernels require.
 const EXTENSION: &str = "GL_KHR_cooperative_matrix";

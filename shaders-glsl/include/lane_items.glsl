@@ -37,8 +37,8 @@ uint lane_of(uint n) { return SIDES > 1u ? gl_SubgroupInvocationID / ACROSS * AC
     {                                                                                                          \
         bool upper_ = (gl_SubgroupInvocationID & reach_) != 0u;                                                \
         [[unroll]] for (uint j_ = 0u; j_ < reach_; ++j_) {                                                     \
-            T given_ = upper_ ? values[j_] : values[j_ + reach_];                                              \
-            T kept_ = upper_ ? values[j_ + reach_] : values[j_];                                               \
-            values[j_] = JOIN(kept_, subgroupShuffleXor(given_, reach_));                                      \
+            T sent_ = upper_ ? values[j_] : values[j_ + reach_];                                              \
+            T own_ = upper_ ? values[j_ + reach_] : values[j_];                                               \
+            values[j_] = JOIN(own_, subgroupShuffleXor(sent_, reach_));                                      \
         }                                                                                                      \
     }

@@ -46,9 +46,9 @@ float rectified(float x) { return min(max(x, 0.0), 1e18); }
     {                                                                                                          \
         bool upper_ = (gl_SubgroupInvocationID & reach_) != 0u;                                                \
         [[unroll]] for (uint j_ = 0u; j_ < reach_; ++j_) {                                                     \
-            float given_ = upper_ ? values_[j_] : values_[j_ + reach_];                                        \
-            float kept_ = upper_ ? values_[j_ + reach_] : values_[j_];                                         \
-            values_[j_] = kept_ + subgroupShuffleXor(given_, reach_);                                          \
+            float sent_ = upper_ ? values_[j_] : values_[j_ + reach_];                                        \
+            float own_ = upper_ ? values_[j_ + reach_] : values_[j_];                                         \
+            values_[j_] = own_ + subgroupShuffleXor(sent_, reach_);                                          \
         }                                                                                                      \
     }
 #if ITEM_COUNT == 8

@@ -38,17 +38,17 @@ void main() {
         uint rank = (i - hole_ranks[i]) - (p.after - hole_ranks[p.after]); // among the survivors beyond the new end
         home = holes[p.added + rank];
     }
-    uint birth = NOWHERE;
+    uint new_index = NOWHERE;
     if (refined(verdict)) {
         uint strength = verdict_strength(verdict);
-        if (strength > p.cutoff) birth = strong_ranks[i];
-        else if (strength == p.cutoff && tie_ranks[i] < p.ties) birth = p.strong + tie_ranks[i];
+        if (strength > p.cutoff) new_index = strong_ranks[i];
+        else if (strength == p.cutoff && tie_ranks[i] < p.ties) new_index = p.strong + tie_ranks[i];
     }
-    if (birth != NOWHERE) {
-        uint child = birth < p.pruned ? holes[birth] : p.before + (birth - p.pruned);
-        entries[birth] = Move(i, home, child, kind);
+    if (new_index != NOWHERE) {
+        uint child = new_index < p.pruned ? holes[new_index] : p.before + (new_index - p.pruned);
+        entries[new_index] = Move(i, home, child, kind);
         if (kind == SPLIT) atomicAdd(stats[0].split, 1u);
         else atomicAdd(stats[0].cloned, 1u);
     }
-    if (beyond) entries[p.added + i - p.after] = Move(i, home, NOWHERE, birth == NOWHERE ? KEEP : PRUNE);
+    if (beyond) entries[p.added + i - p.after] = Move(i, home, NOWHERE, new_index == NOWHERE ? KEEP : PRUNE);
 }

@@ -25,7 +25,7 @@ struct ShowStep {
 struct Mark {
     vec2 at;       // pixels
     float radius;  // pixels
-    uint look;     // 1: ringed, white within dark; 2: hollow
+    uint style;     // 1: ringed, white within dark; 2: hollow
     vec3 color;    // encoded
 };
 
@@ -78,10 +78,10 @@ void main() {
         // A pixel wide, edges run from all to nothing.
         float disc = clamp(0.5 - away, 0.0, 1.0);
         float rim = disc - clamp(-1.0 - away, 0.0, 1.0);
-        float inside = (mark.look & 2u) != 0u ? disc - clamp(-2.5 - away, 0.0, 1.0) : disc;
+        float inside = (mark.style & 2u) != 0u ? disc - clamp(-2.5 - away, 0.0, 1.0) : disc;
         v = mix(v, mark.color, inside);
         v = mix(v, vec3(0.05), rim);
-        if ((mark.look & 1u) != 0u) {
+        if ((mark.style & 1u) != 0u) {
             // A dark line around the light one, visible on white.
             float ring = clamp(3.5 - away, 0.0, 1.0) - clamp(1.5 - away, 0.0, 1.0);
             float around = clamp(4.5 - away, 0.0, 1.0) - clamp(3.5 - away, 0.0, 1.0);

@@ -63,7 +63,7 @@ pub struct Found {
 
 /// Inputs of [`run`].
 #[derive(Clone, Copy)]
-pub struct Given<'g> {
+pub struct Case<'g> {
     /// Environment map.
     pub e: &'g Environment,
     /// Texels of the environment map.
@@ -84,8 +84,8 @@ pub struct Given<'g> {
 pub const BEFORE: f32 = 0.5;
 
 /// Runs every pass once.
-pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
-    let (e, pixels) = (given.e, given.pixels);
+pub fn run(gpu: &Gpu, t: &Tuning, case: &Case<'_>) -> Found {
+    let (e, pixels) = (case.e, case.pixels);
     let count = pixels.len() as u64;
     let mut g = Graph::new("environment");
     let tables = e.declare(&mut g);
@@ -101,7 +101,7 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
         normals,
         coverage,
         materials,
-        metallic: given.metallic.then_some(metallic),
+        metallic: case.metallic.then_some(metallic),
         pixels: count,
     };
     let ambient = g.external("ambient", 12 * count);
@@ -114,9 +114,9 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
 
     let filtered = environment_filter(&mut g, t, e, &tables, texels).unwrap();
     environment(&mut g, t, e, &tables, &view, &filtered, ambient).unwrap();
-    let back = if given.merge { Tuning { subgroup_size: 32, ..*t } } else { *t };
+    let back = if case.merge { Tuning { subgroup_size: 32, ..*t } } else { *t };
     environment_diffuse(&mut g, t, e, &tables, &view, &filtered, diffuse).unwrap();
-    let by_metallic = given.metallic.then_some(metallic_gradient);
+    let by_metallic = case.metallic.then_some(metallic_gradient);
     let sums = environment_bwd(
         &mut g,
         &back,
@@ -129,7 +129,7 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
         by_metallic,
     )
     .unwrap();
-    let smooth = environment_smoothness(&mut g, t, e, &tables, texels, WEIGHT).filter(|_| given.smooth);
+    let smooth = environment_smoothness(&mut g, t, e, &tables, texels, WEIGHT).filter(|_| case.smooth);
     environment_filter_bwd(&mut g, t, e, &tables, &filtered, &sums, smooth.as_ref(), gradient).unwrap();
     g.copy("radiance", filtered.radiance, radiance).unwrap();
     g.copy("sums", sums.texel_sums, sums_out).unwrap();
@@ -147,13 +147,13 @@ pub fn run(gpu: &Gpu, t: &Tuning, given: &Given<'_>) -> Found {
     };
     let mut inputs: Vec<(Buffer, Vec<u8>)> = vec![
         (step, bytes(&[values])),
-        (texels, bytes(given.texels)),
+        (texels, bytes(case.texels)),
         (points, floats(&|p| p.point.to_vec())),
         (normals, floats(&|p| p.normal.to_vec())),
         (coverage, floats(&|p| vec![p.coverage])),
         (materials, floats(&|p| [&p.albedo[..], &[p.roughness]].concat())),
         (metallic, floats(&|p| vec![p.metallic])),
-        (radiance_gradient, bytes(given.gradient)),
+        (radiance_gradient, bytes(case.gradient)),
         (materials_gradient, bytes(&vec![BEFORE; 4 * pixels.len()])),
         (metallic_gradient, bytes(&vec![BEFORE; pixels.len()])),
     ];

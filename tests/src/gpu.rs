@@ -1,7 +1,7 @@
 //! Device for tests: validation on, outputs poisoned; any message fails the test.
 
 use sgs_engine::device::PipelineInfo;
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, BufferKind, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, DeviceOptions, Location};
 use sgs_passes::Tuning;

@@ -8,7 +8,7 @@ use sgs_config::Settings;
 pub fn settings(steps: u32) -> Settings {
     let mut s = Settings::default();
     s.geometry.steps = 20;
-    s.geometry.densify.enabled = false;
+    s.geometry.densify.until = 0.0;
     s.intrinsic.steps = steps;
     s.intrinsic.environment.resolution = 16;
     s.intrinsic.lights.grid = 2;

@@ -8,10 +8,11 @@ use sgs_passes::loss::{
     Head, NO_LABEL, SemanticLoss, SemanticTargets, count_targets, decoder_gradient, normalize_embeddings, pack_mask,
     sampled_pixels, semantic_loss, semantic_prepare, semantic_sum, semantic_targets,
 };
+use sgs_passes::optim::decoder_step;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::semantic as reference;
 use sgs_passes::reference::semantic::{View, Weights};
-use sgs_passes::scene::{Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
+use sgs_passes::scene::{Decoder, DecoderHandles, EMBEDDING, FEATURES};
 use sgs_shaders::structs::{LossStats, SemanticTarget, Step, Work};
 
 /// Number of samples of other views before the view's samples.
@@ -73,9 +74,9 @@ pub struct Found {
 
 /// Runs the loss of a view.
 ///
-/// `given`: whether the device receives the labels; otherwise the device computes them from the targets.
-pub fn run(gpu: &Gpu, h: &reference::Head, v: &View, given: bool, largest: [u32; 2], weights: &Weights) -> Found {
-    run_steps(gpu, h, v, given, largest, weights, 0)
+/// `has_labels`: whether the device receives the labels; otherwise the device computes them from the targets.
+pub fn run(gpu: &Gpu, h: &reference::Head, v: &View, has_labels: bool, largest: [u32; 2], weights: &Weights) -> Found {
+    run_steps(gpu, h, v, has_labels, largest, weights, 0)
 }
 
 /// Runs the loss as [`run`] does, and updates the decoder for `steps` steps.
@@ -83,7 +84,7 @@ pub fn run_steps(
     gpu: &Gpu,
     h: &reference::Head,
     v: &View,
-    given: bool,
+    has_labels: bool,
     largest: [u32; 2],
     weights: &Weights,
     steps: usize,
@@ -130,9 +131,9 @@ pub fn run_steps(
     let gradient = g.external("gradient", 4 * h.decoder.len() as u64);
     let stats = g.external("stats", size_of::<LossStats>() as u64);
     let classes = h.classes() as u32;
-    let given = given.then_some(label_buffer);
+    let label_input = has_labels.then_some(label_buffer);
     let tuning = gpu.tuning();
-    semantic_targets(&mut g, tuning, feature_buffer, embeddings, classes, given, all as u32, targets).unwrap();
+    semantic_targets(&mut g, tuning, feature_buffer, embeddings, classes, label_input, all as u32, targets).unwrap();
     let on_gpu = Head { decoder, embeddings, classes };
     let prepared = semantic_prepare(&mut g, tuning, &on_gpu).unwrap();
     let a = SemanticLoss {

@@ -236,8 +236,8 @@ fn anchors(text: &str) -> BTreeSet<String> {
     let mut anchors = BTreeSet::new();
     for line in prose(text).lines().filter(|l| l.starts_with('#')) {
         let title = line.trim_start_matches('#').trim().to_lowercase();
-        let kept = title.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
-        anchors.insert(kept.map(|c| if c == ' ' { '-' } else { c }).collect());
+        let allowed = title.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
+        anchors.insert(allowed.map(|c| if c == ' ' { '-' } else { c }).collect());
     }
     anchors
 }
@@ -365,63 +365,4 @@ fn shell_blocks_run() {
         );
     }
     assert!(count >= 5, "{count} blocks");
-}
-
-/// Returns the direct dependencies that the workspace manifest lists.
-fn dependencies() -> BTreeSet<String> {
-    let manifest: toml::Table = read(&root().join("Cargo.toml")).parse().expect("the manifest is TOML");
-    let all = manifest["workspace"]["dependencies"].as_table().expect("a table");
-    all.iter().filter(|(_, value)| value.get("path").is_none()).map(|(name, _)| name.clone()).collect()
-}
-
-#[test]
-fn every_dependency_has_a_reason() {
-    let page = read(&root().join("docs/project/dependencies.md"));
-    let rows = page.lines().filter(|l| l.starts_with("| `"));
-    let mut listed = BTreeSet::new();
-    for row in rows {
-        let (names, reason) = row.trim_matches('|').split_once('|').expect("two columns");
-        assert!(reason.trim().len() > 5, "{names} has no reason");
-        listed.extend(names.split(',').map(|n| n.trim().trim_matches('`').to_owned()));
-    }
-    assert_eq!(listed, dependencies());
-}
-
-/// Returns whether allowed licenses alone satisfy an SPDX license expression.
-fn allowed(expression: &str) -> bool {
-    const ALLOWED: &[&str] =
-        &["MIT", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "ISC", "Zlib", "0BSD", "Unlicense", "Unicode-3.0"];
-    let flat = expression.replace(['(', ')'], "").replace(" / ", " OR ").replace('/', " OR ");
-    let part = |part: &str| part.split(" OR ").any(|l| ALLOWED.contains(&l.trim()));
-    flat.split(" AND ").all(part)
-}
-
-/// Checks the licenses in the manifests of all resolved third-party packages.
-#[test]
-fn licenses_are_permissive() {
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let output = Command::new(cargo)
-        .args(["metadata", "--format-version", "1", "--locked", "--filter-platform", "x86_64-unknown-linux-gnu"])
-        .current_dir(root())
-        .output()
-        .expect("cargo runs");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let metadata: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
-    let nodes: BTreeSet<&str> =
-        metadata["resolve"]["nodes"].as_array().expect("nodes").iter().filter_map(|n| n["id"].as_str()).collect();
-    let mut refused = Vec::new();
-    for package in metadata["packages"].as_array().expect("packages") {
-        let name = package["name"].as_str().expect("a name");
-        // cbindgen is linked by tests only.
-        if !nodes.contains(package["id"].as_str().expect("an id")) || package["source"].is_null() || name == "cbindgen"
-        {
-            continue;
-        }
-        let license = package["license"].as_str().unwrap_or("none");
-        if !allowed(license) {
-            refused.push(format!("{name}: {license}"));
-        }
-    }
-    assert!(refused.is_empty(), "{refused:?}");
-    assert!(!allowed("GPL-3.0") && !allowed("MIT AND GPL-2.0") && allowed("GPL-2.0 OR MIT"));
 }

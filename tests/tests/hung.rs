@@ -2,7 +2,7 @@
 //!
 //! The error arrives in time and names the work. Resources in use are not freed early, and none leak.
 
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, DeviceOptions, Error, Location};
 use sgs_tests::busy;

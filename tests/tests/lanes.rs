@@ -15,10 +15,10 @@ const WIDTH: &str = "512";
 /// Programs and tests that run by default.
 ///
 /// Their sizes or strides depend on the subgroup.
-const DEFAULT: &[(&str, &[&str])] = &[("subgroups", &[]), ("visible_bits", &[]), ("splat", &[]), ("long_tiles", &[])];
+const DEFAULT: &[(&str, &[&str])] = &[("device", &["subgroups::", "visible_bits::", "splat::", "long_tiles::"])];
 
 /// Programs that need no device or open their own devices.
-const WITHOUT_DEVICE: &[&str] = &["lanes", "layers", "presets"];
+const WITHOUT_DEVICE: &[&str] = &["docs", "lanes", "layers", "modules"];
 
 /// Returns the environment variables of a run at 16 lanes.
 ///
@@ -78,7 +78,11 @@ fn run(name: &str, filters: &[&str]) -> Result<(), String> {
 fn programs() -> Vec<String> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests");
     let files = std::fs::read_dir(folder).unwrap().flatten();
-    let names = files.filter_map(|f| Some(f.file_name().to_str()?.strip_suffix(".rs")?.to_owned()));
+    let names = files.filter_map(|file| {
+        let name = file.file_name().into_string().ok()?;
+        let folder = file.path().join("main.rs").is_file();
+        if folder { Some(name) } else { Some(name.strip_suffix(".rs")?.to_owned()) }
+    });
     let mut names: Vec<String> = names.filter(|name| !WITHOUT_DEVICE.contains(&name.as_str())).collect();
     names.sort_unstable();
     names

@@ -11,12 +11,16 @@ use syn::{Attribute, Item, UseTree};
 /// Crates that are checked for cycles.
 const CRATES: &[&str] = &[
     "bench",
+    "engine",
+    "passes",
+    "tools/capi",
     "tools/config",
     "tools/evaluate",
     "tools/provider",
     "tools/relight",
     "tools/report",
     "tools/run",
+    "tools/scene",
     "tools/sgs",
     "tools/study",
     "tools/synth",

@@ -86,7 +86,7 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
 }
 
 /// Returns the durations of the passes themselves; the restoring copies run before them.
-fn inside(times: &[sgs_engine::graph::exec::PassTime]) -> Vec<f64> {
+fn inside(times: &[sgs_engine::exec::PassTime]) -> Vec<f64> {
     let first = |r: usize| times.iter().map(|t| t.start[r]).fold(f64::INFINITY, f64::min);
     spans(times).iter().enumerate().map(|(r, end)| end - first(r)).collect()
 }

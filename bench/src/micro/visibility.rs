@@ -124,8 +124,8 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     }
     // Every replay has the same gradients, so first moments are the gradients times 1 - 0.9^replays.
     let replays = (c.warmup.max(1) + c.repeats) as i32;
-    let [first, ..] = handles.training.ok_or_else(|| anyhow::anyhow!("The field is not declared for training."))?;
-    let table_gradients = rig.get::<[f32; 2]>(first)?;
+    let training = handles.training.ok_or_else(|| anyhow::anyhow!("The field is not declared for training."))?;
+    let table_gradients = rig.get::<[f32; 2]>(training.table_moments)?;
     let product = |a: &[f32], b: &mut dyn Iterator<Item = f32>| {
         a.iter().zip(b).fold([0.0, 0.0], |[sum, size]: [f64; 2], (a, b)| {
             let x = f64::from(*a) * f64::from(b);

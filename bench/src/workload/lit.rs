@@ -82,7 +82,7 @@ pub fn lit_settings(file: Option<&Path>) -> anyhow::Result<Settings> {
         None => Settings::default(),
     };
     let i = &settings.intrinsic;
-    ensure!(i.lights.enabled || i.environment.enabled, "There is nothing that gives light.");
+    ensure!(i.lights.enabled() || i.environment.enabled(), "There is nothing that gives light.");
     Ok(settings)
 }
 

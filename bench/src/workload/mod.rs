@@ -50,7 +50,9 @@ pub struct Workload {
 fn settings(densify: bool, sh_degree: u32) -> Settings {
     let mut s = Settings::default();
     s.geometry.sh_degree = sh_degree.into();
-    s.geometry.densify.enabled = densify;
+    if !densify {
+        s.geometry.densify.until = 0.0;
+    }
     s
 }
 

@@ -5,7 +5,7 @@
 //! docs/adr/0012-failure-on-purpose.md.
 
 use super::{Device, ObjectKind, Shared, Ticket};
-use crate::memory::Backing;
+use crate::allocator::Backing;
 use ash::vk;
 use gpu_allocator::vulkan::Allocation;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};

@@ -1,5 +1,7 @@
 //! Workgroup size of a SPIR-V module with its specialization constants.
 
+use crate::shader::instructions;
+
 const OP_EXECUTION_MODE: u32 = 16;
 const OP_EXECUTION_MODE_ID: u32 = 331;
 const OP_CONSTANT: u32 = 43;
@@ -49,17 +51,6 @@ pub fn local_size(spirv: &[u32], specs: &[(u32, u32)]) -> [u32; 3] {
     };
     let composite = |id: u32| composites.iter().find(|(other, _)| *other == id).map(|(_, ids)| *ids);
     built_in.and_then(composite).or(mode_ids).map_or(mode, |ids| ids.map(value))
-}
-
-/// Iterates over the instructions of a module, leading word included; stops at a damaged one.
-pub fn instructions(spirv: &[u32]) -> impl Iterator<Item = &[u32]> {
-    let mut rest = spirv.get(5..).unwrap_or_default();
-    std::iter::from_fn(move || {
-        let words = (*rest.first()? >> 16) as usize;
-        let (op, after) = rest.split_at_checked(words).filter(|_| words > 0)?;
-        rest = after;
-        Some(op)
-    })
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 //! Promises: objects created from a device keep it alive; one timeline semaphore orders all work; nothing waits for
 //! the whole device. The graph orders passes.
 
+mod allocation;
 mod cache;
 mod deferred;
 pub mod external;
@@ -16,7 +17,6 @@ mod requirements;
 mod select;
 mod statistics;
 mod surface;
-mod swapchain;
 
 pub(crate) use deferred::{Busy, DeferredObject};
 use external::Locked;
@@ -25,7 +25,6 @@ pub use fault::{Fault, FaultKind, Faults};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
 pub use limits::Limits;
-pub(crate) use local_size::instructions;
 pub use objects::{ObjectKind, Objects};
 pub use pipeline::PipelineInfo;
 pub(crate) use pipeline::{Pipeline, descriptor_type};
@@ -33,10 +32,9 @@ pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS
 pub use select::{DeviceInfo, MatrixShape, OptionalFeatures};
 pub use statistics::{KernelStatistics, Statistic};
 pub use surface::{Surface, Window};
-pub use swapchain::{PresentStatus, Swapchain};
 
+use crate::allocator::{Activity, Memory};
 use crate::error::{Error, Result};
-use crate::memory::{Activity, Memory};
 use ash::{ext, vk};
 use deferred::DeferredDestruction;
 use fault::Gate;
@@ -117,9 +115,10 @@ pub(crate) struct Shared {
     pub instance: Arc<Instance>,
 }
 
-struct Queue {
+/// Queue of a device, and the number of its submissions.
+pub(crate) struct Queue {
     /// Null if the host submits all work.
-    raw: vk::Queue,
+    pub raw: vk::Queue,
     /// Host's lock of its queue.
     lock: Option<Box<dyn QueueLock>>,
     submitted: u64,
@@ -343,7 +342,8 @@ impl Device {
 const WAIT_SLICES: u32 = 16;
 
 impl Shared {
-    fn queue(&self) -> MutexGuard<'_, Queue> {
+    /// Locks the queue.
+    pub fn queue(&self) -> MutexGuard<'_, Queue> {
         self.queue.lock().unwrap_or_else(|e| e.into_inner())
     }
 
@@ -481,7 +481,8 @@ fn create_resources(
         raw.create_semaphore(&semaphore, None)
     })?;
     let rest = pipeline::Pipelines::new(raw, gate, info, cache).and_then(|pipelines| {
-        match Memory::new(instance, raw, physical, info) {
+        let driver_budget = info.optional.memory_budget;
+        match Memory::new(&instance.raw, raw, physical, &info.name, info.memory_bytes, driver_budget) {
             Ok(memory) => Ok((timeline, memory, pipelines)),
             Err(error) => {
                 pipelines.destroy(raw, gate);

@@ -1,7 +1,8 @@
-//! Statistics of compiled kernels, as the driver reports them (`VK_KHR_pipeline_executable_properties`).
+//! Statistics of compiled kernels, as the driver reports them.
 //!
-//! Names and units are the driver's: NVIDIA reports registers, stack and shared memory, RADV registers, spills and code
-//! size. Promises: nothing is compiled or reported unless [`DeviceOptions::kernel_statistics`] requests it.
+//! They come from `VK_KHR_pipeline_executable_properties`. Names and units are the driver's: NVIDIA reports registers,
+//! stack and shared memory, RADV registers, spills and code size. Promises: nothing is compiled or reported unless
+//! [`DeviceOptions::kernel_statistics`] requests it.
 //!
 //! [`DeviceOptions::kernel_statistics`]: super::DeviceOptions::kernel_statistics
 
@@ -50,7 +51,7 @@ pub(super) fn supported(instance: &Instance, gate: &Gate, physical: vk::Physical
 }
 
 impl Device {
-    /// Returns the driver's statistics of every pipeline compiled so far, by kernel name.
+    /// Returns the driver's statistics of every compiled pipeline, by kernel name.
     ///
     /// Returns `None` if they were not requested, or the driver does not report any.
     ///

@@ -20,8 +20,8 @@ impl<W: HasDisplayHandle + HasWindowHandle + Send + Sync + 'static> Window for W
 
 /// Vulkan surface of a window; keeps the window alive.
 pub struct Surface {
-    pub(super) raw: vk::SurfaceKHR,
-    pub(super) api: khr::surface::Instance,
+    pub(crate) raw: vk::SurfaceKHR,
+    pub(crate) api: khr::surface::Instance,
     instance: Arc<Instance>,
     objects: super::Objects,
     _window: Arc<dyn Window>,

@@ -40,7 +40,6 @@
 pub mod builder;
 pub mod dump;
 pub mod error;
-pub mod exec;
 pub mod image;
 pub mod pass;
 pub mod pass_builder;

@@ -4,7 +4,8 @@
 //! destroyed with the wrapper. The host manages lifetimes and synchronization, as the safety contracts state.
 
 use super::image::ImageInner;
-use super::{Backing, DeviceBuffer, DeviceImage, Inner, Location};
+use super::{DeviceBuffer, DeviceImage, Inner, Location};
+use crate::allocator::Backing;
 use crate::device::{Busy, Device};
 use crate::error::{Error, Result};
 use crate::format::ImageFormat;

@@ -4,7 +4,8 @@
 //! handle is dropped. A wrapped image is never destroyed here. The engine does not track layouts at run time: a graph
 //! declares entry and exit layouts.
 
-use super::{Backing, DeviceBuffer, Location};
+use super::{DeviceBuffer, Location};
+use crate::allocator::Backing;
 use crate::device::{Busy, DeferredObject, Device, ObjectKind};
 use crate::error::{Error, Result};
 use crate::format::ImageFormat;

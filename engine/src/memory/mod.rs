@@ -1,25 +1,25 @@
 //! Buffers, images and their memory.
 //!
-//! Promises: a buffer lives until its last handle is dropped and names itself in errors; usage is counted. The plan
-//! manages the lifetimes of transients, which it places in one arena buffer.
+//! Promises: a buffer lives until its last handle is dropped and names itself in errors. The plan manages the lifetimes
+//! of transients, which it places in one arena buffer.
 
-mod budget;
 mod external;
 pub(crate) mod image;
 mod shared;
 mod transfer;
 
-pub use budget::{Budget, BudgetSource};
+pub use crate::allocator::{Activity, Budget, BudgetSource};
 pub use image::DeviceImage;
 pub use shared::{Semaphore, SharedHandle};
 pub use transfer::STAGING_BYTES;
 
-use crate::device::{Busy, DeferredObject, Device, DeviceInfo, ObjectKind, Shared};
+use crate::allocator::Backing;
+use crate::device::{Busy, DeferredObject, Device, ObjectKind, Shared};
 use crate::error::{Error, Result};
 use ash::vk;
 use gpu_allocator::MemoryLocation;
-use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme, Allocator, AllocatorCreateDesc};
-use std::sync::{Arc, Mutex, MutexGuard};
+use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
+use std::sync::Arc;
 
 /// Memory type of a buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,128 +30,6 @@ pub enum Location {
     Upload,
     /// Host memory, written by the device and read by the host.
     Readback,
-}
-
-pub(crate) struct Memory {
-    state: Mutex<State>,
-    limits: budget::Limits,
-}
-
-struct State {
-    allocator: Option<Allocator>,
-    used: u64,
-    peak: u64,
-    /// Peak usage in bytes since the last reset.
-    window_peak: u64,
-    activity: Activity,
-}
-
-impl State {
-    fn add(&mut self, bytes: u64) {
-        self.used += bytes;
-        self.peak = self.peak.max(self.used);
-        self.window_peak = self.window_peak.max(self.used);
-    }
-}
-
-/// Counters of memory operations since the device was opened. A steady state changes none of them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Activity {
-    /// Live buffers.
-    pub buffers: u64,
-    /// Live images.
-    pub images: u64,
-    /// Buffers and images created in total.
-    pub made: u64,
-    /// Number of calls of [`Device::upload`].
-    pub uploads: u64,
-    /// Number of calls of [`Device::download`].
-    pub downloads: u64,
-}
-
-impl Memory {
-    pub fn new(
-        instance: &crate::device::Instance,
-        device: &ash::Device,
-        physical: vk::PhysicalDevice,
-        info: &DeviceInfo,
-    ) -> Result<Memory> {
-        let desc = AllocatorCreateDesc {
-            instance: instance.raw.clone(),
-            device: device.clone(),
-            physical_device: physical,
-            debug_settings: gpu_allocator::AllocatorDebugSettings::default(),
-            buffer_device_address: false,
-            // Small blocks that grow, so that a small scene does not allocate 256 MiB.
-            allocation_sizes: gpu_allocator::AllocationSizes::new(8 << 20, 8 << 20),
-        };
-        let allocator = Allocator::new(&desc).map_err(|e| Error::OutOfMemory {
-            what: format!("the allocator of {}", info.name),
-            bytes: 0,
-            reason: e.to_string(),
-        })?;
-        Ok(Memory {
-            state: Mutex::new(State {
-                allocator: Some(allocator),
-                used: 0,
-                peak: 0,
-                window_peak: 0,
-                activity: Activity::default(),
-            }),
-            limits: budget::Limits::new(instance, physical, info),
-        })
-    }
-
-    pub fn usage(&self) -> (u64, u64) {
-        let state = self.lock();
-        (state.used, state.peak)
-    }
-
-    pub fn during<T>(&self, work: impl FnOnce() -> T) -> (T, u64) {
-        let before = {
-            let mut state = self.lock();
-            state.window_peak = state.used;
-            state.used
-        };
-        let done = work();
-        (done, self.lock().window_peak.saturating_sub(before))
-    }
-
-    pub fn activity(&self) -> Activity {
-        self.lock().activity
-    }
-
-    /// Frees the allocator before the device is destroyed.
-    pub fn shut_down(&self) {
-        self.lock().allocator = None;
-    }
-
-    /// Leaks the allocator, because running work may use its memory.
-    pub fn leak(&self) {
-        std::mem::forget(self.lock().allocator.take());
-    }
-
-    pub(crate) fn count_destroyed_buffer(&self, bytes: u64) {
-        let mut state = self.lock();
-        state.used -= bytes;
-        state.activity.buffers -= 1;
-    }
-
-    pub(crate) fn count_destroyed_image(&self, bytes: u64) {
-        let mut state = self.lock();
-        state.used -= bytes;
-        state.activity.images -= 1;
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(|e| e.into_inner())
-    }
-
-    fn count_image(&self) {
-        let activity = &mut self.lock().activity;
-        activity.images += 1;
-        activity.made += 1;
-    }
 }
 
 /// Buffer handle; clones share the buffer.
@@ -169,17 +47,6 @@ pub(crate) struct Inner {
     backing: Backing,
     pub busy: Busy,
     pub device: Device,
-}
-
-/// Owner of the memory of a buffer or image.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Backing {
-    /// Allocator of the device.
-    Allocator,
-    /// Host; nothing is destroyed here.
-    Host,
-    /// Dedicated memory of the engine, shared with others; size in bytes.
-    Shared(vk::DeviceMemory, u64),
 }
 
 // SAFETY: the mapped pointer is plain memory that lives as long as the allocation; every access copies bytes in
@@ -274,44 +141,6 @@ fn buffer_info(bytes: u64) -> vk::BufferCreateInfo<'static> {
             | vk::BufferUsageFlags::TRANSFER_SRC
             | vk::BufferUsageFlags::TRANSFER_DST,
     )
-}
-
-impl Shared {
-    /// Allocates counted memory. All allocations pass here, so that faults can be injected.
-    pub(crate) fn allocate(&self, desc: &AllocationCreateDesc<'_>) -> Result<Allocation> {
-        let (what, bytes) = (desc.name, desc.requirements.size);
-        let refused = |reason: String| Error::OutOfMemory { what: what.to_owned(), bytes, reason };
-        let planned = |call: &'static str| {
-            self.gate.call(call, what, || Ok(())).map_err(|e| match e {
-                Error::Vulkan { call, result, .. } => refused(format!("{call}: {result}")),
-                other => other,
-            })
-        };
-        self.memory.check_budget(what, bytes, desc.location == MemoryLocation::GpuOnly)?;
-        planned("vkAllocateMemory")?;
-        if desc.location != MemoryLocation::GpuOnly {
-            planned("vkMapMemory")?;
-        }
-        let mut state = self.memory.lock();
-        let allocation = match state.allocator.as_mut() {
-            Some(a) => a.allocate(desc).map_err(|e| refused(format!("vkAllocateMemory: {e}")))?,
-            None => return Err(refused("the device is closing".to_owned())),
-        };
-        self.gate.objects.add(ObjectKind::Memory);
-        Ok(allocation)
-    }
-
-    /// Frees memory that nothing uses any more.
-    pub(crate) fn free(&self, allocation: Allocation) {
-        let mut state = self.memory.lock();
-        if let Some(allocator) = state.allocator.as_mut()
-            && let Err(error) = allocator.free(allocation)
-        {
-            tracing::error!(%error, "memory could not be freed");
-            return;
-        }
-        self.gate.count_destroyed(ObjectKind::Memory);
-    }
 }
 
 impl DeviceBuffer {

@@ -5,7 +5,8 @@
 //! transfers the descriptor and synchronizes both sides.
 
 use super::image::ImageInner;
-use super::{Backing, DeviceBuffer, DeviceImage, Inner, Location};
+use super::{DeviceBuffer, DeviceImage, Inner, Location};
+use crate::allocator::Backing;
 use crate::device::{Busy, Device, ObjectKind, Shared};
 use crate::error::{Error, Result};
 use crate::format::ImageFormat;
@@ -286,17 +287,6 @@ impl Shared {
                 drop(unsafe { OwnedFd::from_raw_fd(fd) });
             }
         })
-    }
-
-    /// Frees memory outside the allocator. Nothing may use it any more.
-    pub(crate) fn free_backing(&self, backing: Backing) {
-        if let Backing::Shared(memory, _) = backing
-            && memory != vk::DeviceMemory::null()
-        {
-            // SAFETY: the caller has destroyed what was bound to it.
-            unsafe { self.raw.free_memory(memory, None) };
-            self.gate.count_destroyed(ObjectKind::Memory);
-        }
     }
 }
 

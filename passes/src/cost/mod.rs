@@ -105,8 +105,8 @@ pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
         PassKind::Compute { shader, specs, push, dispatch, .. } => {
             let spec = |name: &str| {
                 let Some(constant) = shader.specs.iter().find(|s| s.name == name) else { return 0.0 };
-                let given = specs.iter().find(|(id, _)| *id == constant.id);
-                f64::from(given.map_or(constant.default, |(_, bits)| *bits))
+                let specialized = specs.iter().find(|(id, _)| *id == constant.id);
+                f64::from(specialized.map_or(constant.default, |(_, bits)| *bits))
             };
             let word = |i: usize| {
                 let bytes = push.get(4 * i..4 * i + 4).and_then(|b| b.try_into().ok());

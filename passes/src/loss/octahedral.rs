@@ -40,7 +40,7 @@ pub fn octahedral_decode(packed: u32) -> Option<[f64; 3]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     #[test]
     fn round_trip_error_is_below_7e_5() {

@@ -15,7 +15,7 @@
 //!
 //! Guarantees: every feature channel of the gradient is written at the selected pixels and nowhere else, by gathering,
 //! without atomics. Results are bit-identical between runs on a device. The caller adds other gradients of these
-//! channels afterwards, and runs Adam ([`crate::scene::decoder_step`]).
+//! channels afterwards, and runs Adam ([`crate::optim::decoder_step`]).
 //!
 //! Lanes fetch shared data together and exchange it by subgroup operations. These are rows of the decoder and, in
 //! `semantic_samples`, rows of the small matrices; there the 32 features of an item are spread over the lanes. CPUs
@@ -128,7 +128,7 @@ pub fn normalize_embeddings(rows: &[f32]) -> Vec<f32> {
 }
 
 /// Adds the pass that precomputes `targets`, `[samples]` of `SemanticTarget`. It runs once. The label is the class of
-/// the largest cosine, or the entry of `given` (one word per sample; out of range means none).
+/// the largest cosine, or the entry of `provided` (one word per sample; out of range means none).
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
@@ -139,17 +139,17 @@ pub fn semantic_targets(
     features: Buffer,
     embeddings: Buffer,
     classes: u32,
-    given: Option<Buffer>,
+    provided: Option<Buffer>,
     samples: u32,
     targets: Buffer,
 ) -> Result<(), GraphError> {
     let bindings = semantic_target::Bindings {
         features: features.into(),
         embeddings: embeddings.into(),
-        labels: given.unwrap_or(features).into(),
+        labels: provided.unwrap_or(features).into(),
         targets: targets.into(),
     };
-    let specs = semantic_target::Specs { subgroup: tuning.subgroup_size, classes, has_labels: given.is_some() };
+    let specs = semantic_target::Specs { subgroup: tuning.subgroup_size, classes, has_labels: provided.is_some() };
     let push = semantic_target::Push { samples };
     let pass = stage(
         g,

@@ -4,7 +4,7 @@ use crate::Tuning;
 use crate::optim::densify::{Densify, densify};
 use crate::optim::opacity_reset::opacity_reset;
 use crate::scene::{Gaussians, Group, Handles, Layout};
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Error, Location, Result};
 use sgs_shaders::structs::{Densify as Settings, DensifyStats};

@@ -5,7 +5,7 @@
 
 use super::{ViewError, ViewResult};
 use crate::splat::{Letters, Mark, Show, ShowStep, ShownKind, TexelFormat, show};
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, ImageState};
 use sgs_engine::{Device, DeviceBuffer, DeviceImage, ImageFormat, Location, Ticket};
 use std::sync::Arc;
@@ -51,8 +51,8 @@ impl Font {
     pub fn new(device: &Device, letters: Letters, pixels: &[u8]) -> sgs_engine::Result<Font> {
         let buffer = device.buffer("font", letters.bytes(), Location::Device)?;
         let mut words = vec![0; letters.bytes() as usize];
-        let given = pixels.len().min(words.len());
-        words[..given].copy_from_slice(&pixels[..given]);
+        let count = pixels.len().min(words.len());
+        words[..count].copy_from_slice(&pixels[..count]);
         device.upload(&buffer, 0, &words)?;
         Ok(Font { letters, pixels: buffer })
     }

@@ -7,7 +7,7 @@ use super::Step;
 use crate::Tuning;
 use crate::loss::{Head, Relevance, SemanticLabels, semantic_labels, semantic_prepare};
 use crate::scene::{Decoder, DecoderHandles, EMBEDDING};
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;

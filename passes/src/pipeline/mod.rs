@@ -23,8 +23,8 @@ pub use geometry::{
 };
 pub use intrinsic::{
     COPIES, EnvironmentMemory, EnvironmentRefresh, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters,
-    IntrinsicRates, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, RelitOptions, RelitView,
-    StoredEnvironment,
+    IntrinsicRates, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, LightTrainables, RelitOptions,
+    RelitView, StoredEnvironment,
 };
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use lit::{Lighting, LitEnvironment, LitFrame, LitLayer, LitOptions, LitScene, LitView};

@@ -6,7 +6,7 @@ use super::{Camera, Step};
 use crate::Tuning;
 use crate::scene::{FEATURES, Gaussians, Handles, Layout};
 use crate::splat::{Blended, Channels, Screen, Wanted, blend, blend_features, intersect, project, wanted_words};
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;

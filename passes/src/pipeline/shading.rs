@@ -14,7 +14,7 @@ use crate::shade::traced::{Traced, TracedMemory, TracedShape, lights_split_trace
 use crate::shade::visibility::{FieldHandles, View as VisibilityView, VisibilityField, lights_split_field, visibility};
 use crate::shade::{ALBEDO_RANGE, PixelMaterials, Pixels, RawMaterials, materials, values};
 use crate::splat::Screen;
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::{Camera, FieldStep};
@@ -318,8 +318,8 @@ impl State {
         let pixels = screen.pixels();
         let out = OUTPUTS.map(|(name, floats)| g.external(name, 4 * floats * pixels));
         let mut bound: Vec<(&Trainable, TrainableHandles)> = Vec::new();
-        let take = |g: &mut Graph, what: &'static str, given: &'_ Trainable| {
-            Trainable::handles(g, what, given.floats(), false)
+        let take = |g: &mut Graph, what: &'static str, trained: &'_ Trainable| {
+            Trainable::handles(g, what, trained.floats(), false)
         };
         let albedo = take(&mut g, "albedo", &scene.albedo);
         let roughness = take(&mut g, "roughness", &scene.roughness);
@@ -344,9 +344,9 @@ impl State {
         let mut tree: Option<Traced> = None;
         if let Some(l) = &scene.lights {
             let [positions, lobes, gains] = [("positions", &l.positions), ("lobes", &l.lobes), ("gains", &l.gains)]
-                .map(|(name, given)| {
-                    let handles = take(&mut g, name, given);
-                    bound.push((given, handles));
+                .map(|(name, trained)| {
+                    let handles = take(&mut g, name, trained);
+                    bound.push((trained, handles));
                     handles.parameters
                 });
             let parameters = LightParameters { positions, lobes, gains };
@@ -358,8 +358,8 @@ impl State {
                     lights_split_traced(&mut g, *t, &lights, &traced, [out[2], out[3]], out[7])?;
                     tree = Some(traced);
                 }
-                Some(ShadedVisibility::Field { field: given, .. }) => {
-                    let handles = given.declare(&mut g, false);
+                Some(ShadedVisibility::Field { field: trained, .. }) => {
+                    let handles = trained.declare(&mut g, false);
                     lights_split_field(&mut g, *t, &lights, &handles.field, out[2], out[3])?;
                     let view = VisibilityView {
                         pixels: pixels as u32,

@@ -1,6 +1,6 @@
 //! Status that training steps report to the host, some steps late: a flag, a counter and a ring of reports.
 
-use sgs_engine::graph::exec::Executor;
+use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::StepReport;

@@ -9,7 +9,7 @@ use crate::Tuning;
 use crate::scene::{Gaussians, Handles, Layout};
 use crate::shade::{GBUFFER_CHANNELS, Room, Surfaces, Weights, gbuffer, unpacked_weights, weight_words, weights};
 use crate::splat::{Blended, Screen, blend, intersect, project};
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Camera;
@@ -48,8 +48,8 @@ impl SurfaceShape {
 
     fn each(&self) -> [u64; NAMES.len()] {
         let (p, w) = (self.pixels(), 4 * u64::from(self.weights.max(1)));
-        let kept = 4 * weight_words(self.weights.max(1), self.weight_bits);
-        [12 * p, 12 * p, 4 * p, 4 * (p + 1), w, kept, 4 * (u64::from(self.gaussians) + 1), w, kept]
+        let weight_bytes = 4 * weight_words(self.weights.max(1), self.weight_bits);
+        [12 * p, 12 * p, 4 * p, 4 * (p + 1), w, weight_bytes, 4 * (u64::from(self.gaussians) + 1), w, weight_bytes]
     }
 
     /// Returns the bytes of one view's surfaces.
@@ -126,8 +126,8 @@ impl Surface {
         let shape = SurfaceShape { largest, gaussians: capacity, weights: count, weight_bits: 32 };
         let surface = Surface::new(device, shape)?;
         let pixels = shape.pixels() as usize;
-        let floats = |given: &[f32], length: usize| {
-            let mut all = given.to_vec();
+        let floats = |source: &[f32], length: usize| {
+            let mut all = source.to_vec();
             all.resize(length, 0.0);
             all
         };

@@ -10,7 +10,7 @@ use crate::scene::{Gaussians, Handles};
 use crate::splat::{
     Blended, Channels, Layer, Present, Presented, Screen, TexelFormat, blend, intersect, present, project,
 };
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Image, ImageState};
 use sgs_engine::{Device, DeviceBuffer, DeviceImage, ImageFormat, Location, Ticket};
 use std::sync::Arc;
@@ -48,14 +48,14 @@ pub enum ViewError {
     #[error("A view cannot be shown in {0}.")]
     Format(ImageFormat),
     /// Size of an image or a camera that differs from the size of the view.
-    #[error("The view is {} x {} pixels, but the {what} is {} x {}.", view[0], view[1], given[0], given[1])]
+    #[error("The view is {} x {} pixels, but the {what} is {} x {}.", view[0], view[1], actual[0], actual[1])]
     Size {
         /// `image` or `camera`.
         what: &'static str,
         /// Columns and rows of the view.
         view: [u32; 2],
         /// Columns and rows of the image or camera.
-        given: [u32; 2],
+        actual: [u32; 2],
     },
 }
 
@@ -190,9 +190,9 @@ impl View {
         how: impl FnOnce(&mut Executor, &[(Buffer, &[u8])]) -> sgs_engine::Result<R>,
     ) -> ViewResult<R> {
         let view = self.options.size;
-        for (what, given) in [("image", image.size()), ("camera", frame.camera.size)] {
-            if given != view {
-                return Err(ViewError::Size { what, view, given });
+        for (what, actual) in [("image", image.size()), ("camera", frame.camera.size)] {
+            if actual != view {
+                return Err(ViewError::Size { what, view, actual });
             }
         }
         if image.format() != self.options.presented.format.into() {

@@ -161,15 +161,17 @@ pub fn radix_sort(
         let pass = format!("{name}.radix_scatter{round}");
         let iota = values.is_none();
         let write_keys = want_keys || round + 1 < digits.len();
-        let (work, given) = (count.work(keys), values.unwrap_or(keys));
+        let (work, payload) = (count.work(keys), values.unwrap_or(keys));
         if direct {
             use radix_scatter_direct::{Bindings, KERNEL, Push, Specs};
-            let bindings = Bindings { work, totals, counts, keys, values: given, keys_sorted, values_sorted }.entries();
+            let bindings =
+                Bindings { work, totals, counts, keys, values: payload, keys_sorted, values_sorted }.entries();
             let specs = Specs { subgroup, items, bits, iota, write_keys, gpu_count }.entries();
             count.stage(g, &pass, &KERNEL, bindings, specs, bytes_of(&Push { limit, shift, stride }), subgroup)?;
         } else {
             use radix_scatter::{Bindings, KERNEL, Push, Specs};
-            let bindings = Bindings { work, totals, counts, keys, values: given, keys_sorted, values_sorted }.entries();
+            let bindings =
+                Bindings { work, totals, counts, keys, values: payload, keys_sorted, values_sorted }.entries();
             let specs = Specs { workgroup, subgroup, items, bits, iota, write_keys, gpu_count }.entries();
             count.stage(g, &pass, &KERNEL, bindings, specs, bytes_of(&Push { limit, shift, stride }), subgroup)?;
         }

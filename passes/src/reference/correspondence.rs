@@ -166,8 +166,8 @@ pub fn correspondence_rounding(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
     use crate::reference::semantic::tests::head;
+    use crate::rng::Pcg;
 
     fn rendered(pixels: usize, share: f64, rng: &mut Pcg) -> MaskedImage {
         let image = (0..3 * pixels).map(|_| rng.normal()).collect();

@@ -65,7 +65,7 @@ pub fn cross_view_bwd(images: &[MaskedAlbedo]) -> Vec<Vec<f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     #[test]
     fn gradients_match_finite_differences() {

@@ -2,7 +2,7 @@
 //!
 //! Slots are filled one by one, rather than through ranks and prefix sums as in the kernels.
 
-use super::rng::{normal_from, random_bits};
+use crate::rng::{normal_from, random_bits};
 
 /// Thresholds, as in `Densify` of `densify.glsl`.
 #[derive(Clone, Copy, Debug)]
@@ -141,8 +141,8 @@ pub fn layout(verdicts: &[Verdict], cap: usize) -> (Vec<Origin>, usize) {
         let spared = verdicts.iter().position(|v| *v == Verdict::Prune { valid: true }).unwrap_or(0);
         slots[spared] = Some(Origin::Same(spared));
     }
-    let kept = slots.iter().flatten().count();
-    let (parents, refused) = accepted(verdicts, cap.saturating_sub(kept));
+    let remaining = slots.iter().flatten().count();
+    let (parents, refused) = accepted(verdicts, cap.saturating_sub(remaining));
     for parent in parents {
         let child = if matches!(verdicts[parent], Verdict::Split { .. }) {
             slots[parent] = Some(Origin::Half(parent, 0));

@@ -48,7 +48,7 @@ pub fn edge_aware_bwd(image: &[f64], channels: usize, photo: &[u32], size: [usiz
 mod tests {
     use super::*;
     use crate::reference::difference;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     #[test]
     fn gradient_matches_finite_differences() {

@@ -367,7 +367,7 @@ pub fn ray(pose: &[[f32; 4]; 3], focal: [f32; 2], center: [f32; 2], pixel: [u32;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
     use crate::shade::environment::levels::{PRODUCTS, levels};
     use crate::shade::environment::{cube, form};
 

@@ -76,12 +76,12 @@ pub fn weights(splats: &[Projected], size: [u32; 2]) -> Vec<Vec<(usize, f64)>> {
 pub fn stored_rows(rows: &[Vec<(usize, f64)>]) -> Vec<Vec<(usize, f64)>> {
     let row = |row: &Vec<(usize, f64)>| {
         let mut carried = 0.0;
-        let mut kept = |w: f64| {
+        let mut rounded = |w: f64| {
             let parts = (65535.0 * w + carried).round_ties_even().clamp(0.0, 65535.0);
             carried += 65535.0 * w - parts;
             parts / 65535.0
         };
-        row.iter().map(|(i, w)| (*i, kept(*w))).collect()
+        row.iter().map(|(i, w)| (*i, rounded(*w))).collect()
     };
     rows.iter().map(row).collect()
 }

@@ -225,7 +225,7 @@ pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradien
 mod tests {
     use super::*;
     use crate::loss::octahedral::octahedral_encode;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     fn scene(width: usize, height: usize) -> Scene {
         let mut rng = Pcg::new(width as u32);

@@ -5,7 +5,7 @@
 //! that the radiance of the others does not add rounding errors.
 
 use super::brdf::{Material, V3, along, brdf, dot, unit};
-use super::rng::{random_bits, uniform_from};
+use crate::rng::{random_bits, uniform_from};
 use crate::shade::lights::{Axes, LightModel, Perturbation};
 use std::f64::consts::PI;
 
@@ -294,16 +294,4 @@ pub fn lights_regularize(raw: &Raw, pixels: &[Pixel]) -> [f64; 2] {
     let rows = raw.lobes.chunks(width).enumerate().filter(|(i, _)| raw.gains[i / lobes] != 0.0);
     let bright = rows.flat_map(|(_, row)| &row[width - 3..]).map(|x| x.min(15.0).exp()).sum::<f64>();
     [near / f64::from(raw.model.lights), bright / f64::from(raw.model.lights * raw.model.lobes)]
-}
-
-/// Returns the gains after lights that are too faint have been switched off.
-pub fn lights_prune(raw: &Raw, share: f64) -> Vec<f64> {
-    let (width, lobes) = (raw.model.row() as usize, raw.model.lobes as usize);
-    let most = |light: usize| {
-        let rows = raw.lobes[light * lobes * width..][..lobes * width].chunks(width);
-        rows.flat_map(|row| &row[width - 3..]).copied().fold(f64::NEG_INFINITY, f64::max)
-    };
-    let on = |light: &usize| raw.gains[*light] != 0.0;
-    let largest = (0..raw.gains.len()).filter(on).map(most).fold(f64::NEG_INFINITY, f64::max);
-    (0..raw.gains.len()).map(|i| if most(i) >= largest + share.ln() { raw.gains[i] } else { 0.0 }).collect()
 }

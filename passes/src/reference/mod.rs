@@ -20,7 +20,6 @@ pub mod present;
 pub mod project;
 pub mod radix_sort;
 pub mod region_mask;
-pub mod rng;
 pub mod scan;
 pub mod semantic;
 pub mod show;
@@ -29,6 +28,8 @@ pub mod stored;
 pub mod taps;
 pub mod traced;
 pub mod visibility;
+
+pub use crate::rng;
 
 /// Returns the central difference of `f` along coordinate `i` of `x`.
 #[cfg(test)]

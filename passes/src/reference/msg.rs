@@ -111,7 +111,7 @@ pub fn square(d: &Difference) -> (f64, Vec<f64>) {
 mod tests {
     use super::*;
     use crate::reference::difference;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     fn random(size: [usize; 2], channels: usize, holes: f64) -> Difference {
         let mut rng = Pcg::new((size[0] * 100 + size[1]) as u32);

@@ -189,7 +189,7 @@ pub fn photometric_bwd_off(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     fn case(shape: Shape, seed: u32) -> (Vec<f64>, Vec<u32>) {
         let mut rng = Pcg::new(seed);

@@ -160,9 +160,9 @@ fn project_one(
         return None;
     }
     let color = color(g, i, camera, mean, sh_degree);
-    let kept = |by: f64| color.map(|c| stored(c + by * c.max(1.0), a.color_bits));
-    let color_doubt = if a.color_bits < 32 { (kept(5e-7) - kept(-5e-7)).abs().max_element() } else { 0.0 };
-    let mut features = kept(0.0).to_array().to_vec();
+    let rounded = |by: f64| color.map(|c| stored(c + by * c.max(1.0), a.color_bits));
+    let color_doubt = if a.color_bits < 32 { (rounded(5e-7) - rounded(-5e-7)).abs().max_element() } else { 0.0 };
+    let mut features = rounded(0.0).to_array().to_vec();
     if !g.normals.is_empty() {
         let n = DVec3::from_slice(&g.normals[3 * i..]);
         features.extend((n / n.length().max(1e-3)).to_array());

@@ -141,7 +141,7 @@ impl BlockRanking {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     #[test]
     fn bits_outside_the_range_are_ignored() {

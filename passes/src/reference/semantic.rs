@@ -328,7 +328,7 @@ pub fn classify(head: &Head, f: &[f64], temperature: f64) -> (usize, Vec<f64>) {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     pub(in crate::reference) fn head(features: usize, embedding: usize, classes: usize, rng: &mut Pcg) -> Head {
         let mut text: Vec<f64> = (0..classes * embedding).map(|_| rng.normal()).collect();

@@ -31,9 +31,9 @@ fn marked(v: [f64; 3], mark: &Mark, [x, y]: [f64; 2]) -> [f64; 3] {
     let at = mark.at.map(f64::from);
     let away = (x - at[0]).hypot(y - at[1]) - f64::from(mark.radius);
     let disc = edge(0.5 - away);
-    let inside = if mark.look & MARK_HOLLOW != 0 { disc - edge(-2.5 - away) } else { disc };
+    let inside = if mark.style & MARK_HOLLOW != 0 { disc - edge(-2.5 - away) } else { disc };
     let band = |outer: f64, inner: f64| {
-        if mark.look & MARK_RINGED != 0 { edge(outer - away) - edge(inner - away) } else { 0.0 }
+        if mark.style & MARK_RINGED != 0 { edge(outer - away) - edge(inner - away) } else { 0.0 }
     };
     let v = mixed(v, mark.color.map(f64::from), inside);
     let v = mixed(v, [0.05; 3], disc - edge(-1.0 - away));

@@ -1,7 +1,7 @@
 //! Reference of the visibility field: value and gradients of one pair. A pair is a point and a light.
 
-use crate::reference::rng::{normal_from, random_bits};
 use crate::reference::stored::stored;
+use crate::rng::{normal_from, random_bits};
 use crate::shade::visibility::{FIELD_FEATURES, FIELD_WIDTH, FieldConfig};
 use sgs_shaders::structs::FieldLevel;
 
@@ -259,7 +259,7 @@ pub fn jitter(seed: u32, kind: usize, index: u32, deviation: f64) -> [f64; 3] {
 mod tests {
     use super::super::difference;
     use super::*;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     #[test]
     fn gradients_match_finite_differences() {

@@ -7,11 +7,9 @@
 //! Guarantees: initial parameters depend only on the seed. A raised flag stops its steps as it does those of the
 //! Gaussians. The tools read and write files.
 
-use crate::Tuning;
-use crate::optim::{Adam, Rate, adam};
-use crate::reference::rng::{random_bits, uniform_from};
-use sgs_engine::graph::exec::Executor;
-use sgs_engine::graph::{Buffer, Graph, GraphError};
+use crate::rng::{random_bits, uniform_from};
+use sgs_engine::exec::Executor;
+use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Work;
 
@@ -25,9 +23,6 @@ pub const AUGMENTED: usize = FEATURES + 1;
 pub const EMBEDDING: usize = 512;
 
 const PARAMETER_BYTES: u64 = 4 * (EMBEDDING * AUGMENTED) as u64;
-
-/// Epsilon of the decoder's Adam.
-const EPSILON: f32 = 1e-8;
 
 /// Decoder in device memory.
 #[derive(Debug)]
@@ -151,39 +146,6 @@ impl Decoder {
         }
         exec.bind(handles.work, &self.work)
     }
-}
-
-/// Adds the Adam pass of a decoder. The gradient is that of [`crate::loss::decoder_gradient`], the rate is `lr_decoder`
-/// of the step, epsilon is 1e-8. A decoder without moments is not changed. `flags`, `skipped`: as in [`Adam`].
-///
-/// # Errors
-/// If a buffer does not belong to the graph or is too small to be bound.
-pub fn decoder_step(
-    g: &mut Graph,
-    tuning: Tuning,
-    step: Buffer,
-    decoder: &DecoderHandles,
-    gradients: Buffer,
-    flags: Buffer,
-    skipped: Buffer,
-) -> std::result::Result<(), GraphError> {
-    let Some(moments) = decoder.moments else { return Ok(()) };
-    let what = Adam {
-        step,
-        live: decoder.work,
-        flags,
-        flag_words: 1,
-        width: AUGMENTED as u32,
-        capacity: (EMBEDDING * AUGMENTED) as u64,
-        rate: Rate::Decoder,
-        skip_zero: false,
-        epsilon: EPSILON,
-        gradients,
-        parameters: decoder.parameters,
-        moments,
-        skipped,
-    };
-    adam(g, tuning, "adam.decoder", &what)
 }
 
 #[cfg(test)]

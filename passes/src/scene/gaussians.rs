@@ -1,7 +1,7 @@
 //! Buffers of Gaussians, and their handles in a graph.
 
 use super::{Group, Model};
-use sgs_engine::graph::exec::Executor;
+use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Work;

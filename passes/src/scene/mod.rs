@@ -7,7 +7,7 @@ mod gaussians;
 mod model;
 mod trainable;
 
-pub use decoder::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES, decoder_step};
+pub use decoder::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES};
 pub use gaussians::{GaussianData, Gaussians, Handles, Layout, STATISTICS};
 pub use model::{Group, Model, SEMANTIC_FEATURES};
-pub use trainable::{AdamRule, StepWords, Trainable, TrainableHandles};
+pub use trainable::{Trainable, TrainableHandles};

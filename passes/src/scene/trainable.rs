@@ -2,10 +2,8 @@
 //!
 //! Guarantees: a raised flag stops its steps as it does those of the Gaussians. The caller computes gradients.
 
-use crate::Tuning;
-use crate::optim::{Adam, Rate, adam};
-use sgs_engine::graph::exec::Executor;
-use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_engine::exec::Executor;
+use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::Work;
 
@@ -23,23 +21,13 @@ pub struct Trainable {
 /// Buffers of a parameter array in one graph.
 #[derive(Clone, Copy, Debug)]
 pub struct TrainableHandles {
-    name: &'static str,
-    floats: u32,
+    pub(crate) name: &'static str,
+    pub(crate) floats: u32,
     /// Parameters.
     pub parameters: Buffer,
-    moments: Option<Buffer>,
-    work: Option<Buffer>,
-}
-
-/// Control words of a step: flag, and counter of non-finite gradients.
-#[derive(Clone, Copy, Debug)]
-pub struct StepWords {
-    /// Uniform `Step`: bias corrections.
-    pub step: Buffer,
-    /// Flag word. If it is not zero, the step changes nothing.
-    pub flags: Buffer,
-    /// Counter of skipped gradients.
-    pub skipped: Buffer,
+    /// Pairs of moments, and a `Work` of one row per value; only for training.
+    pub(crate) moments: Option<Buffer>,
+    pub(crate) work: Option<Buffer>,
 }
 
 impl Trainable {
@@ -157,51 +145,9 @@ impl Trainable {
     }
 }
 
-/// How Adam updates a parameter.
-#[derive(Clone, Copy, Debug)]
-pub struct AdamRule {
-    /// Learning rate.
-    pub rate: Rate,
-    /// Term that keeps the division finite.
-    pub epsilon: f32,
-    /// Whether numbers without a gradient stay, with their moments.
-    pub skip_zero: bool,
-}
-
 impl TrainableHandles {
     /// Declares a transient buffer for the gradient.
     pub fn gradient(&self, g: &mut Graph) -> Buffer {
         g.transient(format!("grad_{}", self.name), 4 * u64::from(self.floats.max(1)))
-    }
-
-    /// Adds the Adam pass that applies `gradient`. Does nothing if the graph was declared without training.
-    ///
-    /// # Errors
-    /// If the graph rejects the pass.
-    pub fn follow(
-        &self,
-        g: &mut Graph,
-        t: &Tuning,
-        words: &StepWords,
-        gradient: Buffer,
-        rule: AdamRule,
-    ) -> std::result::Result<(), GraphError> {
-        let (Some(moments), Some(live)) = (self.moments, self.work) else { return Ok(()) };
-        let all = Adam {
-            step: words.step,
-            live,
-            flags: words.flags,
-            flag_words: 1,
-            width: 1,
-            capacity: u64::from(self.floats),
-            rate: rule.rate,
-            skip_zero: rule.skip_zero,
-            epsilon: rule.epsilon,
-            gradients: gradient,
-            parameters: self.parameters,
-            moments,
-            skipped: words.skipped,
-        };
-        adam(g, *t, &format!("adam.{}", self.name), &all)
     }
 }

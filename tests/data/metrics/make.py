@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Pictures, and what other people's implementations measure between them: written once, read by tests/tests/metrics.rs.
+"""Pictures, and what other people's implementations measure between them: written once, read by tests/tests/command/metrics.rs.
 
     pip install scikit-image==0.26.0 flip-evaluator==1.7
     python3 make.py

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
 """What the package lpips measures between the pictures of make.py with made-up weights: written once to lpips.json, read by
-tests/tests/lpips.rs, which makes the same weights.
+tests/tests/command/lpips.rs, which makes the same weights.
 
     pip install torch torchvision lpips==0.1.4
     python3 make_lpips.py
@@ -65,8 +65,8 @@ def read(path):
 def network(net):
     model = lpips.LPIPS(net=net, version="0.1", pretrained=False, pnet_rand=True, verbose=False).eval()
     with tempfile.TemporaryDirectory() as folder:
-        given = made_up(net)
-        for part, state in given.items():
+        parts = made_up(net)
+        for part, state in parts.items():
             torch.save(state, f"{folder}/{part}.pth")
         out = Path(folder) / "lpips.safetensors"
         lpips_weights.main(

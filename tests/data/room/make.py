@@ -51,9 +51,9 @@ def thin_points(source):
     header, body = (source / "points.ply").read_bytes().split(b"end_header\n", 1)
     count = int(header.split(b"element vertex ")[1].split()[0])
     size = len(body) // count
-    kept = [body[i * size : (i + 1) * size] for i in range(0, count, 2)]
-    header = header.replace(f"element vertex {count}".encode(), f"element vertex {len(kept)}".encode())
-    (HERE / "points.ply").write_bytes(header + b"end_header\n" + b"".join(kept))
+    thinned = [body[i * size : (i + 1) * size] for i in range(0, count, 2)]
+    header = header.replace(f"element vertex {count}".encode(), f"element vertex {len(thinned)}".encode())
+    (HERE / "points.ply").write_bytes(header + b"end_header\n" + b"".join(thinned))
 
 
 def main():

@@ -10,8 +10,8 @@
 use ash::vk;
 use sgs_embedding::Host;
 use sgs_engine::ImageFormat;
+use sgs_engine::exec::Completion;
 use sgs_engine::graph::ImageState;
-use sgs_engine::graph::exec::Completion;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Frame, LitFrame, LitLayer, LitOptions, LitView, Renderer, View, ViewOptions};
 use sgs_passes::scene::{Gaussians, Model};

@@ -119,7 +119,7 @@ impl Host {
                 vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
             )
             .message_type(vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION)
-            .pfn_user_callback(Some(hear))
+            .pfn_user_callback(Some(on_message))
             .user_data((&raw const *messages).cast_mut().cast());
         // SAFETY: the sink is boxed and outlives the messenger.
         let messenger = unsafe { debug.create_debug_utils_messenger(&listener, None) }.expect("a messenger");
@@ -499,7 +499,7 @@ pub const COLOR: vk::ImageSubresourceRange = vk::ImageSubresourceRange {
 ///
 /// # Safety
 /// The layer calls this function with the registered sink.
-unsafe extern "system" fn hear(
+unsafe extern "system" fn on_message(
     _: vk::DebugUtilsMessageSeverityFlagsEXT,
     _: vk::DebugUtilsMessageTypeFlagsEXT,
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,

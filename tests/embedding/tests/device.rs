@@ -3,7 +3,7 @@
 use ash::vk;
 use sgs_embedding::{Host, Without};
 use sgs_engine::device::{Feature, HostDevice, requirements};
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph};
 use sgs_engine::{Device, DeviceOptions, Error, Location};
 use sgs_passes::kernel::{groups, stage};

@@ -68,7 +68,7 @@ fn training_runs_in_single_steps_and_resumes() {
     std::fs::create_dir(&dataset).unwrap();
     Room { views: 4, size: [24, 16], ..Room::default() }.write(&dataset);
     let (dataset, run) = (text(&dataset), text(&folder.path().join("run")));
-    let settings = c"[geometry]\nsteps = 12\nsh_degree = 1\nbackward = \"pixel\"\ndensify = { enabled = false }\n";
+    let settings = c"[geometry]\nsteps = 12\nsh_degree = 1\nbackward = \"pixel\"\ndensify = { until = 0 }\n";
     let mut info = sized!(SgsTrainerInfo { dataset: dataset.as_ptr(), settings: settings.as_ptr() });
     let (mut trainer, mut status) = (0, sized!(SgsTrainStatus {}));
     // SAFETY: all pointers are valid.

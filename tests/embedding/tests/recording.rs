@@ -2,7 +2,7 @@
 
 use ash::vk;
 use sgs_embedding::Host;
-use sgs_engine::graph::exec::{Completion, ExecOptions, Executor, SemaphorePoint};
+use sgs_engine::exec::{Completion, ExecOptions, Executor, SemaphorePoint};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceOptions, Error, ImageFormat, Location};
 use sgs_passes::kernel::stage;

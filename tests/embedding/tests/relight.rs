@@ -3,8 +3,8 @@
 use ash::vk;
 use sgs_config::VisibilityKind;
 use sgs_embedding::{Host, Owned};
+use sgs_engine::exec::Recording;
 use sgs_engine::graph::ImageState;
-use sgs_engine::graph::exec::Recording;
 use sgs_engine::{Device, DeviceImage, ImageFormat};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{LitFrame, LitLayer, LitOptions, LitView, ViewError};

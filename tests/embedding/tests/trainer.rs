@@ -122,8 +122,8 @@ fn both_stages_match_the_command_line_bit_for_bit() {
         let taken = sgs_trainer_open(context.0, &info, &mut trainer);
         context.refused(taken, SgsResult::SGS_ERROR_FILE, "holds a run");
         (info.run, info.stages) = (null(), both);
-        let both_given = sgs_trainer_open(context.0, &info, &mut trainer);
-        context.refused(both_given, SgsResult::SGS_ERROR_ARGUMENT, "trained and given at once");
+        let conflict = sgs_trainer_open(context.0, &info, &mut trainer);
+        context.refused(conflict, SgsResult::SGS_ERROR_ARGUMENT, "trained and given at once");
         info.stages = 8;
         let unknown = sgs_trainer_open(context.0, &info, &mut trainer);
         context.refused(unknown, SgsResult::SGS_ERROR_ARGUMENT, "SgsTrainerInfo.stages is 8");

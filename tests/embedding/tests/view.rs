@@ -2,8 +2,8 @@
 
 use ash::vk;
 use sgs_embedding::{Host, Owned};
+use sgs_engine::exec::{Completion, Recording, SemaphorePoint};
 use sgs_engine::graph::ImageState;
-use sgs_engine::graph::exec::{Completion, Recording, SemaphorePoint};
 use sgs_engine::{Device, DeviceImage, Error, ImageFormat};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Frame, Renderer, View, ViewError, ViewOptions};

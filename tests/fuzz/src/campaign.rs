@@ -26,7 +26,7 @@ const MOST_GROWN: usize = 4000;
 const MOST_GROWN_BYTES: usize = 64 << 20;
 
 /// Number of inputs between checks of all blocks of counters.
-const LOOK: usize = 32;
+const CHECK_INTERVAL: usize = 32;
 
 /// Message of the last panic.
 static PANIC: Mutex<String> = Mutex::new(String::new());
@@ -47,8 +47,8 @@ pub fn quietly() {
         let place = info.location().map(|l| format!("{}:{}", l.file(), l.line())).unwrap_or_default();
         let payload = info.payload();
         let text = payload.downcast_ref::<&str>().copied();
-        let said = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("something");
-        *PANIC.lock().unwrap_or_else(PoisonError::into_inner) = format!("panic at {place}: {said}");
+        let message = text.or_else(|| payload.downcast_ref::<String>().map(String::as_str)).unwrap_or("something");
+        *PANIC.lock().unwrap_or_else(PoisonError::into_inner) = format!("panic at {place}: {message}");
     }));
 }
 
@@ -67,7 +67,7 @@ pub struct Tally {
     /// Number of inputs.
     pub inputs: u64,
     /// Number of different results of the target, without numbers and names.
-    pub said: usize,
+    pub results: usize,
     /// Branches that inputs took; `None` if the program does not count branches.
     pub branches: Option<usize>,
     /// Wall time of the campaign.
@@ -91,7 +91,7 @@ pub struct Campaign<'a> {
     pub grown: Option<PathBuf>,
     /// Number of inputs and bytes that may still be added to the directory.
     room: [usize; 2],
-    said: HashSet<String>,
+    results: HashSet<String>,
     coverage: Coverage,
     /// Inputs since the last check of all counters.
     recent: Vec<Vec<u8>>,
@@ -110,7 +110,7 @@ impl<'a> Campaign<'a> {
             current: None,
             grown: None,
             room: [0; 2],
-            said: HashSet::new(),
+            results: HashSet::new(),
             coverage: Coverage::of_program(),
             recent: Vec::new(),
             kinds: HashSet::new(),
@@ -139,20 +139,20 @@ impl<'a> Campaign<'a> {
         while self.tally.inputs < inputs && start.elapsed() < time {
             let input = self.generator.next(&mut self.random);
             let _new = self.take(&input);
-            self.look_around(input);
+            self.check_counters(input);
         }
-        self.tally.said = self.said.len();
+        self.tally.results = self.results.len();
         self.tally.branches = self.coverage.counts().then(|| self.coverage.branches());
         self.tally.time = start.elapsed();
         self.tally
     }
 
-    /// Checks all blocks of counters after every [`LOOK`] inputs.
+    /// Checks all blocks of counters after every [`CHECK_INTERVAL`] inputs.
     ///
     /// If inputs took branches in new blocks, runs the last inputs again with these blocks included.
-    fn look_around(&mut self, input: Vec<u8>) {
+    fn check_counters(&mut self, input: Vec<u8>) {
         self.recent.push(input);
-        if self.recent.len() == LOOK {
+        if self.recent.len() == CHECK_INTERVAL {
             let recent = std::mem::take(&mut self.recent);
             if self.coverage.elsewhere() {
                 for input in &recent {
@@ -193,9 +193,9 @@ impl<'a> Campaign<'a> {
         let came = attempt(self.target, input);
         self.tally.slowest = self.tally.slowest.max(begun.elapsed());
         match came {
-            Ok((said, memory)) => {
+            Ok((result, memory)) => {
                 self.tally.most_memory = self.tally.most_memory.max(memory);
-                let words = self.said.insert(shape(&said));
+                let words = self.results.insert(shape(&result));
                 // Messages alone may be new without end, since they contain names.
                 let new = if self.coverage.counts() { self.coverage.is_new() } else { words };
                 if new {
@@ -229,9 +229,9 @@ fn by_length(folder: &Path) -> Vec<PathBuf> {
 pub(crate) fn attempt(target: &Target, input: &[u8]) -> Result<(String, usize), String> {
     TAKEN.fetch_add(1, Ordering::Relaxed);
     let begun = count::begin();
-    let said = catch_unwind(AssertUnwindSafe(|| (target.run)(input)));
+    let result = catch_unwind(AssertUnwindSafe(|| (target.run)(input)));
     let memory = count::most(begun);
-    let Ok(said) = said else {
+    let Ok(result) = result else {
         // A panic may leave the files around the input incomplete.
         Place::forget();
         return Err(std::mem::take(&mut *PANIC.lock().unwrap_or_else(PoisonError::into_inner)));
@@ -240,15 +240,15 @@ pub(crate) fn attempt(target: &Target, input: &[u8]) -> Result<(String, usize), 
     let allowed = FREE + target.per_byte.saturating_mul(input.len()).min(MOST);
     match memory > allowed {
         true => Err(format!("memory: {memory} bytes for an input of {}", input.len())),
-        false => Ok((said, memory)),
+        false => Ok((result, memory)),
     }
 }
 
 /// Strips numbers and names from a result, to identify the path through the reader.
-fn shape(said: &str) -> String {
+fn shape(result: &str) -> String {
     let mut quoted = false;
     let mut out = String::new();
-    for c in said.chars() {
+    for c in result.chars() {
         match c {
             '"' => quoted = !quoted,
             _ if quoted => {}

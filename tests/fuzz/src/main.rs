@@ -144,7 +144,7 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
     let mut campaign = Campaign::new(target, cli.seed);
     campaign.current = Some(current.to_owned());
     campaign.grown = cli.grown.as_ref().map(|folder| folder.join(target.name));
-    let Tally { inputs, said, branches, time, slowest, most_memory, findings } =
+    let Tally { inputs, results, branches, time, slowest, most_memory, findings } =
         campaign.run(cli.inputs, Duration::from_secs_f64(cli.seconds));
     for finding in &findings {
         keep(cli, target, &finding.what, &finding.input);
@@ -169,7 +169,7 @@ fn feed(cli: &Cli, target: &Target, current: &Path) -> ExitCode {
     let count = findings.len();
     let branches = branches.map_or_else(|| "-".into(), |n| n.to_string());
     println!(
-        "{:<22} {inputs:>9} {time:>8.0} {said:>6} {branches:>8} {slowest:>7.2} s {memory:>6.0} MiB {count:>6}",
+        "{:<22} {inputs:>9} {time:>8.0} {results:>6} {branches:>8} {slowest:>7.2} s {memory:>6.0} MiB {count:>6}",
         target.name
     );
     ExitCode::from(u8::from(count > 0))

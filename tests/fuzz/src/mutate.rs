@@ -68,13 +68,13 @@ pub struct Generator {
     longest: usize,
     corpus: Vec<Vec<u8>>,
     /// Number of initial inputs.
-    kept: usize,
+    initial: usize,
     /// Number of bytes that may still be added.
     room: usize,
 }
 
 /// Maximum number of inputs that are added.
-const MOST_KEPT: usize = 4000;
+const MOST_ADDED: usize = 4000;
 
 /// Maximum number of bytes that are added: the fuzzer shares its memory with the readers.
 const MOST_BYTES: usize = 256 << 20;
@@ -92,12 +92,12 @@ impl Generator {
         let longest = corpus.iter().map(|file| 2 * file.len()).max().unwrap_or(0).max(1 << 16);
         corpus.push(Vec::new());
         let words = target.words.iter().flat_map(|w| w.list().iter().copied()).collect();
-        Generator { words, fix: target.fix, longest, kept: corpus.len(), room: MOST_BYTES, corpus }
+        Generator { words, fix: target.fix, longest, initial: corpus.len(), room: MOST_BYTES, corpus }
     }
 
     /// Adds an input with a new result.
     pub fn keep(&mut self, input: &[u8]) {
-        if self.corpus.len() < self.kept + MOST_KEPT && input.len() <= self.room {
+        if self.corpus.len() < self.initial + MOST_ADDED && input.len() <= self.room {
             self.room -= input.len();
             self.corpus.push(input.to_vec());
         }
@@ -118,7 +118,7 @@ impl Generator {
         // Initial files keep the inputs close to valid ones; the most recent inputs lead on from new results.
         let (all, last) = (self.corpus.len(), self.corpus.len().min(LAST));
         let from = match random.below(4) {
-            0 => random.below(self.kept),
+            0 => random.below(self.initial),
             1 => all - 1 - random.below(last),
             _ => random.below(all),
         };

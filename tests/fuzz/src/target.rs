@@ -100,7 +100,7 @@ pub fn find(name: &str) -> Option<&'static Target> {
 /// If no target has this name, or its reader panics.
 pub fn fuzz(name: &str, bytes: &[u8]) {
     let target = find(name).expect("the target is known");
-    let _said = (target.run)(bytes);
+    let _result = (target.run)(bytes);
 }
 
 /// Returns the files of a directory, ordered by name; empty if there is none.

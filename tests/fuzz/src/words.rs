@@ -133,8 +133,8 @@ impl Words {
                 "\"sgs-geometry-1\"" "\"labels\":\"[]\"" "\"temperature\":\"0\"" "\"temperature\":\"nan\"" "\"levels\":\"16\""
                 "\"log2_table\":\"22\"" "\"coarsest\":\"2\"" "\"finest\":\"65536\"" "\"net\":\"alex\"" "\"net\":\"vgg\"" "\"decoder\""
                 "\"step\":\"4294967295\"" "\"capacity\":\"0\"" "\"watch\":\"" "ffffffffffffffff " "ffffffff " "\"roll_backs\":\"[]\""
-                "\"sgs-intrinsic-1\"" "\"splats\":\"2\"" "\"lobes\":\"33\"" "\"texels\":\"16\"" "\"pace\":\"8 4294967295 0\"" "\"decisions\":\"[]\""
-                "\"environment_after_4294967295\"" "\"relit_asked_at\"" "\"last_look\":\"-0\""
+                "\"sgs-intrinsic-1\"" "\"splats\":\"2\"" "\"lobes\":\"33\"" "\"texels\":\"16\"" "\"update_interval\":\"8 4294967295 0\"" "\"decisions\":\"[]\""
+                "\"environment_after_4294967295\"" "\"relit_queried_at\"" "\"last_error\":\"-0\""
             ),
             Words::Light => words!(
                 "\"format\"" "\"sgs-lights-1\"" "\"normalizer\"" "\"lights\"" "\"position\"" "\"gain\"" "\"lobes\"" "\"axis\"" "\"sharpness\""

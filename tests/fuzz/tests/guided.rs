@@ -90,7 +90,7 @@ fn compiler_counters_are_read() {
         }
         other!(after);
     "#;
-    let look = r#"
+    let source = r#"
         extern crate self as sgs_fuzz;
         #[path = "HERE/hook.rs"]
         mod hook;
@@ -111,7 +111,7 @@ fn compiler_counters_are_read() {
             assert!(read::before("a") + read::after("b") == 0);
         }
     "#;
-    let look = look.replace("HERE", &here.join("src").display().to_string());
+    let source = source.replace("HERE", &here.join("src").display().to_string());
     let build = |flags: &[&str]| {
         let rustc = |arguments: &[&str], name: &str, text: &str| {
             std::fs::write(folder.path().join(name), text).expect("written");
@@ -121,9 +121,9 @@ fn compiler_counters_are_read() {
             assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
         };
         rustc(&[flags, &["--crate-type", "rlib"]].concat(), "read.rs", read);
-        rustc(&["--extern", "read=libread.rlib"], "look.rs", &look);
+        rustc(&["--extern", "read=libread.rlib"], "main.rs", &source);
         let texts = ["x", "x", "ax", "ax", "ab", "x", "ab"];
-        let out = Command::new(folder.path().join("look")).args(texts).output().expect("it runs");
+        let out = Command::new(folder.path().join("main")).args(texts).output().expect("it runs");
         String::from_utf8(out.stdout).expect("text")
     };
     let came = |new: [bool; 7]| format!("{:?}\n", [0, 0, 1, 1, 2, 0, 2].into_iter().zip(new).collect::<Vec<_>>());

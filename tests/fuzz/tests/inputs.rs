@@ -62,27 +62,31 @@ fn every_target_has_files_that_it_reads() {
         assert!(manifest.contains(&format!("name = \"{}\"", target.name)), "{} is not in the manifest", target.name);
     }
     let of = |name: &str| find(name).expect("a target");
-    let said = |name: &str, file: &str| (of(name).run)(&corpus(of(name))[file]);
-    assert!(said("splats_ply", "own.ply").starts_with("ply 2 of degree 1"));
-    assert!(said("gltf", "own.glb").contains("true gltf"));
-    assert!(said("transforms", "two.json").starts_with("Transforms"));
-    assert!(said("colmap_images_bin", "two.bin").starts_with("Colmap"));
-    assert!(said("blender", "two.json").starts_with("Blender"));
-    assert!(said("interiorverse", "two.json").starts_with("InteriorVerse"));
+    let outcome = |name: &str, file: &str| (of(name).run)(&corpus(of(name))[file]);
+    assert!(outcome("splats_ply", "own.ply").starts_with("ply 2 of degree 1"));
+    assert!(outcome("gltf", "own.glb").contains("true gltf"));
+    assert!(outcome("transforms", "two.json").starts_with("Transforms"));
+    assert!(outcome("colmap_images_bin", "two.bin").starts_with("Colmap"));
+    assert!(outcome("blender", "two.json").starts_with("Blender"));
+    assert!(outcome("interiorverse", "two.json").starts_with("InteriorVerse"));
     assert!(
-        said("fipt_cameras", "two.txt").starts_with("Fipt") && said("fipt_transforms", "two.json").starts_with("Fipt")
+        outcome("fipt_cameras", "two.txt").starts_with("Fipt")
+            && outcome("fipt_transforms", "two.json").starts_with("Fipt")
     );
-    assert!(said("lights", "three.json").starts_with("3 lights") && said("edit", "add.json").starts_with("4 lights"));
-    assert!(said("settings", "some.toml").ends_with("read") && said("run_settings", "some.toml") == "read");
     assert!(
-        said("visibility", "small.safetensors") == "read" && said("checkpoint", "plain.safetensors").starts_with('2')
+        outcome("lights", "three.json").starts_with("3 lights") && outcome("edit", "add.json").starts_with("4 lights")
     );
-    let materials = said("intrinsic_checkpoint", "automatic.safetensors");
+    assert!(outcome("settings", "some.toml").ends_with("read") && outcome("run_settings", "some.toml") == "read");
+    assert!(
+        outcome("visibility", "small.safetensors") == "read"
+            && outcome("checkpoint", "plain.safetensors").starts_with('2')
+    );
+    let materials = outcome("intrinsic_checkpoint", "automatic.safetensors");
     assert_eq!(materials, "true 2 2 [true, true, true, true] 2 true true");
-    assert_eq!(said("page_request", "page.txt"), "HTTP/1.1 200 OK 7");
+    assert_eq!(outcome("page_request", "page.txt"), "HTTP/1.1 200 OK 7");
     for name in ["masks", "regions", "normals", "semantics", "text", "materials"] {
         let answer = if name == "semantics" { "features" } else { name };
-        assert!(said("provider_talk", &format!("{name}.bin")).contains(&format!("text{answer}")), "{name}");
+        assert!(outcome("provider_talk", &format!("{name}.bin")).contains(&format!("text{answer}")), "{name}");
     }
 }
 
@@ -96,7 +100,7 @@ fn planted_faults_are_found() {
         let many = if bytes.windows(2).any(|w| w == b"18") { 100 << 20 } else { 1 };
         format!("{}", vec![0_u8; many].len())
     }
-    fn asks_for_all(bytes: &[u8]) -> String {
+    fn allocates_all(bytes: &[u8]) -> String {
         let mut room: Vec<u8> = Vec::new();
         format!("{}", room.try_reserve_exact(bytes.len() << 40).is_ok())
     }
@@ -108,7 +112,7 @@ fn planted_faults_are_found() {
         target.run = run;
         campaign(&target, 5, 5000).findings
     };
-    let (panic, memory, all) = (found(panics), found(swallows), found(asks_for_all));
+    let (panic, memory, all) = (found(panics), found(swallows), found(allocates_all));
     assert!(panic.len() == 1 && panic[0].input == b"7" && panic[0].what.contains("inputs.rs"), "{panic:?}");
     assert!(memory.len() == 1 && memory[0].input == b"18" && memory[0].what.starts_with("memory"), "{memory:?}");
     assert!(all.len() == 1 && all[0].input.len() == 1 && all[0].what.starts_with("memory"), "{all:?}");
@@ -130,7 +134,7 @@ fn changes_depend_on_the_seed_alone() {
     }
     let first = campaign(find("lights").expect("a target"), 9, 300);
     let second = campaign(find("lights").expect("a target"), 9, 300);
-    assert_eq!((first.inputs, first.said), (second.inputs, second.said));
+    assert_eq!((first.inputs, first.results), (second.inputs, second.results));
 }
 
 #[test]
@@ -157,9 +161,9 @@ fn ledger_resumes_where_it_ends() {
     }
     // Lights have endlessly many results, so some inputs must be new.
     assert!(std::fs::read_dir(grown.join("lights")).expect("inputs").count() > 0, "nothing new was kept");
-    let (said, again) = fuzz("0.5");
+    let (output, again) = fuzz("0.5");
     assert_eq!(again, first, "all have had enough");
-    assert!(said.contains("lights") && said.contains("profile"), "{said}");
+    assert!(output.contains("lights") && output.contains("profile"), "{output}");
     // A slice lasts at least a second, so the time of the first run depends on how busy the machine is.
     let longer = number(&first, "lights", "seconds") + 0.5;
     let (_, more) = fuzz(&longer.to_string());

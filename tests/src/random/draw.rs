@@ -55,7 +55,7 @@ impl Draw {
         let mut d = Draw { rng: Pcg::new(seed), step, buffers: Vec::new(), defined: Vec::new(), counts: Vec::new() };
         d.buffers = vec![(Kind::External, 40 * step), (Kind::Input, 16 * step), (Kind::Uniform, 4)];
         for _ in 0..4 + d.below(10) {
-            let kind = [Kind::External, Kind::Kept, Kind::Transient, Kind::Transient, Kind::Transient][d.below(5)];
+            let kind = [Kind::External, Kind::Retained, Kind::Transient, Kind::Transient, Kind::Transient][d.below(5)];
             // Some buffers end in the middle of a step.
             let words = step * (1 + d.below(12)) + d.below(step);
             d.buffers.push((kind, words));
@@ -138,7 +138,7 @@ impl Draw {
                     ("sum", "sums"),
                     ("sum", "sums"),
                     ("sum", "sums"),
-                    ("given", "to"),
+                    ("addend", "to"),
                 ][kind - 5];
                 let partial = indirect || matches!(kernel, "grid" | "part" | "change" | "sum");
                 let to = self.writable(true, partial)?;
@@ -149,8 +149,8 @@ impl Draw {
                     "join" => vec![("left", self.readable(true)?, false), ("right", self.readable(true)?, false)],
                     _ => vec![("from", self.readable(true)?, false)],
                 };
-                if kernel == "given" {
-                    bound.push(("given", Span { buffer: 2, start: 0, words: 4 }, false));
+                if kernel == "addend" {
+                    bound.push(("addend", Span { buffer: 2, start: 0, words: 4 }, false));
                 }
                 bound.push((target, to, discard));
                 self.run(kernel, bound, seed, indirect)

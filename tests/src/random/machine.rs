@@ -37,7 +37,7 @@ impl<'r> Machine<'r> {
     pub fn replay(&mut self, replay: u32) {
         for (index, &(kind, _)) in self.recipe.buffers.iter().enumerate() {
             match kind {
-                Kind::Transient | Kind::Kept => self.words[index].fill(None),
+                Kind::Transient | Kind::Retained => self.words[index].fill(None),
                 Kind::Uniform => self.words[index] = Machine::uniform(self.recipe, replay).map(Some).to_vec(),
                 Kind::External | Kind::Input => {}
             }
@@ -104,7 +104,7 @@ impl<'r> Machine<'r> {
                     *sum = sum.map(|sum| sum.wrapping_add(*value));
                 }
             }
-            "given" => {
+            "addend" => {
                 let provided = self.read(&bound[1].1);
                 self.write(&last, |i, _| Some(mixed(at(i), provided[i & 3].wrapping_add(seed))));
             }

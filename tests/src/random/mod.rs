@@ -22,7 +22,7 @@ pub enum Kind {
     /// Memory that lives within a replay.
     Transient,
     /// Memory that lives within a replay and stays readable after the replay.
-    Kept,
+    Retained,
     /// Four words that change with every replay.
     Uniform,
 }
@@ -30,12 +30,12 @@ pub enum Kind {
 impl Kind {
     /// Returns true if passes may write the buffer.
     pub fn writable(self) -> bool {
-        matches!(self, Kind::External | Kind::Transient | Kind::Kept)
+        matches!(self, Kind::External | Kind::Transient | Kind::Retained)
     }
 
     /// Returns true if the contents are undefined at the start of a replay.
     pub fn transient(self) -> bool {
-        matches!(self, Kind::Transient | Kind::Kept)
+        matches!(self, Kind::Transient | Kind::Retained)
     }
 }
 
@@ -129,9 +129,9 @@ impl Recipe {
                 Kind::External => graph.external(name, bytes),
                 Kind::Input => graph.input(name, bytes),
                 Kind::Uniform => graph.uniform(name, bytes),
-                Kind::Transient | Kind::Kept => graph.transient(name, bytes),
+                Kind::Transient | Kind::Retained => graph.transient(name, bytes),
             });
-            if kind == Kind::Kept {
+            if kind == Kind::Retained {
                 graph.keep(buffers[index]);
             }
         }

@@ -1,13 +1,9 @@
 //! Contexts: a device, the objects made on it, and the last error.
 
 use crate::border::{Failure, Outcome, fail, guarded, optional_string, put_text, read, write};
-use crate::relight::RelightObject;
-use crate::scene::SceneObject;
-use crate::table::{Object, Table};
-use crate::trainer::TrainerObject;
+use crate::object::{RelightObject, SceneObject, Thing, TrainerObject, ViewObject};
+use crate::table::Table;
 use crate::types::*;
-use crate::view::ViewObject;
-use sgs_engine::graph::exec::Recording;
 use sgs_engine::{Device, DeviceOptions};
 use sgs_passes::Tuning;
 use std::ffi::{CStr, c_char};
@@ -27,31 +23,6 @@ pub(crate) struct Inner {
     pub table: Table<Thing>,
     /// Whether a call has panicked. The state cannot be trusted any more.
     broken: bool,
-}
-
-/// Object of a context.
-pub(crate) enum Thing {
-    Scene(Arc<SceneObject>),
-    Cameras(Vec<sgs_scene::Camera>),
-    View(Box<ViewObject>),
-    Recording(Recording),
-    Trainer(Box<TrainerObject>),
-    Relight(RelightObject),
-}
-
-impl Object for Thing {
-    const KINDS: &'static [&'static str] = &["scene", "list of cameras", "view", "recording", "trainer", "relighting"];
-
-    fn kind(&self) -> u64 {
-        match self {
-            Thing::Scene(_) => 1,
-            Thing::Cameras(_) => 2,
-            Thing::View(_) => 3,
-            Thing::Recording(_) => 4,
-            Thing::Trainer(_) => 5,
-            Thing::Relight(_) => 6,
-        }
-    }
 }
 
 macro_rules! getters {

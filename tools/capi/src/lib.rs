@@ -11,6 +11,7 @@
 mod border;
 mod context;
 mod host;
+mod object;
 mod relight;
 mod scene;
 mod table;

@@ -1,27 +1,16 @@
 //! Relighting of runs: lights and environment map per frame, edits, and views.
 
 use crate::border::{Failure, Outcome, fail, optional_string, read, string, write};
-use crate::context::{SgsContext, Thing, claim, hand_over, with};
+use crate::context::{SgsContext, claim, hand_over, with};
+use crate::object::{RelightObject, Shows, Thing, ViewObject};
 use crate::scene::camera;
 use crate::types::*;
-use crate::view::{Shows, Target, ViewObject, target};
+use crate::view::{Target, target};
 use sgs_passes::pipeline::{LitLayer, LitOptions, LitView};
 use sgs_relight::{Edit, LightParameters, NewLight, Relighter};
 use sgs_run::{LobeRow, ShadedView, Shading};
 use std::ffi::c_char;
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard};
-
-/// Relighting that its views share.
-#[derive(Clone)]
-pub(crate) struct RelightObject(Arc<Mutex<Relighter>>);
-
-impl RelightObject {
-    /// Locks the relighting. Never waits: calls of a context are serialized.
-    pub fn hold(&self) -> MutexGuard<'_, Relighter> {
-        self.0.lock().unwrap_or_else(|e| e.into_inner())
-    }
-}
 
 fn layer(number: u32) -> Outcome<LitLayer> {
     Ok(match number {
@@ -84,7 +73,7 @@ pub unsafe extern "C" fn sgs_relight_open(
                 return fail(SgsResult::SGS_ERROR_ARGUMENT, text);
             }
             let opened = Relighter::open(&inner.device, Path::new(&run), capacity)?;
-            hand_over(inner, relight, Thing::Relight(RelightObject(Arc::new(Mutex::new(opened)))))
+            hand_over(inner, relight, Thing::Relight(RelightObject::new(opened)))
         })
     }
 }

@@ -1,37 +1,15 @@
 //! Scenes and cameras, and rendering into the caller's memory.
 
 use crate::border::{Outcome, fail, read, string, write};
-use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
+use crate::context::{Inner, SgsContext, claim, hand_over, with};
+use crate::object::{SceneObject, Thing};
 use crate::types::*;
 use sgs_passes::pipeline::{Camera, Renderer};
-use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::Channels;
 use sgs_scene::{MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, Splats};
 use std::ffi::c_char;
 use std::path::Path;
-use std::sync::{Arc, Mutex};
-
-/// Gaussians on the device, with the renderer that renders them into memory.
-pub(crate) struct SceneObject {
-    pub gaussians: Gaussians,
-    renderer: Mutex<Option<(Channels, Renderer)>>,
-}
-
-impl SceneObject {
-    pub fn new(inner: &Inner, splats: &Splats) -> Outcome<SceneObject> {
-        let model =
-            Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), ..Default::default() };
-        let gaussians = Gaussians::new(&inner.device, model, splats.len() as u32, false)?;
-        gaussians.upload(&inner.device, &sgs_run::gaussian_data(splats, model))?;
-        Ok(SceneObject { gaussians, renderer: Mutex::new(None) })
-    }
-
-    /// Returns the highest band for `bands`, which is the requested band plus one; 0 for all bands.
-    pub fn degree(&self, bands: u32) -> u32 {
-        let most = self.gaussians.model.sh_degree;
-        if bands == 0 { most } else { (bands - 1).min(most) }
-    }
-}
+use std::sync::Arc;
 
 /// Converts a camera to that of the kernels.
 pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
@@ -85,7 +63,7 @@ pub unsafe extern "C" fn sgs_scene_load(
             let path = Path::new(&path);
             let file = if path.is_dir() { path.join("scene.ply") } else { path.to_owned() };
             let splats = Splats::read_ply(&file)?;
-            let object = Thing::Scene(Arc::new(SceneObject::new(inner, &splats)?));
+            let object = Thing::Scene(Arc::new(SceneObject::new(&inner.device, &splats)?));
             hand_over(inner, scene, object)
         })
     }
@@ -245,14 +223,14 @@ pub unsafe extern "C" fn sgs_render(
 fn render(inner: &Inner, scene: &SceneObject, camera: &Camera, info: &SgsRenderInfo) -> Outcome<Vec<f32>> {
     let channels =
         Channels { colors: true, normals: info.layer == SGS_LAYER_NORMAL, depth: info.layer == SGS_LAYER_DEPTH };
-    let mut kept = scene.renderer.lock().unwrap_or_else(|e| e.into_inner());
+    let mut cached = scene.renderer.lock().unwrap_or_else(|e| e.into_inner());
     // Removed first, so that a failure leaves no renderer in an undefined state.
-    let mut renderer = match kept.take() {
+    let mut renderer = match cached.take() {
         Some((had, renderer)) if had == channels => renderer,
         _ => Renderer::new(&inner.device, inner.tuning, &scene.gaussians, camera.size, channels)?,
     };
     let rendered = renderer.render(&scene.gaussians, camera, scene.degree(info.sh_bands), info.background)?;
-    *kept = Some((channels, renderer));
+    *cached = Some((channels, renderer));
     let c = rendered.channels as usize;
     let pick = |from: usize, count: usize| -> Vec<f32> {
         rendered.image.chunks_exact(c).flat_map(|p| p[from..from + count].iter().copied()).collect()

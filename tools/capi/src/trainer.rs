@@ -1,26 +1,17 @@
 //! Training in slices of time, between other work of a program.
 
 use crate::border::{Outcome, fail, optional_string, read, string, write};
-use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
-use crate::scene::SceneObject;
+use crate::context::{Inner, SgsContext, claim, hand_over, with};
+use crate::object::{SceneObject, Thing, TrainerObject};
 use crate::types::*;
 use sgs_config::Settings;
 use sgs_run::{Contents, DirectoryLock, RunDirectory, StageKind};
 use sgs_scene::Scene;
-use sgs_train::{Event, Observer, Stage, StartGeometry, Trainer, TrainerOptions};
+use sgs_train::{StartGeometry, Trainer, TrainerOptions};
 use std::ffi::c_char;
 use std::path::Path;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
-
-/// Training in progress.
-pub(crate) struct TrainerObject {
-    trainer: Trainer,
-    loss: f32,
-    gaussians: u32,
-    /// Lock of the run directory.
-    _lock: Option<DirectoryLock>,
-}
+use std::time::Duration;
 
 /// Fields of `SgsTrainerInfo` as Rust types.
 struct Request<'a> {
@@ -122,8 +113,7 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
     };
     let mut trainer = Trainer::new(&inner.device, Arc::new(scene), &settings, options)?;
     trainer.prepare(&mut ())?;
-    let gaussians = trainer.stage().map_or(Ok(0), |stage| stage.count())?;
-    Ok(TrainerObject { trainer, loss: 0.0, gaussians, _lock: lock })
+    TrainerObject::new(trainer, lock)
 }
 
 /// Opens a dataset for training. Locks the run directory, if any, until the trainer is destroyed. Unless it resumes,
@@ -187,69 +177,6 @@ pub unsafe extern "C" fn sgs_train_step(
     }
 }
 
-/// Observer that pauses after a time, but not before the first step.
-struct Budget {
-    began: Instant,
-    seconds: Duration,
-    /// Whether a step has started.
-    begun: bool,
-    loss: f32,
-    gaussians: u32,
-}
-
-impl Budget {
-    fn is_spent(&self) -> bool {
-        self.begun && self.began.elapsed() >= self.seconds
-    }
-}
-
-impl Observer for Budget {
-    fn notify(&mut self, event: &Event<'_>) {
-        match event {
-            Event::Step { figures, .. } => (self.loss, self.gaussians) = (figures.loss(), figures.gaussians()),
-            Event::Densified { stats, .. } => self.gaussians = stats.after,
-            _ => {}
-        }
-    }
-
-    fn should_pause(&mut self) -> bool {
-        let spent = self.is_spent();
-        // The first poll precedes the first step.
-        self.begun = true;
-        spent
-    }
-}
-
-impl TrainerObject {
-    fn train(&mut self, seconds: Duration) -> Outcome<()> {
-        let (loss, gaussians) = (self.loss, self.gaussians);
-        let mut budget = Budget { began: Instant::now(), seconds, begun: false, loss, gaussians };
-        let mut result = Ok(());
-        while !self.trainer.is_finished() && !budget.is_spent() && result.is_ok() {
-            result = self.trainer.advance(&mut budget).map(|_| ());
-        }
-        (self.loss, self.gaussians) = (budget.loss, budget.gaussians);
-        Ok(result?)
-    }
-
-    fn status(&self) -> SgsTrainStatus {
-        let stage = self.trainer.stage();
-        SgsTrainStatus {
-            struct_size: 0,
-            step: stage.map_or(0, Stage::step),
-            steps: stage.map_or(0, Stage::steps),
-            finished: u32::from(self.trainer.is_finished()),
-            gaussians: self.gaussians,
-            loss: self.loss,
-            stage: match stage.map(Stage::kind) {
-                Some(StageKind::Intrinsic) => SGS_STAGE_INTRINSIC,
-                _ => SGS_STAGE_GEOMETRY,
-            },
-            roll_backs: stage.map_or(0, |stage| stage.roll_backs().len() as u32),
-        }
-    }
-}
-
 /// Writes settings, a checkpoint and the results of the stage into a run directory. Training can be resumed from it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_trainer_save(
@@ -294,7 +221,7 @@ pub unsafe extern "C" fn sgs_trainer_scene(
         with(context, |inner| {
             claim(scene)?;
             let splats = inner.trainer(trainer)?.trainer.splats()?;
-            let object = Thing::Scene(Arc::new(SceneObject::new(inner, &splats)?));
+            let object = Thing::Scene(Arc::new(SceneObject::new(&inner.device, &splats)?));
             hand_over(inner, scene, object)
         })
     }

@@ -1,56 +1,19 @@
 //! Rendering into images of a host. Frames are recorded into its command buffers, or submitted between its semaphores.
 
 use crate::border::{Outcome, fail, read, write};
-use crate::context::{Inner, SgsContext, Thing, claim, hand_over, with};
-use crate::relight::RelightObject;
-use crate::scene::{SceneObject, camera};
+use crate::context::{Inner, SgsContext, claim, hand_over, with};
+use crate::object::{Shows, Thing, ViewObject};
+use crate::scene::camera;
 use crate::types::*;
-use sgs_engine::graph::exec::{Completion, Executor, SemaphorePoint};
+use sgs_engine::ImageFormat;
+use sgs_engine::exec::{Completion, Executor, SemaphorePoint};
 use sgs_engine::graph::{Buffer, ImageState};
 use sgs_engine::vk::{self, Handle};
-use sgs_engine::{DeviceImage, ImageFormat};
-use sgs_passes::pipeline::{Frame, LitFrame, LitView, View, ViewOptions};
+use sgs_passes::pipeline::{Frame, LitFrame, View, ViewOptions};
 use sgs_passes::splat::{Encoding, Layer, Presented, TexelFormat};
-use std::collections::HashMap;
-use std::sync::Arc;
-
-/// View, its content, and the host's images that it has wrapped.
-pub(crate) struct ViewObject {
-    pub shows: Shows,
-    images: HashMap<u64, DeviceImage>,
-}
-
-/// Content of a view.
-#[allow(clippy::large_enum_variant, reason = "views are boxed, and there are few")]
-pub(crate) enum Shows {
-    Scene(Arc<SceneObject>, View),
-    /// Relighting with its view and exposure, a factor.
-    Relight(RelightObject, LitView, f32),
-}
 
 /// Number of wrapped images that are cached. A host has as many as its swapchain.
 const IMAGES: usize = 16;
-
-impl ViewObject {
-    pub fn new(shows: Shows) -> ViewObject {
-        ViewObject { shows, images: HashMap::new() }
-    }
-
-    /// Returns the number of recordings that are not done.
-    pub fn open(&self) -> Outcome<usize> {
-        Ok(match &self.shows {
-            Shows::Scene(_, view) => view.recordings()?,
-            Shows::Relight(_, view, _) => view.recordings()?,
-        })
-    }
-
-    fn target(&self) -> ([u32; 2], TexelFormat) {
-        match &self.shows {
-            Shows::Scene(_, view) => (view.options().size, view.options().presented.format),
-            Shows::Relight(_, view, _) => (view.options().size, view.options().format),
-        }
-    }
-}
 
 fn state(layout: u32, what: &str) -> Outcome<ImageState> {
     Ok(match vk::ImageLayout::from_raw(layout as i32) {

@@ -1,8 +1,8 @@
 //! Accuracy that is traded for speed, as settings.
 
-use super::distance;
 use crate::error::ConfigError;
 use sgs_passes::Accuracy;
+use strsim::levenshtein;
 
 /// Named accuracy level. Does not change the size of the model.
 struct Level {
@@ -30,29 +30,32 @@ const LEVELS: [Level; 3] = [
 pub fn accuracy_named(name: &str) -> crate::Result<toml::Table> {
     if let Some(level) = LEVELS.iter().find(|level| level.name == name) {
         let &Level { accuracy, every, sample, .. } = level;
-        let written = |e: String| ConfigError::new(format!("The accuracy \"{name}\" cannot be written: {e}."));
+        let written = |e: String| ConfigError::Format(format!("The accuracy \"{name}\" cannot be written: {e}."));
         let text = format!("[intrinsic]\nenvironment = {{ every = {every} }}\nvisibility = {{ sample = {sample} }}\n");
         let mut table: toml::Table = text.parse().map_err(|e: toml::de::Error| written(e.to_string()))?;
         let accuracy = toml::Value::try_from(accuracy).map_err(|e| written(e.to_string()))?;
         table.insert("accuracy".to_owned(), accuracy);
         return Ok(table);
     }
-    let near = LEVELS.iter().map(|level| level.name).find(|n| distance(n, name) <= 2);
-    let hint = near.map(|n| format!("did you mean \"{n}\"? ")).unwrap_or_default();
-    Err(ConfigError::new(format!("\"{name}\" is no accuracy; {hint}there are exact, balanced, fast.")))
+    let known = LEVELS.map(|level| level.name.to_owned());
+    Err(ConfigError::UnknownName {
+        kind: "no accuracy;",
+        name: name.to_owned(),
+        nearest: known.iter().find(|n| levenshtein(n, name) <= 2).cloned(),
+        known: known.to_vec(),
+    })
 }
 
 /// Refuses values that kernels do not support.
 pub(super) fn check(a: &Accuracy) -> crate::Result<()> {
-    let fail = |what: String| Err(ConfigError::new(what));
     if ![16, 24, 31].contains(&a.depth_bits) {
-        return fail(format!("accuracy.depth_bits is {}, but must be 16, 24 or 31.", a.depth_bits));
+        return Err(ConfigError::range("accuracy.depth_bits", a.depth_bits, "16, 24 or 31"));
     }
     if !(1e-4..=0.1).contains(&a.alpha_min) {
-        return fail(format!("accuracy.alpha_min is {}, but must be 0.0001 to 0.1.", a.alpha_min));
+        return Err(ConfigError::range("accuracy.alpha_min", a.alpha_min, "0.0001 to 0.1"));
     }
     if !(1e-8..=0.5).contains(&a.transmittance_min) {
-        return fail(format!("accuracy.transmittance_min is {}, but must be 0.00000001 to 0.5.", a.transmittance_min));
+        return Err(ConfigError::range("accuracy.transmittance_min", a.transmittance_min, "0.00000001 to 0.5"));
     }
     for (name, bits) in [
         ("visibility_operands", a.visibility_operands),
@@ -61,7 +64,7 @@ pub(super) fn check(a: &Accuracy) -> crate::Result<()> {
         ("weight_bits", a.weight_bits),
     ] {
         if ![16, 32].contains(&bits) {
-            return fail(format!("accuracy.{name} is {bits}, but must be 16 or 32."));
+            return Err(ConfigError::range(format_args!("accuracy.{name}"), bits, "16 or 32"));
         }
     }
     Ok(())

@@ -14,17 +14,15 @@ pub struct AutomaticSettings {
     pub parts: Parts,
     /// PSNR gain in dB of the shaded image that keeps a part.
     pub gain: f32,
-    /// Largest deficit of shaded images at which parts are measured, in dB. It is relative to images of the Gaussians'
-    /// own colors.
-    pub ready: f32,
-    /// Largest change of settled images since the previous measurement, in dB. Lobes, levels and the update interval are
-    /// measured only when images are settled.
-    pub settled: f32,
+    /// Two bounds of the images with which parts are measured, in dB. The first is the largest deficit of shaded images,
+    /// relative to images of the Gaussians' own colors. The second is the largest change since the previous measurement;
+    /// it holds for lobes, levels and the update interval.
+    pub limits: [f32; 2],
 }
 
 impl Default for AutomaticSettings {
     fn default() -> Self {
-        AutomaticSettings { enabled: false, parts: Parts::ALL, gain: 0.02, ready: 8.0, settled: 0.3 }
+        AutomaticSettings { enabled: false, parts: Parts::ALL, gain: 0.02, limits: [8.0, 0.3] }
     }
 }
 

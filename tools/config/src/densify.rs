@@ -33,11 +33,10 @@ impl DensifyStatistic {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DensifyOptions {
-    /// Densifies.
-    pub enabled: bool,
     /// First step after which densification runs.
     pub from: u32,
-    /// Fraction of the steps after which densification ends. It ends at least `interval` steps before the last step.
+    /// Fraction of the steps after which densification ends; 0 disables it. It ends at least `interval` steps before the
+    /// last step.
     pub until: f64,
     /// Steps between densifications.
     pub interval: u32,
@@ -53,7 +52,9 @@ pub struct DensifyOptions {
     /// Opacity below which a Gaussian is pruned. Not a setting.
     #[serde(skip)]
     pub prune_opacity: f32,
-    /// Blending weight per interval below which a Gaussian is pruned. Applies only if the interval showed all views.
+    /// Blending weight per interval below which a Gaussian is pruned. Applies only if the interval showed all views. Not a
+    /// setting.
+    #[serde(skip)]
     pub prune_weight: f32,
     /// Scale above which a Gaussian is pruned, as a fraction of the extent. Applies after the first opacity reset.
     pub prune_size: f64,
@@ -66,7 +67,6 @@ pub struct DensifyOptions {
 impl Default for DensifyOptions {
     fn default() -> Self {
         DensifyOptions {
-            enabled: true,
             from: 500,
             until: 0.8,
             interval: 100,
@@ -84,9 +84,13 @@ impl Default for DensifyOptions {
 }
 
 impl DensifyOptions {
+    /// Returns whether Gaussians are densified.
+    pub fn enabled(&self) -> bool {
+        self.until > 0.0
+    }
+
     /// Checks values that the types do not constrain.
     pub(super) fn check(&self) -> Result<()> {
-        let fail = |what: String| Err(ConfigError::new(what));
         for (name, value) in [
             ("grad_threshold", f64::from(self.grad_threshold)),
             ("normal_threshold", f64::from(self.normal_threshold)),
@@ -96,18 +100,18 @@ impl DensifyOptions {
             ("prune_size", self.prune_size),
         ] {
             if !(value >= 0.0 && value.is_finite()) {
-                let must = "must be a finite number of at least 0";
-                return fail(format!("geometry.densify.{name} is {value}, but {must}."));
+                let setting = format_args!("geometry.densify.{name}");
+                return Err(ConfigError::range(setting, value, "a finite number of at least 0"));
             }
         }
         if !(0.0..=1.0).contains(&self.until) {
-            return fail(format!("geometry.densify.until is {}, but must be 0 to 1.", self.until));
+            return Err(ConfigError::range("geometry.densify.until", self.until, "0 to 1"));
         }
-        if self.enabled && self.interval == 0 {
-            return fail("geometry.densify.interval is 0, but must be at least 1.".into());
+        if self.enabled() && self.interval == 0 {
+            return Err(ConfigError::range("geometry.densify.interval", "0", "at least 1"));
         }
         if self.max_gaussians == 0 {
-            return fail("geometry.densify.max_gaussians is 0, but must be at least 1.".into());
+            return Err(ConfigError::range("geometry.densify.max_gaussians", "0", "at least 1"));
         }
         Ok(())
     }

@@ -33,10 +33,6 @@ pub struct IntrinsicSettings {
     pub losses: IntrinsicLosses,
     /// Diffuse radiance that culled lights may lack at a pixel, with white as 1; 0 disables culling.
     pub cull_error: f32,
-    /// Steps between comparisons of albedo with pseudo-views. The step after each compares albedo under other lights.
-    pub consistency_interval: u32,
-    /// First step that compares albedo with pseudo-views.
-    pub cross_view_from: u32,
     /// First step that compares albedo under other lights.
     pub relight_from: u32,
     /// Provider of materials under other lights.
@@ -60,8 +56,6 @@ impl Default for IntrinsicSettings {
             rates: IntrinsicRates::default(),
             losses: IntrinsicLosses::default(),
             cull_error: 0.0,
-            consistency_interval: 3,
-            cross_view_from: 1,
             relight_from: 1000,
             relight: RelightSettings::default(),
             surface_bytes: 0,
@@ -77,9 +71,8 @@ pub struct RelightSettings {
     pub provider: String,
     /// Steps for which an answer is reused. Published: 1.
     pub every: u32,
-    /// Perturbed copies of the lights per query: 1 or 2.
-    pub copies: u32,
-    /// Weight of the estimated roughness relative to albedo. Published: 0.
+    /// Weight of the estimated roughness relative to albedo. Published: 0. Not a setting.
+    #[serde(skip)]
     pub roughness: f32,
 }
 
@@ -93,7 +86,7 @@ impl RelightSettings {
 
 impl Default for RelightSettings {
     fn default() -> Self {
-        RelightSettings { provider: "own".into(), every: 500, copies: 2, roughness: 0.0 }
+        RelightSettings { provider: "own".into(), every: 500, roughness: 0.0 }
     }
 }
 
@@ -123,17 +116,12 @@ pub enum MaterialStart {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LightSettings {
-    /// Trains point lights.
-    pub enabled: bool,
-    /// Initial lights along each axis of the scene's box.
+    /// Initial lights along each axis of the scene's box: 1 to 8; 0 trains no lights.
     pub grid: u32,
     /// Spherical-Gaussian lobes per light: 1 to 32.
     pub lobes: u32,
     /// Initial directions of lobes: `free` or `grid`.
     pub layout: LobeLayout,
-    /// Relative amplitude below which a light is switched off; 0 keeps all. Relative to the brightest light's largest
-    /// amplitude.
-    pub prune: f32,
     /// Factor on the published initial brightness. The published value depends on the size of the scene's box. Not a setting.
     #[serde(skip)]
     pub start: f32,
@@ -141,7 +129,14 @@ pub struct LightSettings {
 
 impl Default for LightSettings {
     fn default() -> Self {
-        LightSettings { enabled: true, grid: 4, lobes: 12, layout: LobeLayout::Free, prune: 0.0, start: 1.0 }
+        LightSettings { grid: 4, lobes: 12, layout: LobeLayout::Free, start: 1.0 }
+    }
+}
+
+impl LightSettings {
+    /// Returns whether point lights are trained.
+    pub fn enabled(&self) -> bool {
+        self.grid > 0
     }
 }
 
@@ -159,9 +154,7 @@ pub enum LobeLayout {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct EnvironmentSettings {
-    /// Trains an environment map.
-    pub enabled: bool,
-    /// Texels along an edge of the cube: a power of two from 16 to 512.
+    /// Texels along an edge of the cube: a power of two from 16 to 512; 0 trains no environment map.
     pub resolution: u32,
     /// Initial mean radiance. Published: 1, which closed rooms unlearn slowly.
     pub start: f32,
@@ -171,7 +164,21 @@ pub struct EnvironmentSettings {
 
 impl Default for EnvironmentSettings {
     fn default() -> Self {
-        EnvironmentSettings { enabled: true, resolution: 256, start: 0.1, every: 1 }
+        EnvironmentSettings { resolution: 256, start: 0.1, every: 1 }
+    }
+}
+
+impl EnvironmentSettings {
+    /// Returns whether an environment map is trained.
+    pub fn enabled(&self) -> bool {
+        self.resolution > 0
+    }
+
+    /// Returns the texels along an edge of a given environment map.
+    ///
+    /// The default if none is trained.
+    pub fn edge(&self) -> u32 {
+        if self.enabled() { self.resolution } else { EnvironmentSettings::default().resolution }
     }
 }
 
@@ -244,9 +251,11 @@ pub struct IntrinsicRates {
     pub materials: f32,
     /// Rate of lights.
     pub lights: f32,
-    /// Rate of the environment map's texels.
+    /// Rate of the environment map's texels. Not a setting.
+    #[serde(skip)]
     pub environment: f32,
-    /// Rate of hash tables and network.
+    /// Rate of hash tables and network. Not a setting.
+    #[serde(skip)]
     pub visibility: f32,
     /// Rate of normals by the light of point lights. Published: 0, which keeps them fixed.
     pub normals: f32,
@@ -272,9 +281,10 @@ impl Default for IntrinsicRates {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IntrinsicLosses {
-    /// Mean absolute difference of the shaded image.
+    /// Mean absolute difference of the shaded image. All other weights are relative to it. Not a setting.
+    #[serde(skip)]
     pub l1: f32,
-    /// 1 - SSIM of the shaded image.
+    /// 1 - SSIM of the shaded image, relative to 0.8 for the mean absolute difference.
     pub dssim: f32,
     /// Albedo prior: L1, SSIM and gradients. Published: 0.3.
     pub albedo: f32,
@@ -287,9 +297,11 @@ pub struct IntrinsicLosses {
     pub gradients: f32,
     /// Edge-aware smoothness of albedo. Published: 1, which removes texture.
     pub albedo_smooth: f32,
-    /// Edge-aware smoothness of roughness.
+    /// Edge-aware smoothness of roughness. Not a setting.
+    #[serde(skip)]
     pub roughness_smooth: f32,
-    /// Smoothness of the environment map.
+    /// Smoothness of the environment map. Not a setting.
+    #[serde(skip)]
     pub environment_smooth: f32,
     /// Distance of lights from surfaces. Not a setting.
     #[serde(skip)]
@@ -297,7 +309,8 @@ pub struct IntrinsicLosses {
     /// Amplitudes of lights. Not a setting.
     #[serde(skip)]
     pub light_value: f32,
-    /// Smoothness of visibility under a jitter of points and lights.
+    /// Smoothness of visibility under a jitter of points and lights. Not a setting.
+    #[serde(skip)]
     pub visibility_jitter: f32,
     /// L_cross_semantic: albedo of a region between views.
     pub cross_view: f32,
@@ -348,61 +361,54 @@ impl IntrinsicSettings {
     /// Checks values that the types do not constrain.
     pub(super) fn check(&self, table: &toml::Table) -> crate::Result<()> {
         if let Some((name, value)) = wrong_number("intrinsic", table) {
-            let what = format!("{name} is {value}, but must be a finite number of at least 0.");
-            return Err(ConfigError::new(what));
+            return Err(ConfigError::range(name, value, "a finite number of at least 0"));
         }
         let [low, high] = self.albedo_range;
         if !(low >= 0.01 && high <= 0.99 && low < high) {
-            return Err(ConfigError::new(format!(
-                "intrinsic.albedo_range is [{low}, {high}], but must be two growing numbers from 0.01 to 0.99."
-            )));
+            let value = format_args!("[{low}, {high}]");
+            return Err(ConfigError::range("intrinsic.albedo_range", value, "two growing numbers from 0.01 to 0.99"));
         }
         let (e, v, l) = (&self.environment, &self.visibility, &self.lights);
-        let fail = |what: String| Err(ConfigError::new(what));
-        if !(e.resolution.is_power_of_two() && (16..=512).contains(&e.resolution)) {
-            return fail(format!(
-                "intrinsic.environment.resolution is {}, but must be 16, 32, 64, 128, 256 or 512.",
-                e.resolution
+        if e.enabled() && !(e.resolution.is_power_of_two() && (16..=512).contains(&e.resolution)) {
+            return Err(ConfigError::range(
+                "intrinsic.environment.resolution",
+                e.resolution,
+                "0, 16, 32, 64, 128, 256 or 512",
             ));
         }
         if !(0.05..=1.0).contains(&self.scale) {
-            return fail(format!("intrinsic.scale is {}, but must be 0.05 to 1.", self.scale));
+            return Err(ConfigError::range("intrinsic.scale", self.scale, "0.05 to 1"));
         }
         if !(1..=64).contains(&e.every) {
-            return fail(format!("intrinsic.environment.every is {}, but must be 1 to 64.", e.every));
+            return Err(ConfigError::range("intrinsic.environment.every", e.every, "1 to 64"));
         }
-        if !(1..=8).contains(&l.grid) {
-            return fail(format!("intrinsic.lights.grid is {}, but must be 1 to 8.", l.grid));
+        if l.grid > 8 {
+            return Err(ConfigError::range("intrinsic.lights.grid", l.grid, "0 to 8"));
         }
         if !(1..=32).contains(&l.lobes) {
-            return fail(format!("intrinsic.lights.lobes is {}, but must be 1 to 32.", l.lobes));
+            return Err(ConfigError::range("intrinsic.lights.lobes", l.lobes, "1 to 32"));
         }
         if !(1..=4096).contains(&v.sample) {
-            return fail(format!("intrinsic.visibility.sample is {}, but must be 1 to 4096.", v.sample));
+            return Err(ConfigError::range("intrinsic.visibility.sample", v.sample, "1 to 4096"));
         }
         if let Some(Err(e)) = v.config().map(|c| c.check()) {
-            return fail(format!("intrinsic.visibility cannot be: {e}"));
+            return Err(ConfigError::Combination(format!("intrinsic.visibility cannot be: {e}")));
         }
         let r = &self.relight;
         if r.provider.trim().is_empty() {
-            return fail("intrinsic.relight.provider is empty, but must be \"own\" or a command line.".into());
+            return Err(ConfigError::range("intrinsic.relight.provider", "empty", "\"own\" or a command line"));
         }
         if r.every == 0 {
-            return fail("intrinsic.relight.every is 0, but must be at least 1.".into());
+            return Err(ConfigError::range("intrinsic.relight.every", "0", "at least 1"));
         }
-        if !(1..=2).contains(&r.copies) {
-            return fail(format!("intrinsic.relight.copies is {}, but must be 1 or 2.", r.copies));
+        if r.command().is_some() && !l.enabled() && self.losses.relight > 0.0 {
+            let what = "intrinsic.relight.provider is to see other lights, but intrinsic.lights.grid is 0.";
+            return Err(ConfigError::Combination(what.into()));
         }
-        if r.command().is_some() && !self.lights.enabled && self.losses.relight > 0.0 {
-            return fail(
-                "intrinsic.relight.provider is to see other lights, but intrinsic.lights.enabled is false.".into(),
-            );
-        }
-        if self.consistency_interval < 3 {
-            return fail(format!(
-                "intrinsic.consistency_interval is {}, but must be at least 3.",
-                self.consistency_interval
-            ));
+        let [ready, settled] = self.automatic.limits;
+        if [ready, settled].iter().any(|v| !(*v >= 0.0 && v.is_finite())) {
+            let value = format_args!("[{ready}, {settled}]");
+            return Err(ConfigError::range("intrinsic.automatic.limits", value, "two finite numbers of at least 0"));
         }
         Ok(())
     }

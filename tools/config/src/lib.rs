@@ -25,7 +25,7 @@ pub use intrinsic::{
     Metallic, RelightSettings, VisibilityKind, VisibilitySettings,
 };
 pub use memory::{MemorySettings, parse_bytes};
-pub use names::{distance, one_line};
+pub use names::one_line;
 pub use noise::NoiseSettings;
 pub use own_prior::OwnPrior;
 pub use presets::{PRESETS, Preset, overlay};
@@ -102,26 +102,22 @@ impl Default for Settings {
 pub struct GeometrySettings {
     /// Number of training steps.
     pub steps: u32,
-    /// Highest band of spherical harmonics: 0 to 3, or "auto" to measure which bands gain `sh_gain`.
+    /// Highest band of spherical harmonics: 0 to 3, or "auto" to measure which bands gain 0.02 dB at held-back
+    /// training views.
     pub sh_degree: ShDegree,
-    /// PSNR gain in dB that keeps a band with "auto", at held-back training views.
+    /// PSNR gain in dB that keeps a band with "auto", at held-back training views. Not a setting.
+    #[serde(skip)]
     pub sh_gain: f64,
     /// Background color, display-referred.
     pub background: [f32; 3],
     /// Uses normal priors.
     pub normals: bool,
-    /// Runs the depth smoothness loss; it needs no priors.
-    pub depth_smooth: bool,
-    /// Runs the loss on depth variance along rays; it needs no priors.
-    pub depth_variance: bool,
     /// Uses semantic priors.
     pub semantics: bool,
     /// Lets semantic losses move opacities, positions and shapes.
     pub semantic_geometry: bool,
     /// Temperature of the softmax over class cosines.
     pub temperature: f32,
-    /// Compares regions with pseudo-views; needs semantic priors.
-    pub correspondence: bool,
     /// First step that compares regions with pseudo-views.
     pub correspondence_from: u32,
     /// Poses of pseudo-views.
@@ -148,12 +144,9 @@ impl Default for GeometrySettings {
             sh_gain: 0.02,
             background: [0.0; 3],
             normals: true,
-            depth_smooth: true,
-            depth_variance: true,
             semantics: true,
             semantic_geometry: true,
             temperature: 1.0,
-            correspondence: true,
             correspondence_from: 2000,
             pseudo: PseudoOptions::default(),
             rates: Rates::default(),
@@ -208,9 +201,11 @@ pub struct Rates {
     /// Rate of normals. Not a setting.
     #[serde(skip)]
     pub normals: f64,
-    /// Rate of semantic features.
+    /// Rate of semantic features. Not a setting.
+    #[serde(skip)]
     pub semantics: f64,
-    /// Rate of the feature decoder.
+    /// Rate of the feature decoder. Not a setting.
+    #[serde(skip)]
     pub decoder: f64,
 }
 
@@ -236,17 +231,18 @@ impl Default for Rates {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct LossWeights {
-    /// Mean absolute difference.
+    /// Mean absolute difference. All other weights are relative to it. Not a setting.
+    #[serde(skip)]
     pub l1: f32,
-    /// 1 - SSIM.
+    /// 1 - SSIM, relative to 0.8 for the mean absolute difference.
     pub dssim: f32,
     /// 1 - cosine to the normal prior.
     pub normal: f32,
     /// Edge-aware smoothness of normals.
     pub normal_smooth: f32,
-    /// Edge-aware smoothness of depth.
+    /// Edge-aware smoothness of depth; it needs no priors.
     pub depth_smooth: f32,
-    /// Depth variance along a ray at step 0; grows tenfold every 5000 steps.
+    /// Depth variance along a ray at step 0; grows tenfold every 5000 steps. It needs no priors.
     pub depth_variance: f32,
     /// Largest growth of `depth_variance`. Published: 100, which is reached after 10 000 steps and makes normals worse in
     /// longer runs. 25 is the growth at step 7000.
@@ -255,7 +251,7 @@ pub struct LossWeights {
     pub semantic: f32,
     /// Cross-entropy of the class to that of the prior. Published: 1.
     pub semantic_class: f32,
-    /// Difference of a region's features and classes between views. Published: 0.3.
+    /// Difference of a region's features and classes between views. Needs semantic priors. Published: 0.3.
     pub correspondence: f32,
 }
 
@@ -277,19 +273,9 @@ impl Default for LossWeights {
 }
 
 impl GeometrySettings {
-    /// Returns the weight of depth smoothness; 0 if it is disabled.
-    pub fn depth_smooth_weight(&self) -> f32 {
-        if self.depth_smooth { self.losses.depth_smooth } else { 0.0 }
-    }
-
-    /// Returns the weight of depth variance at step 0; 0 if it is disabled.
-    pub fn depth_variance_weight(&self) -> f32 {
-        if self.depth_variance { self.losses.depth_variance } else { 0.0 }
-    }
-
     /// Returns whether a depth term has a weight.
     pub fn depth_terms(&self) -> bool {
-        self.depth_smooth_weight() > 0.0 || self.depth_variance_weight() > 0.0
+        self.losses.depth_smooth > 0.0 || self.losses.depth_variance > 0.0
     }
 
     /// Returns the factor on the learning rates.
@@ -326,8 +312,8 @@ impl Settings {
         let known = Settings::default().to_table()?;
         names::compare("", &table, &known, &known)?;
         let wrong = |e: toml::de::Error| match names::word(&table, |t| t.try_into::<Settings>().err()) {
-            Some(sentence) => ConfigError::new(sentence),
-            None => ConfigError::new(format!("A setting is wrong: {}.", one_line(e.message()))),
+            Some(error) => error,
+            None => ConfigError::Format(format!("A setting is wrong: {}.", one_line(e.message()))),
         };
         toml::Value::Table(table.clone()).try_into().map_err(wrong)
     }
@@ -337,7 +323,7 @@ impl Settings {
     /// # Errors
     /// If a value cannot be written as TOML.
     pub fn to_table(&self) -> crate::Result<toml::Table> {
-        toml::Table::try_from(self).map_err(|e| ConfigError::new(format!("The settings cannot be written: {e}.")))
+        toml::Table::try_from(self).map_err(|e| ConfigError::Format(format!("The settings cannot be written: {e}.")))
     }
 
     /// Checks values that the types do not constrain.
@@ -345,41 +331,32 @@ impl Settings {
     /// # Errors
     /// A sentence that names the setting, its value and the allowed values.
     pub fn check(&self) -> crate::Result<()> {
-        let fail = |what: String| Err(ConfigError::new(what));
         let g = &self.geometry;
         if i64::try_from(self.seed).is_err() {
-            return fail(format!(
-                "seed is {}, but must be at most {}, the largest number of TOML.",
-                self.seed,
-                i64::MAX
-            ));
+            let allowed = format!("at most {}, the largest number of TOML", i64::MAX);
+            return Err(ConfigError::range("seed", self.seed, allowed));
         }
         if i64::try_from(self.memory.budget).is_err() {
-            return fail(format!("memory.budget is {}, but must be at most {}.", self.memory.budget, i64::MAX));
+            return Err(ConfigError::range("memory.budget", self.memory.budget, format!("at most {}", i64::MAX)));
         }
         accuracy::check(&self.accuracy)?;
         self.train.check()?;
         self.provider.check()?;
         self.noise.check()?;
         if g.sh_degree.most() > MOST_BANDS {
-            return fail(format!("geometry.sh_degree is {}, but must be 0 to 3 or \"auto\".", g.sh_degree));
-        }
-        if !g.sh_gain.is_finite() {
-            return fail(format!("geometry.sh_gain is {}, but must be a finite number.", g.sh_gain));
+            return Err(ConfigError::range("geometry.sh_degree", g.sh_degree, "0 to 3 or \"auto\""));
         }
         if !(self.scale > 0.0 && self.scale <= 1.0) {
-            return fail(format!("scale is {}, but must be above 0 and at most 1.", self.scale));
+            return Err(ConfigError::range("scale", self.scale, "above 0 and at most 1"));
         }
         if g.background.iter().any(|v| !v.is_finite()) {
-            return fail(format!("geometry.background is {:?}, but must be three finite numbers.", g.background));
+            let value = format_args!("{:?}", g.background);
+            return Err(ConfigError::range("geometry.background", value, "three finite numbers"));
         }
         let (r, l, d) = (&g.rates, &g.losses, &g.densify);
         for (name, value) in [
             ("rates.means", r.means),
             ("rates.means_final", r.means_final),
-            ("rates.semantics", r.semantics),
-            ("rates.decoder", r.decoder),
-            ("losses.l1", f64::from(l.l1)),
             ("losses.dssim", f64::from(l.dssim)),
             ("losses.normal", f64::from(l.normal)),
             ("losses.normal_smooth", f64::from(l.normal_smooth)),
@@ -391,13 +368,13 @@ impl Settings {
             ("losses.correspondence", f64::from(l.correspondence)),
         ] {
             if !(value >= 0.0 && value.is_finite()) {
-                return fail(format!("geometry.{name} is {value}, but must be a finite number of at least 0."));
+                let setting = format_args!("geometry.{name}");
+                return Err(ConfigError::range(setting, value, "a finite number of at least 0"));
             }
         }
         if !(g.temperature > 0.0 && g.temperature.is_finite()) {
-            return fail(format!("geometry.temperature is {}, but must be a finite number above 0.", g.temperature));
+            return Err(ConfigError::range("geometry.temperature", g.temperature, "a finite number above 0"));
         }
-        g.pseudo.check("geometry.pseudo.")?;
         d.check()?;
         let table = toml::Table::try_from(&self.intrinsic).unwrap_or_default();
         self.intrinsic.check(&table)
@@ -435,10 +412,20 @@ mod tests {
             fail("[geometry.pseudo]\nneighbors = \"everything\""),
             "\"geometry.pseudo.neighbors\" is \"everything\", but must be one of \"training\", \"test\"."
         );
-        assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
-        assert!(
-            fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.decoder, geometry.rates.factor")
+        assert_eq!(
+            fail("[intrinsic.lights]\nenabled = false"),
+            "\"intrinsic.lights.enabled\" is not a setting; did you mean \"intrinsic.lights.grid\"?"
         );
+        assert_eq!(
+            fail("[geometry.pseudo]\nposes = 3"),
+            "\"geometry.pseudo.poses\" is not a setting; there are geometry.pseudo.neighbors, geometry.pseudo.position."
+        );
+        assert!(fail("[geometry]\ndepth_smooth = false").contains("did you mean \"geometry.losses.depth_smooth\"?"));
+        assert!(fail("[noise]\ncameras = [200, 0]").ends_with("but must be two numbers, 0 to 180 and 0 to 100."));
+        assert!(fail("[provider]\nseconds = [1, 0]").ends_with("but must be two finite numbers above 0."));
+        assert!(fail("[intrinsic.automatic]\nlimits = [-1, 0]").ends_with("two finite numbers of at least 0."));
+        assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
+        assert!(fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.factor, geometry.rates.means"));
         assert_eq!(fail("[geometry]\nsteps = \"many\""), "geometry.steps is \"many\", but must be a whole number.");
         assert_eq!(fail("[geometry]\nsteps = 4.5"), "geometry.steps is 4.5, but must be a whole number.");
         assert_eq!(fail("[geometry]\nsteps = -4"), "geometry.steps is -4, but must be at least 0.");
@@ -446,13 +433,31 @@ mod tests {
         assert!(fail("[geometry]\nbackground = [1, 2]").ends_with("but must be 3 numbers."));
         assert!(fail("[geometry]\nbackground = [1, 2, nan]").contains("three finite numbers"));
         assert!(fail("[geometry]\nnormals = 1").ends_with("but must be true or false."));
-        assert!(fail("[geometry.losses]\nl1 = nan").contains("geometry.losses.l1 is NaN"));
-        assert!(fail("[geometry.losses]\nl1 = 1e300").contains("geometry.losses.l1 is inf"));
+        assert!(fail("[geometry.losses]\ndssim = nan").contains("geometry.losses.dssim is NaN"));
+        assert!(fail("[geometry.losses]\ndssim = 1e300").contains("geometry.losses.dssim is inf"));
         assert!(fail("[geometry.densify]\nuntil = 2").contains("geometry.densify.until is 2"));
     }
 
     #[test]
-    fn edit_distances_are_correct() {
-        assert_eq!((distance("", "abc"), distance("abc", "abc"), distance("kitten", "sitting")), (3, 0, 3));
+    fn kinds_of_faults_are_distinct() {
+        let error =
+            |text: &str| Settings::from_table(text.parse().unwrap()).and_then(|s| s.check().map(|()| s)).unwrap_err();
+        use ConfigError::{Combination, OutOfRange, UnknownItem, UnknownName, UnknownSetting, UnknownWord, WrongType};
+        let near = |name: &Option<String>, expected: &str| name.as_deref() == Some(expected);
+        assert!(matches!(error("seeds = 1"), UnknownSetting { nearest, .. } if near(&nearest, "seed")));
+        assert!(matches!(error("seed = true"), WrongType { setting, .. } if setting == "seed"));
+        assert!(matches!(
+            error("scale = 2.0"),
+            OutOfRange { setting, value, allowed } if [&setting, &value, &allowed] == ["scale", "2", "above 0 and at most 1"]
+        ));
+        let word = error("[intrinsic]\nmetallic = \"of\"");
+        assert!(matches!(word, UnknownWord { nearest, known, .. } if near(&nearest, "off") && known.len() == 3));
+        assert!(
+            matches!(error("[intrinsic.automatic]\nparts = [\"lobe\"]"), UnknownItem { known, .. } if known.len() == 9)
+        );
+        let other = "[intrinsic]\nrelight = { provider = \"ask\" }\nlights = { grid = 0 }";
+        assert!(matches!(error(other), Combination(_)));
+        assert!(matches!(Preset::find("papr"), Err(UnknownName { nearest, .. }) if near(&nearest, "paper")));
+        assert!(matches!(accuracy_named("exat"), Err(UnknownName { nearest, .. }) if near(&nearest, "exact")));
     }
 }

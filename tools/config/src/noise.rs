@@ -15,16 +15,15 @@ pub struct NoiseSettings {
     pub normals: f64,
     /// Fraction of the cells of semantic priors that hold another cell of the view.
     pub semantics: f64,
-    /// Standard deviation in degrees of the rotation of cameras about each axis. Applies to training cameras.
-    pub rotations: f64,
-    /// Standard deviation of each coordinate of training cameras. The unit is the extent.
-    pub translations: f64,
+    /// Standard deviations of training cameras: rotation about each axis in degrees, and each coordinate in units of the
+    /// extent.
+    pub cameras: [f64; 2],
 }
 
 impl NoiseSettings {
     /// Returns the scene with this noise; `None` without noise.
     pub fn on(&self, scene: &Scene, seed: u64) -> Option<Scene> {
-        let NoiseSettings { positions, normals, semantics, rotations, translations } = *self;
+        let NoiseSettings { positions, normals, semantics, cameras: [rotations, translations] } = *self;
         (*self != NoiseSettings::default())
             .then(|| scene.disturbed(&Noise { positions, normals, semantics, rotations, translations, seed }))
     }
@@ -35,13 +34,16 @@ impl NoiseSettings {
             ("positions", self.positions, 100.0),
             ("normals", self.normals, 180.0),
             ("semantics", self.semantics, 1.0),
-            ("rotations", self.rotations, 180.0),
-            ("translations", self.translations, 100.0),
         ];
         for (name, value, most) in most {
             if !(0.0..=most).contains(&value) {
-                return Err(ConfigError::new(format!("noise.{name} is {value}, but must be 0 to {most}.")));
+                return Err(ConfigError::range(format_args!("noise.{name}"), value, format!("0 to {most}")));
             }
+        }
+        let [rotation, translation] = self.cameras;
+        if !((0.0..=180.0).contains(&rotation) && (0.0..=100.0).contains(&translation)) {
+            let value = format_args!("[{rotation}, {translation}]");
+            return Err(ConfigError::range("noise.cameras", value, "two numbers, 0 to 180 and 0 to 100"));
         }
         Ok(())
     }

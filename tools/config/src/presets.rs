@@ -2,8 +2,8 @@
 //!
 //! Files, `--set` and options override them; a run records the result.
 
-use super::names::distance;
 use crate::error::ConfigError;
+use strsim::levenshtein;
 
 /// Named base settings.
 #[derive(Clone, Copy, Debug)]
@@ -31,10 +31,13 @@ impl Preset {
     /// If no preset has this name. The sentence lists the most similar name and all names.
     pub fn find(name: &str) -> crate::Result<&'static Preset> {
         PRESETS.iter().find(|p| p.name == name).ok_or_else(|| {
-            let near = PRESETS.iter().map(|p| (distance(name, p.name), p.name)).min().filter(|(far, _)| *far <= 2);
-            let hint = near.map_or_else(String::new, |(_, n)| format!("did you mean \"{n}\"? "));
-            let all = PRESETS.map(|p| p.name).join(", ");
-            ConfigError::new(format!("\"{name}\" is not a preset; {hint}there are {all}."))
+            let near = PRESETS.iter().map(|p| (levenshtein(name, p.name), p.name)).min().filter(|(far, _)| *far <= 2);
+            ConfigError::UnknownName {
+                kind: "not a preset;",
+                name: name.to_owned(),
+                nearest: near.map(|(_, n)| n.to_owned()),
+                known: PRESETS.map(|p| p.name.to_owned()).to_vec(),
+            }
         })
     }
 
@@ -43,7 +46,7 @@ impl Preset {
     /// # Errors
     /// If the text is not TOML, which would be a defect.
     pub fn table(&self) -> crate::Result<toml::Table> {
-        let wrong = |e: toml::de::Error| ConfigError::new(format!("The preset \"{}\": {e}.", self.name));
+        let wrong = |e: toml::de::Error| ConfigError::Format(format!("The preset \"{}\": {e}.", self.name));
         self.text.parse().map_err(wrong)
     }
 }

@@ -13,10 +13,8 @@ pub struct ProviderSettings {
     pub command: String,
     /// After a failure of the provider: `stop` ends training, `go-on` continues without it.
     pub on_failure: Fallback,
-    /// Time limit of its start, in seconds.
-    pub start_seconds: f64,
-    /// Time limit of an answer, in seconds.
-    pub answer_seconds: f64,
+    /// Time limits of its start and of an answer, in seconds.
+    pub seconds: [f64; 2],
 }
 
 impl Default for ProviderSettings {
@@ -25,8 +23,7 @@ impl Default for ProviderSettings {
         ProviderSettings {
             command: String::new(),
             on_failure: Fallback::default(),
-            start_seconds: o.start_seconds,
-            answer_seconds: o.answer_seconds,
+            seconds: [o.start_seconds, o.answer_seconds],
         }
     }
 }
@@ -34,11 +31,10 @@ impl Default for ProviderSettings {
 impl ProviderSettings {
     /// Checks values that the types do not constrain.
     pub(super) fn check(&self) -> crate::Result<()> {
-        for (name, value) in [("start_seconds", self.start_seconds), ("answer_seconds", self.answer_seconds)] {
-            if !(value > 0.0 && value.is_finite()) {
-                let what = format!("provider.{name} is {value}, but must be a finite number above 0.");
-                return Err(ConfigError::new(what));
-            }
+        let [start, answer] = self.seconds;
+        if [start, answer].iter().any(|s| !(*s > 0.0 && s.is_finite())) {
+            let value = format_args!("[{start}, {answer}]");
+            return Err(ConfigError::range("provider.seconds", value, "two finite numbers above 0"));
         }
         Ok(())
     }

@@ -1,6 +1,5 @@
 //! Poses of pseudo-views (SGS-Intrinsic, algorithm 1).
 
-use crate::error::{ConfigError, Result};
 use serde::{Deserialize, Serialize};
 
 /// Views from which the second sequence starts.
@@ -27,7 +26,8 @@ pub enum Position {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct PseudoOptions {
-    /// Number of poses of a sequence, both ends included.
+    /// Number of poses of a sequence, both ends included. Not a setting.
+    #[serde(skip)]
     pub poses: u32,
     /// Source of the second sequence's neighbor: `training` or `test` views.
     pub neighbors: Neighbors,
@@ -38,19 +38,5 @@ pub struct PseudoOptions {
 impl Default for PseudoOptions {
     fn default() -> Self {
         PseudoOptions { poses: 20, neighbors: Neighbors::Training, position: Position::Linear }
-    }
-}
-
-impl PseudoOptions {
-    /// Checks values that the types do not constrain; `prefix` precedes the names.
-    ///
-    /// # Errors
-    /// A sentence that names the setting, its value and the allowed values.
-    pub fn check(&self, prefix: &str) -> Result<()> {
-        if !(1..=10_000).contains(&self.poses) {
-            let what = format!("{prefix}poses is {}, but must be 1 to 10000.", self.poses);
-            return Err(ConfigError::new(what));
-        }
-        Ok(())
     }
 }

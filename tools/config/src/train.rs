@@ -46,7 +46,7 @@ impl TrainSettings {
         if [0, 8, 16, 32].contains(&self.tile_rows) {
             return Ok(());
         }
-        Err(ConfigError::new(format!("train.tile_rows is {}, but must be 0, 8, 16 or 32.", self.tile_rows)))
+        Err(ConfigError::range("train.tile_rows", self.tile_rows, "0, 8, 16 or 32"))
     }
 }
 

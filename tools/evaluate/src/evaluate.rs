@@ -12,7 +12,7 @@ use sgs_passes::splat::Channels;
 use sgs_run::{Classifier, SemanticHead, render_view};
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
 
-/// Evaluates the Gaussians at some views. `look` receives every rendered view.
+/// Evaluates the Gaussians at some views. `on_view` receives every rendered view.
 ///
 /// # Errors
 /// If the device fails or ground truth is damaged.
@@ -22,9 +22,9 @@ pub fn evaluate(
     gaussians: &Gaussians,
     views: &[usize],
     background: [f32; 3],
-    look: impl FnMut(&str, &Rendered) -> Result<()>,
+    on_view: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
-    evaluate_classes(device, scene, gaussians, &EvaluateOptions { views, background, head: None, lpips: None }, look)
+    evaluate_classes(device, scene, gaussians, &EvaluateOptions { views, background, head: None, lpips: None }, on_view)
 }
 
 /// Views and measures of an evaluation.
@@ -49,7 +49,7 @@ pub fn evaluate_classes(
     scene: &Scene,
     gaussians: &Gaussians,
     options: &EvaluateOptions<'_>,
-    mut look: impl FnMut(&str, &Rendered) -> Result<()>,
+    mut on_view: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
     let &EvaluateOptions { views, background, head, lpips } = options;
     let truth = GroundTruth::of(scene);
@@ -103,7 +103,7 @@ pub fn evaluate_classes(
             _ => None,
         };
         let semantic = semantic.map(|accuracy| Semantic { accuracy });
-        look(&view.camera.name, &rendered)?;
+        on_view(&view.camera.name, &rendered)?;
         let name = view.camera.name.clone();
         let (normal_mae_deg, normal_coverage) =
             normal.map(|NormalError { mae_deg, coverage }| (mae_deg, coverage)).unzip();

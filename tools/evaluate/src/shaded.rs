@@ -18,7 +18,7 @@ pub fn evaluate_shaded(
     background: [f32; 3],
     lpips: Option<&Lpips>,
     into: &mut Evaluation,
-    mut look: impl FnMut(&str, &ShadedView) -> Result<()>,
+    mut on_view: impl FnMut(&str, &ShadedView) -> Result<()>,
 ) -> Result<()> {
     let truth = GroundTruth::of(scene);
     let mut fit = GainFit::new(3);
@@ -30,7 +30,7 @@ pub fn evaluate_shaded(
         let image = displayed(&shaded.radiance(background));
         let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
         found.pbr = Some(Nvs::of(&image, &photo, counts.as_ref(), lpips)?);
-        look(&view.camera.name, &shaded)?;
+        on_view(&view.camera.name, &shaded)?;
         albedos.push(found.albedo.map(|_| shaded.albedo()));
         metrics.shaded = Some(found);
     }

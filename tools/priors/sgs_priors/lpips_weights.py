@@ -41,12 +41,12 @@ def shapes(net):
 
 def convert(net, features, heads, path):
     """Writes the file beside `path` and renames it. `features`, `heads`: tensors or arrays by name."""
-    given = {"features": features, "heads": heads}
+    tensors = {"features": features, "heads": heads}
     header, parts, at = {"__metadata__": {"format": "sgs-lpips-1", "net": net, "version": "0.1"}}, [], 0
     for name, shape, where, key in shapes(net):
-        if key not in given[where]:
+        if key not in tensors[where]:
             raise ValueError(f'--{where} has no "{key}"; is it of {net}?')
-        values = given[where][key]
+        values = tensors[where][key]
         values = values.detach().cpu().numpy() if hasattr(values, "detach") else values
         if values.size != _product(shape) or where == "features" and tuple(values.shape) != shape:
             raise ValueError(f'"{key}" of --{where} is {tuple(values.shape)}, but of {net} it is {shape}')

@@ -89,14 +89,14 @@ def decode(payload):
         if not isinstance(text, dict):
             raise ProtocolError("the message's text is no object")
         arrays, data = {}, memoryview(payload)[8 + length:]
-        for name, said in header.items():
-            start, end = said["data_offsets"]
+        for name, entry in header.items():
+            start, end = entry["data_offsets"]
             count = 1
-            for n in said["shape"]:
+            for n in entry["shape"]:
                 count *= n
-            if not 0 <= start <= end <= len(data) or end - start != count * SIZES[said["dtype"]]:
+            if not 0 <= start <= end <= len(data) or end - start != count * SIZES[entry["dtype"]]:
                 raise ProtocolError(f"the array \"{name}\" does not fit its shape")
-            arrays[name] = Array(said["dtype"], said["shape"], data[start:end])
+            arrays[name] = Array(entry["dtype"], entry["shape"], data[start:end])
         return text, arrays
     except (struct.error, ValueError, KeyError, TypeError, AttributeError) as e:
         raise ProtocolError(f"the message is no safetensors file with a text ({e})") from e

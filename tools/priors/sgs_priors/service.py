@@ -71,8 +71,8 @@ def serve(make, source=None, sink=None):
         return
     lowest, highest = greeting[0].get("versions", [0, 0])
     if not lowest <= protocol.VERSION <= highest:
-        said = f"version {protocol.VERSION} of the protocol is spoken here, but {lowest} to {highest} are wanted"
-        protocol.write(sink, {"kind": "error", "text": said})
+        text = f"version {protocol.VERSION} of the protocol is spoken here, but {lowest} to {highest} are wanted"
+        protocol.write(sink, {"kind": "error", "text": text})
         return
     try:
         service = make()

@@ -108,13 +108,13 @@ def _cameras(transforms):
     """Cameras by stem, with OpenCV axes, world to camera."""
     found = {}
     for frame in transforms["frames"]:
-        said = {**transforms, **frame}
-        m = said["transform_matrix"]
+        entry = {**transforms, **frame}
+        m = entry["transform_matrix"]
         # OpenGL's y and z point the other way.
         axes = [[sign * m[k][i] for k in range(3)] for i, sign in ((0, 1), (1, -1), (2, -1))]
         place = [m[k][3] for k in range(3)]
         rows = [[*axis, -sum(a * p for a, p in zip(axis, place))] for axis in axes]
-        stem = os.path.splitext(os.path.basename(said["file_path"]))[0]
-        found[stem] = {"width": said["w"], "height": said["h"], "fx": said["fl_x"], "fy": said.get("fl_y", said["fl_x"]),
-                       "cx": said["cx"], "cy": said["cy"], "world_to_camera": rows}
+        stem = os.path.splitext(os.path.basename(entry["file_path"]))[0]
+        found[stem] = {"width": entry["w"], "height": entry["h"], "fx": entry["fl_x"], "fy": entry.get("fl_y", entry["fl_x"]),
+                       "cx": entry["cx"], "cy": entry["cy"], "world_to_camera": rows}
     return found

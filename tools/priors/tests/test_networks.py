@@ -241,10 +241,10 @@ class Fakes(unittest.TestCase):
 
         calls = []
 
-        def pipeline(**given):
-            calls.append(given)
-            noise = int(torch.randint(0, 50, (1,), generator=given["generator"]))
-            made = np.full((given["height"], given["width"], 3), 100 + noise, np.uint8)
+        def pipeline(**options):
+            calls.append(options)
+            noise = int(torch.randint(0, 50, (1,), generator=options["generator"]))
+            made = np.full((options["height"], options["width"], 3), 100 + noise, np.uint8)
             return types.SimpleNamespace(images=[[Image.fromarray(made)]])
 
         service = Rgbx(pipeline, "cpu", steps=7, max_side=64)
@@ -344,8 +344,8 @@ class Pieces(unittest.TestCase):
             mask = np.zeros((10, 10), bool)
             mask[y0:y1, x0:x1] = True
             return mask
-        kept = [(0.9, box(0, 0, 10, 10)), (0.95, box(2, 2, 5, 5)), (0.85, box(2, 2, 5, 6)), (0.9, box(9, 9, 10, 10))]
-        ids = sam2.paint(kept, 10, 10)
+        chosen = [(0.9, box(0, 0, 10, 10)), (0.95, box(2, 2, 5, 5)), (0.85, box(2, 2, 5, 6)), (0.9, box(9, 9, 10, 10))]
+        ids = sam2.paint(chosen, 10, 10)
         # The third is nearly the second, and less trusted.
         self.assertEqual((ids[0, 0], ids[3, 3], ids[5, 3], ids[9, 9]), (1, 2, 1, 3))
         self.assertEqual(sam2.paint([], 2, 3).tolist(), [[0, 0, 0], [0, 0, 0]])
@@ -358,10 +358,10 @@ class Pieces(unittest.TestCase):
         firm, vague = np.full((20, 20), -5.0), np.full((20, 20), -5.0)
         firm[:10] = 5
         vague[:10] = 0.5
-        kept = sam2.choose(np.stack([firm, firm, vague, np.full((20, 20), -5.0)]), np.array([0.9, 0.5, 0.9, 0.9]))
-        self.assertEqual([(score, int(mask.sum())) for score, mask in kept], [(0.9, 200)])
+        chosen = sam2.choose(np.stack([firm, firm, vague, np.full((20, 20), -5.0)]), np.array([0.9, 0.5, 0.9, 0.9]))
+        self.assertEqual([(score, int(mask.sum())) for score, mask in chosen], [(0.9, 200)])
 
-    def test_names_in_whatever_it_says(self):
+    def test_names_in_any_answer(self):
         from sgs_priors.networks.qwen_vl import names_in
 
         self.assertEqual(names_in('Sure: ["Wall", "floor lamp", "wall"] ok'), ["wall", "floor lamp"])

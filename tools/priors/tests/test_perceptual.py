@@ -61,14 +61,14 @@ class Weights(unittest.TestCase):
         features, heads = states("alex")
         with tempfile.TemporaryDirectory() as folder:
             path = os.path.join(folder, "o")
-            for net, given, words in [
+            for net, tensors, words in [
                 ("vgg", (features, heads), '"features.0.weight" of --features is (64, 3, 11, 11)'),
                 ("alex", ({**features, "features.3.bias": Array((9,), 0)}, heads), '"features.3.bias"'),
                 ("alex", (heads, features), '--features has no "features.0.weight"'),
                 ("alex", (features, {}), '--heads has no "lin0.model.1.weight"; is it of alex?'),
             ]:
                 with self.assertRaises(ValueError) as caught:
-                    lpips_weights.convert(net, *given, path)
+                    lpips_weights.convert(net, *tensors, path)
                 self.assertIn(words, str(caught.exception))
             self.assertEqual(os.listdir(folder), [])
 

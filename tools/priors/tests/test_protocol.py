@@ -111,7 +111,7 @@ class Service(unittest.TestCase):
         self.assertEqual((unknown["kind"], unknown["text"]), ("error", "\"__init__\" is not offered"))
         self.assertEqual(last["to"], 4)
 
-    def test_what_cannot_be_made_is_said(self):
+    def test_failures_are_reported(self):
         def make():
             raise service.Refusal("there are no weights")
         self.assertEqual(self.talk([self.hello], make), [({"kind": "error", "text": "there are no weights"}, {})])

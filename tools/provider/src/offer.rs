@@ -54,7 +54,7 @@ impl About {
         }
         let name = message.string("name", "a text")?.chars().take(200).collect();
         let offers = message.text["offers"].as_object().ok_or_else(|| message.wrong("offers", "an object"))?;
-        let offers = offers.iter().map(|(op, said)| Ok((op.clone(), Offer::read(message, said)?)));
+        let offers = offers.iter().map(|(op, offer)| Ok((op.clone(), Offer::read(message, offer)?)));
         Ok(About { name, version: version as u32, offers: offers.collect::<Result<_, _>>()? })
     }
 
@@ -69,30 +69,31 @@ impl About {
 
 impl Offer {
     /// Parses an offer. Ignores unknown fields.
-    fn read(message: &Message, said: &Value) -> Result<Offer, Nonsense> {
+    fn read(message: &Message, offer: &Value) -> Result<Offer, Nonsense> {
         let wrong = |expected: &str| message.wrong("offers", expected);
-        if !said.is_object() {
+        if !offer.is_object() {
             return Err(wrong("an object of objects"));
         }
-        let image = match said.get("image").map(Value::as_str) {
+        let image = match offer.get("image").map(Value::as_str) {
             None => Encoding::Srgb,
             Some(Some("srgb")) => Encoding::Srgb,
             Some(Some("linear")) => Encoding::Linear,
             Some(_) => return Err(wrong("offers whose \"image\" is \"srgb\" or \"linear\"")),
         };
-        let whole = |name: &str, lowest: u64| match said.get(name) {
+        let whole = |name: &str, lowest: u64| match offer.get(name) {
             None => Ok(None),
             Some(v) => match v.as_u64().filter(|n| (lowest..=1 << 20).contains(n)) {
                 Some(n) => Ok(Some(n)),
                 None => Err(wrong(&format!("offers whose \"{name}\" is a whole number of at least {lowest}"))),
             },
         };
-        let maps = said["maps"].as_array().map(|all| all.iter().filter_map(Value::as_str).map(str::to_owned).collect());
+        let maps =
+            offer["maps"].as_array().map(|all| all.iter().filter_map(Value::as_str).map(str::to_owned).collect());
         Ok(Offer {
             image,
             max_side: whole("max_side", 8)?.map(|n| n as u32),
             channels: whole("channels", 1)?.unwrap_or(512) as usize,
-            same_ids: said["ids"] == "scene",
+            same_ids: offer["ids"] == "scene",
             maps: maps.unwrap_or_default(),
         })
     }

@@ -101,7 +101,7 @@ impl Pipe {
         }
         drop(waiting);
         self.send(out);
-        self.hear();
+        self.log_stderr();
         let mut bytes = vec![0; 1 << 18];
         if let Some(pipe) = &mut self.stdout {
             match pipe.read(&mut bytes) {
@@ -129,7 +129,7 @@ impl Pipe {
     }
 
     /// Logs the child's standard error, a limited amount at a time.
-    fn hear(&mut self) {
+    fn log_stderr(&mut self) {
         let mut bytes = [0; 1 << 14];
         for _ in 0..16 {
             let Some(pipe) = &mut self.stderr else { return };
@@ -182,7 +182,7 @@ impl Pipe {
         let mut nap = Duration::from_micros(200);
         loop {
             let ended = self.has_ended();
-            self.hear();
+            self.log_stderr();
             // This output is discarded, but a full pipe could block the child from ending.
             let mut bytes = [0; 1 << 14];
             for _ in 0..16 {
@@ -225,7 +225,7 @@ impl Pipe {
         if self.reaped {
             return None;
         }
-        self.hear();
+        self.log_stderr();
         self.end_line();
         // The child is not reaped yet, so its process id cannot belong to another process. A failure means that the
         // group is empty.

@@ -103,12 +103,12 @@ pub fn bake(
         }
         let settings = settings(options, rates, last - before);
         let mut training = Geometry::on_images(device, &images, &settings, &baked)?;
-        let said = |p: &Progress| {
+        let report = |p: &Progress| {
             if let Progress::Step(r) = p {
                 on_report(before + r.step);
             }
         };
-        training.train(last - before, said, || true)?;
+        training.train(last - before, report, || true)?;
         // Only the colors are taken, so all other values stay bitwise equal.
         baked.sh = training.splats()?.sh;
         before = last;
@@ -129,8 +129,8 @@ fn settings(options: &BakeOptions, [sh0, sh_rest]: [f64; 2], steps: u32) -> Sett
     g.steps = steps;
     g.sh_degree = options.degree.min(3).into();
     g.background = options.background;
-    (g.normals, g.semantics, g.correspondence, g.densify.enabled) = (false, false, false, false);
-    (g.depth_smooth, g.depth_variance) = (false, false);
+    (g.normals, g.semantics, g.densify.until) = (false, false, 0.0);
+    (g.losses.depth_smooth, g.losses.depth_variance, g.losses.correspondence) = (0.0, 0.0, 0.0);
     // A kernel selected by timing would make the result depend on the measurement.
     g.backward = Backward::Pixel;
     g.rates = Rates {

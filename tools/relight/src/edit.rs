@@ -330,7 +330,7 @@ fn positive<'v>(name: &str, values: impl IntoIterator<Item = &'v f32>) -> std::r
 mod tests {
     use super::*;
 
-    fn said(text: &str) -> String {
+    fn error_of(text: &str) -> String {
         match serde_json::from_str::<Edit>(text) {
             Ok(edit) => edit.check().expect_err(text),
             Err(e) => e.to_string(),
@@ -358,8 +358,8 @@ mod tests {
             (r#"{"insert": [{"source": "a.ply", "scale": 0}]}"#, "insert[0].scale"),
             (r#"{"insert": [{"source": "a.ply", "rotation": [0,0,0,0]}]}"#, "no quaternion"),
         ] {
-            let said = said(text);
-            assert!(said.contains(words), "{text}: {said}");
+            let error = error_of(text);
+            assert!(error.contains(words), "{text}: {error}");
         }
         assert_eq!(serde_json::from_str::<Edit>("{}").unwrap(), Edit::default());
     }

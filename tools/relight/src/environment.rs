@@ -12,19 +12,19 @@ use sgs_run::Texels;
 ///
 /// # Errors
 /// If the edit changes an absent environment map, or its file is damaged.
-pub fn edit_environment(edit: &EnvironmentEdit, given: Option<Texels>, size: u32) -> Result<Option<Texels>> {
+pub fn edit_environment(edit: &EnvironmentEdit, current: Option<Texels>, size: u32) -> Result<Option<Texels>> {
     if edit.off {
         return Ok(None);
     }
-    let given = match &edit.file {
+    let current = match &edit.file {
         Some(file) => Some(Texels::read(file, size)?),
-        None => given,
+        None => current,
     };
     let changed = edit.scale.is_some() || edit.color.is_some() || edit.rotate.is_some();
-    let Some(mut texels) = given else {
+    let Some(mut texels) = current else {
         if changed {
-            let said = "The edit changes the environment, but the scene has none; name one with \"file\".";
-            return Err(RelightError::Edit(said.into()));
+            let message = "The edit changes the environment, but the scene has none; name one with \"file\".";
+            return Err(RelightError::Edit(message.into()));
         }
         return Ok(None);
     };

@@ -28,8 +28,8 @@ pub fn edit_lights(edit: &LightEdit, lights: Option<LightFile>) -> Result<Option
         Err(RelightError::Edit(format!("The edit names light {light}, but the scene {has}.")))
     };
     if let Some(only) = &edit.only {
-        let kept = only.iter().map(|l| known(*l)).collect::<Result<Vec<_>>>()?;
-        file.lights.iter_mut().enumerate().filter(|(i, _)| !kept.contains(i)).for_each(|(_, l)| l.gain = 0.0);
+        let retained = only.iter().map(|l| known(*l)).collect::<Result<Vec<_>>>()?;
+        file.lights.iter_mut().enumerate().filter(|(i, _)| !retained.contains(i)).for_each(|(_, l)| l.gain = 0.0);
     }
     let trained: Vec<f32> = file.lights.iter().map(|l| l.gain).collect();
     if edit.off {
@@ -152,8 +152,8 @@ mod tests {
         let only = LightEdit { only: Some(vec![1]), ..Default::default() };
         assert_eq!(gains(edit_lights(&only, Some(two())).unwrap().unwrap()), [0.0, 0.0]);
         let missing = LightEdit { only: Some(vec![2]), ..Default::default() };
-        let said = edit_lights(&missing, Some(two())).unwrap_err().to_string();
-        assert!(said.contains("light 2") && said.contains("0 to 1"), "{said}");
+        let error = edit_lights(&missing, Some(two())).unwrap_err().to_string();
+        assert!(error.contains("light 2") && error.contains("0 to 1"), "{error}");
         assert!(edit_lights(&LightEdit::default(), None).unwrap().is_none());
     }
 

@@ -81,8 +81,8 @@ impl Relighter {
         ];
         if let Some((what, _)) = missing.iter().find(|(_, missing)| *missing) {
             let name = source.display();
-            let said = format!("\"{name}\" has no {what}; train its materials with --stage intrinsic.");
-            return Err(RelightError::Edit(said));
+            let message = format!("\"{name}\" has no {what}; train its materials with --stage intrinsic.");
+            return Err(RelightError::Edit(message));
         }
         let light = match &settings {
             Some(settings) => light_of(&RunDirectory::open(source)?, settings)?,
@@ -176,13 +176,13 @@ impl Relighter {
     pub fn set_environment(&mut self, map: &[f32], size: [u32; 2]) -> Result<()> {
         let [width, height] = size;
         if height == 0 || u64::from(width) != 2 * u64::from(height) || width > 1 << 14 {
-            let said =
+            let message =
                 format!("An environment must be twice as wide as high, up to 16384, but this is {width}×{height}.");
-            return Err(RelightError::Edit(said));
+            return Err(RelightError::Edit(message));
         }
         if map.len() as u64 != 3 * u64::from(width) * u64::from(height) {
-            let said = format!("An environment of {width}×{height} has not {} floats.", map.len());
-            return Err(RelightError::Edit(said));
+            let message = format!("An environment of {width}×{height} has not {} floats.", map.len());
+            return Err(RelightError::Edit(message));
         }
         if map.iter().any(|v| !v.is_finite()) {
             return Err(RelightError::Edit("An environment must not hold numbers that are not finite.".into()));
@@ -197,8 +197,8 @@ impl Relighter {
 
     /// Returns the number of texels along an edge of the environment map.
     pub fn environment_size(&self) -> u32 {
-        let given = self.environment.as_ref().or(self.run.light.environment.as_ref()).map(|e| e.size);
-        given.unwrap_or_else(|| self.settings.as_ref().map_or(64, |s| s.intrinsic.environment.resolution))
+        let current = self.environment.as_ref().or(self.run.light.environment.as_ref()).map(|e| e.size);
+        current.unwrap_or_else(|| self.settings.as_ref().map_or(64, |s| s.intrinsic.environment.edge()))
     }
 
     fn filtered(&self, texels: &Texels) -> Result<LitEnvironment> {
@@ -215,19 +215,19 @@ impl Relighter {
         edit.check().map_err(|reason| RelightError::Edit(format!("The edit cannot be applied: {reason}.")))?;
         let size = self.run.light.environment.as_ref().map_or_else(|| self.environment_size(), |e| e.size);
         let alters = !edit.materials.is_empty() || !edit.insert.is_empty();
-        let given = &self.run.light;
+        let initial = &self.run.light;
         let (lights, environment, altered) = if alters {
             let relit = self.altered(edit, size)?;
             (relit.light.lights, relit.light.environment, Some(relit.splats))
         } else {
-            let lights = edit_lights(&edit.lights, given.lights.clone())?;
-            (lights, edit_environment(&edit.environment, given.environment.clone(), size)?, None)
+            let lights = edit_lights(&edit.lights, initial.lights.clone())?;
+            (lights, edit_environment(&edit.environment, initial.environment.clone(), size)?, None)
         };
         let mut scene = None;
         let mut environment_map = None;
         if alters || self.altered.is_some() {
             let splats = altered.as_ref().unwrap_or(&self.run.splats);
-            scene = Some(with_light(&self.device, &self.tuning, splats, environment.as_ref(), given)?);
+            scene = Some(with_light(&self.device, &self.tuning, splats, environment.as_ref(), initial)?);
         } else if environment != self.environment {
             environment_map = Some(environment.as_ref().map(|texels| self.filtered(texels)).transpose()?);
         }

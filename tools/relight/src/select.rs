@@ -41,8 +41,8 @@ impl Selector<'_> {
         }
         if let Some(numbers) = &which.gaussians {
             if let Some(far) = numbers.iter().find(|n| **n >= splats.len()) {
-                let said = format!("The edit names Gaussian {far}, but there are {}.", splats.len());
-                return Err(RelightError::Edit(said));
+                let message = format!("The edit names Gaussian {far}, but there are {}.", splats.len());
+                return Err(RelightError::Edit(message));
             }
             let mut named = vec![false; splats.len()];
             numbers.iter().for_each(|n| named[*n] = true);
@@ -57,8 +57,8 @@ impl Selector<'_> {
             also(&|i| of_region[i]);
         }
         if !chosen.contains(&true) {
-            let said = serde_json::to_string(&without_null(which)).unwrap_or_default();
-            return Err(RelightError::Edit(format!("The edit chooses Gaussians by {said}, but there are none.")));
+            let selection = serde_json::to_string(&without_null(which)).unwrap_or_default();
+            return Err(RelightError::Edit(format!("The edit chooses Gaussians by {selection}, but there are none.")));
         }
         Ok(chosen)
     }
@@ -84,8 +84,9 @@ impl Selector<'_> {
     /// Selects Gaussians whose centers are visible in a region of a view.
     fn of_region(&self, region: &Region, splats: &Splats) -> Result<Vec<bool>> {
         let (name, id) = (&region.view, region.id);
-        let wrong =
-            |said: String| RelightError::Edit(format!("The edit names region {id} of view \"{name}\", but {said}."));
+        let wrong = |reason: String| {
+            RelightError::Edit(format!("The edit names region {id} of view \"{name}\", but {reason}."))
+        };
         let scene = self.scene.ok_or_else(|| wrong("there is no scene".into()))?;
         let view = scene.split.train.iter().copied().find(|v| scene.views[*v].camera.name == *name);
         let view = view.ok_or_else(|| wrong("there is no training view of that name".into()))?;

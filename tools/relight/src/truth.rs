@@ -152,8 +152,8 @@ pub(crate) fn true_lights_of(path: &Path) -> Result<Option<LightFile>> {
 
 /// Returns whether the file of a relit set describes a material edit.
 pub(crate) fn true_edit_of(path: &Path) -> Result<bool> {
-    let said: serde_json::Value = read(path, "an edit")?;
-    Ok(serde_json::from_value::<Painted>(said).is_ok())
+    let value: serde_json::Value = read(path, "an edit")?;
+    Ok(serde_json::from_value::<Painted>(value).is_ok())
 }
 
 /// Returns the key of a set in `relit`.
@@ -174,8 +174,8 @@ fn painted_of(
     let Some(path) = truth.relit_edit(name) else {
         return Ok(Err(format!("Neither gt/lights.json nor gt/relit/{name}.json describes the lights of the set.")));
     };
-    let said: serde_json::Value = read(&path, "an edit")?;
-    match serde_json::from_value::<Painted>(said) {
+    let value: serde_json::Value = read(&path, "an edit")?;
+    match serde_json::from_value::<Painted>(value) {
         Ok(painted) => painted.edit(device, scene, splats),
         Err(_) => Ok(Err(format!(
             "gt/lights.json does not list the set, and gt/relit/{name}.json describes no edit of an instance's material."

@@ -1,6 +1,7 @@
 //! Images in a page: single, or ground truth and render under a slider.
 
-use crate::text::{base64, escape};
+use crate::text::escape;
+use base64::prelude::{BASE64_STANDARD, Engine as _};
 use sgs_scene::{Image, Result, encode_jpeg, encode_png, resize};
 
 /// Number of pixels above which images become JPEG.
@@ -28,9 +29,9 @@ pub fn data_uri(image: &Image, width: u32) -> Result<String> {
         image
     };
     if shown.pixels() > PNG_PIXELS && (shown.channels == 1 || shown.channels == 3) {
-        return Ok(format!("data:image/jpeg;base64,{}", base64(&encode_jpeg(shown, QUALITY)?)));
+        return Ok(format!("data:image/jpeg;base64,{}", BASE64_STANDARD.encode(encode_jpeg(shown, QUALITY)?)));
     }
-    Ok(format!("data:image/png;base64,{}", base64(&encode_png(shown)?)))
+    Ok(format!("data:image/png;base64,{}", BASE64_STANDARD.encode(encode_png(shown)?)))
 }
 
 /// Returns the HTML of an image above its name, which enlarges on a click.

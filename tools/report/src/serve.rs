@@ -183,7 +183,7 @@ pub fn respond(request: &[u8], pages: impl Fn(&str, &str) -> Option<Content>) ->
     let plain = |text: &str| Content { kind: "text/plain", body: format!("{text}\n") };
     let parsed = requested.parse(request);
     let (method, target) = (requested.method.unwrap_or_default(), requested.path.unwrap_or_default());
-    let refused = |status: &str, text: &str| Some(said(status, &plain(text), method != "HEAD"));
+    let refused = |status: &str, text: &str| Some(response(status, &plain(text), method != "HEAD"));
     match parsed {
         Ok(Status::Complete(_)) => {}
         Ok(Status::Partial) if request.len() < MOST_BYTES => return None,
@@ -205,7 +205,7 @@ pub fn respond(request: &[u8], pages: impl Fn(&str, &str) -> Option<Content>) ->
         Some(content) => ("200 OK", content),
         None => ("404 Not Found", plain("There is nothing here.")),
     };
-    Some(said(status, &content, method != "HEAD"))
+    Some(response(status, &content, method != "HEAD"))
 }
 
 /// Returns whether a `Host` header names this machine.
@@ -218,7 +218,7 @@ fn is_ours(host: &[u8]) -> bool {
 }
 
 /// Formats a response that closes the connection.
-fn said(status: &str, content: &Content, whole: bool) -> Vec<u8> {
+fn response(status: &str, content: &Content, whole: bool) -> Vec<u8> {
     let mut text = format!("HTTP/1.1 {status}\r\n");
     let length = content.body.len().to_string();
     for (name, value) in [
@@ -260,9 +260,9 @@ mod tests {
     fn ask(port: u16, text: &str) -> String {
         let mut stream = connect(port);
         stream.write_all(text.as_bytes()).expect("it listens");
-        let mut said = String::new();
-        stream.read_to_string(&mut said).expect("an answer");
-        said
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("an answer");
+        answer
     }
 
     fn get(port: u16, path: &str, more: &str) -> String {
@@ -319,8 +319,8 @@ mod tests {
         let lives = || assert!(ask(port, &get(port, "/", "")).contains("200 OK"), "it answers nobody any more");
         // Bodies that never arrive, with invalid or huge sizes.
         for length in ["5", "4096", "99999999999999", "18446744073709551615", "-1", "x"] {
-            let said = ask(port, &get(port, "/", &format!("Content-Length: {length}\r\n")));
-            assert!(said.contains("200 OK"), "{length}: {said}");
+            let answer = ask(port, &get(port, "/", &format!("Content-Length: {length}\r\n")));
+            assert!(answer.contains("200 OK"), "{length}: {answer}");
         }
         let chunked = get(port, "/", "Transfer-Encoding: chunked\r\n") + "ffffffffffffffff\r\n";
         assert!(ask(port, &chunked).contains("200 OK"));
@@ -339,9 +339,9 @@ mod tests {
         slow.write_all(get(port, "/large", "").as_bytes()).expect("it listens");
         let mut silent: Vec<TcpStream> = (1..AT_ONCE).map(|_| connect(port)).collect();
         let requested = |stream: &mut TcpStream| -> bool {
-            let mut said = String::new();
+            let mut answer = String::new();
             let sent = stream.write_all(get(port, "/", "").as_bytes());
-            sent.and_then(|()| stream.read_to_string(&mut said)).is_ok() && said.contains("200 OK")
+            sent.and_then(|()| stream.read_to_string(&mut answer)).is_ok() && answer.contains("200 OK")
         };
         assert!(!requested(&mut connect(port)), "there is room for one too many");
         silent.truncate(3);

@@ -282,7 +282,7 @@ impl RunDirectory {
 
     fn log_of(&self, keep: impl Fn(Option<&str>, u64) -> bool) -> Result<File> {
         let path = self.path("log.jsonl");
-        let kept: String = std::fs::read_to_string(&path)
+        let lines: String = std::fs::read_to_string(&path)
             .unwrap_or_default()
             .lines()
             .filter(|l| {
@@ -291,7 +291,7 @@ impl RunDirectory {
             })
             .map(|l| format!("{l}\n"))
             .collect();
-        self.write(&path, kept.as_bytes())?;
+        self.write(&path, lines.as_bytes())?;
         File::options().append(true).open(&path).map_err(|e| error(&path, format!("cannot be written: {e}")))
     }
 }

@@ -21,9 +21,9 @@ pub fn serialize<N: AsRef<str> + Ord + std::fmt::Display, V: View>(
     let (length, rest) = bytes.split_first_chunk_mut::<8>().ok_or(SafeTensorError::HeaderTooSmall)?;
     let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| SafeTensorError::HeaderTooLarge)?;
     let header = rest.get_mut(..length).ok_or(SafeTensorError::InvalidHeaderLength)?;
-    let mut said: BTreeMap<String, serde_json::Value> = serde_json::from_slice(header)?;
-    said.insert(METADATA.to_owned(), serde_json::to_value(sorted)?);
-    let text = serde_json::to_vec(&said)?;
+    let mut fields: BTreeMap<String, serde_json::Value> = serde_json::from_slice(header)?;
+    fields.insert(METADATA.to_owned(), serde_json::to_value(sorted)?);
+    let text = serde_json::to_vec(&fields)?;
     // Sorting keys does not change the length of the header, except for its padding.
     let (to, padding) = header.split_at_mut_checked(text.len()).ok_or(SafeTensorError::InvalidHeaderLength)?;
     to.copy_from_slice(&text);

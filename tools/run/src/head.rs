@@ -6,12 +6,12 @@
 use crate::error::{Result, RunError};
 use crate::floats::Floats;
 use safetensors::{Dtype, SafeTensors};
-use sgs_config::distance;
 use sgs_passes::loss::normalize_embeddings;
 use sgs_passes::scene::{AUGMENTED, EMBEDDING};
 use sgs_scene::TextEmbeddings;
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
+use strsim::levenshtein;
 
 /// Format identifier in the file.
 const FORMAT: &str = "sgs-semantics-1";
@@ -147,7 +147,7 @@ impl SemanticHead {
                 let other = label.to_lowercase();
                 let within =
                     !small.is_empty() && !other.is_empty() && (other.contains(&small) || small.contains(&other));
-                let away = distance(&small, &other);
+                let away = levenshtein(&small, &other);
                 (within || away <= 2.max(small.chars().count() / 3)).then_some((away, label))
             })
             .collect();

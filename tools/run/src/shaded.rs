@@ -153,7 +153,7 @@ pub enum Visibility {
 pub fn light_of(run: &RunDirectory, settings: &Settings) -> Result<RunLight> {
     let (lights, exr) = (run.path("lights.json"), run.path("environment.exr"));
     let lights = if lights.is_file() { Some(read_lights(&lights)?) } else { None };
-    let size = settings.intrinsic.environment.resolution;
+    let size = settings.intrinsic.environment.edge();
     let environment = if exr.is_file() { Some(Texels::read(&exr, size)?) } else { None };
     let file = run.path("visibility.safetensors");
     let v = &settings.intrinsic.visibility;

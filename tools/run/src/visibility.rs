@@ -88,8 +88,8 @@ impl VisibilityFile {
             return Err(fail(format!("not a visibility field: its metadata does not say \"{FORMAT}\"")));
         }
         let size = |name: &str| -> Result<u32> {
-            let said = meta.get(name).and_then(|text| text.parse().ok());
-            said.ok_or_else(|| fail(format!("the metadata does not say \"{name}\"")))
+            let value = meta.get(name).and_then(|text| text.parse().ok());
+            value.ok_or_else(|| fail(format!("the metadata does not say \"{name}\"")))
         };
         let [levels, log2_table, coarsest, finest] = SIZES;
         let config = FieldConfig::new(size(levels)?, size(log2_table)?, size(coarsest)?, size(finest)?);

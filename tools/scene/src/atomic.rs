@@ -3,30 +3,11 @@
 //! Content goes to a temporary file beside the target, is flushed to the disk, and is then renamed to the target. After
 //! a kill, a crash or a full disk, the target is either the old file or the complete new file.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::path::Path;
 
 use crate::error::{Result, SceneError, io_error};
-
-/// Counter for unique temporary file names. Threads of one process may write the same target at the same time.
-static COUNTER: AtomicU64 = AtomicU64::new(0);
-
-/// Temporary file that is removed on drop unless it was renamed into place.
-struct Temporary {
-    path: PathBuf,
-    placed: bool,
-}
-
-impl Drop for Temporary {
-    fn drop(&mut self) {
-        if !self.placed {
-            // A failure here cannot be handled, and the original error is the one to report.
-            let _ = fs::remove_file(&self.path);
-        }
-    }
-}
 
 /// Writes `path` atomically with the content that `write` produces. The content goes to a temporary file beside `path`,
 /// is flushed to the disk, and is then renamed into place.
@@ -44,11 +25,11 @@ pub fn atomic_write(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io:
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
-    let hidden = format!(".{}.{}-{unique}.tmp", name.to_string_lossy(), std::process::id());
-    let mut temporary = Temporary { path: directory.join(hidden), placed: false };
-
-    let file = File::create(&temporary.path).map_err(io_error("write", path))?;
+    // Not `Builder::tempfile_in`: its files are for their owner alone, and its errors name the temporary file.
+    let hidden = format!(".{}.", name.to_string_lossy());
+    let create = |path: &Path| File::create_new(path);
+    let temporary = tempfile::Builder::new().prefix(&hidden).suffix(".tmp").make_in(directory, create);
+    let (file, temporary) = temporary.map_err(io_error("write", path))?.into_parts();
     let mut buffered = BufWriter::with_capacity(1 << 16, file);
     write(&mut buffered).map_err(io_error("write", path))?;
     buffered.flush().map_err(io_error("write", path))?;
@@ -56,8 +37,7 @@ pub fn atomic_write(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io:
     file.sync_all().map_err(io_error("write", path))?;
     drop(file);
 
-    fs::rename(&temporary.path, path).map_err(io_error("write", path))?;
-    temporary.placed = true;
+    temporary.persist(path).map_err(|e| io_error("write", path)(e.error))?;
     // The rename survives a power cut only after the directory is flushed to the disk. Some file systems cannot sync a
     // directory; the file is complete in either case.
     if let Ok(directory) = File::open(directory) {
@@ -69,6 +49,7 @@ pub fn atomic_write(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> io:
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     fn names(directory: &Path) -> Vec<String> {
         let mut names: Vec<_> =
@@ -85,6 +66,17 @@ mod tests {
         atomic_write(&path, |w| w.write_all(b"new")).unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(names(directory.path()), ["a.txt"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn files_have_the_permissions_of_ordinary_files() {
+        use std::os::unix::fs::PermissionsExt;
+        let directory = tempfile::tempdir().unwrap();
+        let mode = |name: &str| fs::metadata(directory.path().join(name)).unwrap().permissions().mode();
+        atomic_write(&directory.path().join("a.txt"), |w| w.write_all(b"x")).unwrap();
+        fs::write(directory.path().join("b.txt"), b"x").unwrap();
+        assert_eq!(mode("a.txt"), mode("b.txt"));
     }
 
     #[test]
@@ -108,7 +100,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("none/a.txt");
         let error = atomic_write(&path, |w| w.write_all(b"x")).unwrap_err().to_string();
-        assert!(error.starts_with(&format!("cannot write {}", path.display())), "{error}");
+        assert_eq!(error, format!("cannot write {}: No such file or directory (os error 2)", path.display()));
         assert!(atomic_write(Path::new("/"), |_| Ok(())).is_err());
     }
 

@@ -6,8 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::error::{Result, SceneError};
-use crate::ground_truth::GroundTruthKind;
-use crate::maps::NormalFrame;
+use crate::map_file::NormalFrame;
 
 /// Files stored beside one photograph.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -20,6 +19,40 @@ pub(crate) struct Beside {
     pub(crate) truth: Vec<TruthFile>,
     /// Images of the same view under other lightings: name and path.
     pub(crate) relit: Vec<(String, PathBuf)>,
+}
+
+/// Kinds of ground-truth maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum GroundTruthKind {
+    /// Linear RGB.
+    Albedo,
+    /// Unit vectors in world space, zero where the pixel shows no surface.
+    Normal,
+    /// Camera z in scene units, 0 where the pixel shows no surface.
+    Depth,
+    /// Roughness in one channel.
+    Roughness,
+    /// Metallic in one channel.
+    Metallic,
+    /// Fraction of the pixel in which the other maps are valid, in one channel.
+    Mask,
+}
+
+impl GroundTruthKind {
+    /// All kinds.
+    pub const ALL: [Self; 6] = [Self::Albedo, Self::Normal, Self::Depth, Self::Roughness, Self::Metallic, Self::Mask];
+
+    /// Returns the name of the folder under `gt/`.
+    pub fn folder(self) -> &'static str {
+        match self {
+            Self::Albedo => "albedo",
+            Self::Normal => "normal",
+            Self::Depth => "depth",
+            Self::Roughness => "roughness",
+            Self::Metallic => "metallic",
+            Self::Mask => "mask",
+        }
+    }
 }
 
 /// Ground-truth map of one view.

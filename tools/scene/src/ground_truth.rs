@@ -7,49 +7,16 @@ use std::path::PathBuf;
 
 use glam::DVec2;
 
-use crate::beside::{Form, TruthFile, check_size};
+use crate::beside::{Form, GroundTruthKind, TruthFile, check_size};
 use crate::depth::{self, DepthDefinition, Verdict};
 use crate::error::Result;
 use crate::image::Image;
 use crate::json::read_json;
-use crate::maps::{self, Meaning, NormalFrame, RegionMap};
+use crate::map_file::{self, Meaning, NormalFrame};
+use crate::maps::{self, RegionMap};
 use crate::priors::Labels;
 use crate::scene::Scene;
 use crate::view::View;
-
-/// Kinds of ground-truth maps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum GroundTruthKind {
-    /// Linear RGB.
-    Albedo,
-    /// Unit vectors in world space, zero where the pixel shows no surface.
-    Normal,
-    /// Camera z in scene units, 0 where the pixel shows no surface.
-    Depth,
-    /// Roughness in one channel.
-    Roughness,
-    /// Metallic in one channel.
-    Metallic,
-    /// Fraction of the pixel in which the other maps are valid, in one channel.
-    Mask,
-}
-
-impl GroundTruthKind {
-    /// All kinds.
-    pub const ALL: [Self; 6] = [Self::Albedo, Self::Normal, Self::Depth, Self::Roughness, Self::Metallic, Self::Mask];
-
-    /// Returns the name of the folder under `gt/`.
-    pub fn folder(self) -> &'static str {
-        match self {
-            Self::Albedo => "albedo",
-            Self::Normal => "normal",
-            Self::Depth => "depth",
-            Self::Roughness => "roughness",
-            Self::Metallic => "metallic",
-            Self::Mask => "mask",
-        }
-    }
-}
 
 /// Ground truth of a scene.
 #[derive(Clone, Copy, Debug)]
@@ -101,14 +68,14 @@ impl<'a> GroundTruth<'a> {
         };
         let (image, mut valid) = match file.form {
             Form::Normal(frame) => maps::stored_normals(&file.path, view, frame)?,
-            _ => maps::stored(&file.path, meaning)?,
+            _ => map_file::read(&file.path, meaning)?,
         };
         let size = (view.stored_camera.width, view.stored_camera.height);
         check_size(&file.path, (image.width, image.height), &view.image_path, size)?;
         if file.kind != GroundTruthKind::Mask
             && let Some(mask) = view.stored_mask()?
         {
-            maps::exclude(&mut valid, &mask);
+            map_file::exclude(&mut valid, &mask);
         }
         if let Form::Normal(_) = file.form {
             return Ok(Some(maps::finish_normals(image, valid, view)));
@@ -140,11 +107,11 @@ impl<'a> GroundTruth<'a> {
         let cameras: Vec<_> = found.iter().map(|(view, _)| view.camera.clone()).collect();
         let load = |i: usize| {
             let (view, file): &(&View, TruthFile) = &found[i];
-            let (image, mut valid) = maps::stored(&file.path, Meaning::Depth)?;
+            let (image, mut valid) = map_file::read(&file.path, Meaning::Depth)?;
             let size = (view.stored_camera.width, view.stored_camera.height);
             check_size(&file.path, (image.width, image.height), &view.image_path, size)?;
             if let Some(mask) = view.stored_mask()? {
-                maps::exclude(&mut valid, &mask);
+                map_file::exclude(&mut valid, &mask);
             }
             let mut map = image;
             map.data.iter_mut().zip(&valid.data).for_each(|(d, v)| *d = if *v > 0.0 { *d } else { 0.0 });

@@ -18,10 +18,12 @@ mod gltf;
 mod ground_truth;
 mod image;
 mod json;
+mod map_file;
 mod maps;
 mod noise;
 mod ply;
 mod points;
+mod prior_settings;
 mod priors;
 mod reader;
 mod scene;
@@ -32,20 +34,22 @@ mod unit;
 mod view;
 
 pub use atomic::atomic_write;
+pub use beside::GroundTruthKind;
 pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR};
 pub use depth::DepthDefinition;
 pub use error::{Result, SceneError};
 pub use gltf::{GltfScene, Placement, PointLight, write_gltf};
-pub use ground_truth::{GroundTruth, GroundTruthKind};
+pub use ground_truth::GroundTruth;
 pub use image::{
     ExrImage, Image, NpyArray, encode_jpeg, encode_png, linear_to_srgb, read_environment, read_exr, read_ids, resize,
     resize_valid, srgb_to_linear, undistort, undistort_coverage, write_environment, write_exr, write_ids,
     write_npy_f16, write_npy_f32, write_png,
 };
-pub use maps::{MaskedMap, NormalFrame, RegionMap};
+pub use map_file::NormalFrame;
+pub use maps::{FeatureMap, MaskedMap, RegionMap};
 pub use noise::Noise;
 pub use points::{Pcg, PointCloud, RandomBox};
-pub use priors::{FeatureMap, TextEmbeddings, UnknownClass};
+pub use priors::{TextEmbeddings, UnknownClass};
 pub use reader::Layout;
 pub use scene::{Scene, SceneOptions};
 pub use splats::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats};

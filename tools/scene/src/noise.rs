@@ -8,9 +8,8 @@ use half::f16;
 
 use crate::camera::Camera;
 use crate::image::Image;
+use crate::maps::FeatureMap;
 use crate::points::Pcg;
-use crate::priors::FeatureMap;
-use crate::scene::Scene;
 
 /// Correlation length of normal noise in pixels.
 const PATCH: usize = 16;
@@ -55,8 +54,19 @@ impl Noise {
         Stream(Pcg::new(mixed(self.seed ^ mixed(mixed(kind as u64) ^ view as u64))))
     }
 
+    /// Moves points; `extent` is the scene's extent.
+    pub(crate) fn move_points(&self, points: &mut [[f32; 3]], extent: f64) {
+        if self.positions > 0.0 {
+            let mut random = self.stream(Kind::Positions, 0);
+            for p in points {
+                let moved = DVec3::from(p.map(f64::from)) + random.normal3() * (self.positions * extent);
+                *p = moved.as_vec3().to_array();
+            }
+        }
+    }
+
     /// Returns the camera with pose noise; `extent` is the scene's extent.
-    fn moved(&self, camera: &Camera, view: usize, extent: f64) -> Camera {
+    pub(crate) fn moved(&self, camera: &Camera, view: usize, extent: f64) -> Camera {
         let mut random = self.stream(Kind::Poses, view);
         let turn = turn(random.normal3() * self.rotations.to_radians());
         let center = camera.position() + random.normal3() * (self.translations * extent);
@@ -106,32 +116,6 @@ impl Noise {
                 cell.copy_from_slice(&old[other * channels..][..channels]);
             }
         }
-    }
-}
-
-impl Scene {
-    /// Returns the scene with noise on its inputs. Noise applies to the points, the cameras of training views, and the
-    /// normal and semantic priors. The extent of the scene is unchanged.
-    #[must_use]
-    pub fn disturbed(&self, noise: &Noise) -> Scene {
-        let mut scene = self.clone();
-        scene.noise = *noise;
-        let extent = self.extent();
-        if noise.positions > 0.0 {
-            let mut random = noise.stream(Kind::Positions, 0);
-            for p in &mut scene.points.positions {
-                let moved = DVec3::from(p.map(f64::from)) + random.normal3() * (noise.positions * extent);
-                *p = moved.as_vec3().to_array();
-            }
-        }
-        if noise.rotations > 0.0 || noise.translations > 0.0 {
-            for &i in &self.split.train {
-                let view = &mut scene.views[i];
-                view.camera = noise.moved(&view.camera, i, extent);
-                view.stored_camera = noise.moved(&view.stored_camera, i, extent);
-            }
-        }
-        scene
     }
 }
 

@@ -4,34 +4,22 @@
 //! ([`GroundTruth`](crate::GroundTruth)). Every kind is optional, as a whole or for single views.
 
 use std::collections::HashSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use half::f16;
 use serde::Deserialize;
 
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{Image, NpyArray};
 use crate::json::read_json;
-use crate::maps::{self, MaskedMap, Meaning, NormalFrame, RegionMap};
+use crate::map_file::Meaning;
+use crate::maps::{self, FeatureMap, MaskedMap, RegionMap};
+use crate::prior_settings::NormalSettings;
 use crate::scene::Scene;
 use crate::view::View;
 
 const NORMAL_EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
 const MAP_EXTENSIONS: [&str; 3] = ["exr", "npy", "png"];
-
-/// Per-pixel features at their stored size and precision.
-#[derive(Clone, Debug, PartialEq)]
-pub struct FeatureMap {
-    /// Width in cells; the map covers the whole image.
-    pub width: usize,
-    /// Height in cells.
-    pub height: usize,
-    /// Number of features per cell.
-    pub channels: usize,
-    /// Row-major, interleaved values.
-    pub data: Vec<f16>,
-}
 
 /// Text embeddings of the semantic classes, one per class.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,39 +51,10 @@ pub struct UnknownClass {
     known: String,
 }
 
-/// Content of `priors/priors.json`.
-#[derive(Clone, Debug, Default, Deserialize)]
-pub(crate) struct PriorSettings {
-    normal: Option<NormalSettings>,
-}
-
-#[derive(Clone, Debug, Deserialize)]
-struct NormalSettings {
-    frame: NormalFrame,
-}
-
 /// Content of `labels.json`.
 #[derive(Deserialize)]
 pub(crate) struct Labels {
     pub(crate) labels: Vec<String>,
-}
-
-impl PriorSettings {
-    /// Reads the prior settings of a scene. Fails if required settings are missing.
-    pub(crate) fn read(root: &Path) -> Result<Self> {
-        let path = root.join("priors/priors.json");
-        let settings: Self = if path.is_file() { read_json(&path)? } else { Self::default() };
-        let folder = root.join("priors/normal");
-        if settings.normal.is_none() && folder.is_dir() {
-            let problem = format!(
-                "the frame of the normals is unknown; write {{\"normal\": {{\"frame\": \"world\"}}}}, or camera-opencv, \
-                 camera-opengl or camera-stablenormal, into {}",
-                path.display()
-            );
-            return Err(SceneError::image(&folder, problem));
-        }
-        Ok(settings)
-    }
 }
 
 impl Scene {

@@ -14,7 +14,7 @@ use crate::exposure;
 use crate::image::Image;
 use crate::noise::Noise;
 use crate::points::{PointCloud, RandomBox, Tracks};
-use crate::priors::PriorSettings;
+use crate::prior_settings::PriorSettings;
 use crate::reader::{self, Layout};
 use crate::split::Split;
 use crate::split_rule::SplitRule;
@@ -229,6 +229,41 @@ impl Scene {
         scene
     }
 
+    /// Returns the unit in which the scene is computed.
+    pub fn unit(&self) -> Unit {
+        Unit::of_extent(self.extent())
+    }
+
+    /// Returns the scene with lengths converted to a unit. Ground truth and sensor depth keep the units of their files.
+    #[must_use]
+    pub fn in_unit(&self, unit: Unit) -> Scene {
+        let mut scene = self.clone();
+        for view in &mut scene.views {
+            view.camera = view.camera.in_unit(unit);
+        }
+        scene.points.positions.iter_mut().for_each(|p| *p = unit.place(*p));
+        scene.extent /= unit.length();
+        scene
+    }
+
+    /// Returns the scene with noise on its inputs. Noise applies to the points, the cameras of training views, and the
+    /// normal and semantic priors. The extent of the scene is unchanged.
+    #[must_use]
+    pub fn disturbed(&self, noise: &Noise) -> Scene {
+        let mut scene = self.clone();
+        scene.noise = *noise;
+        let extent = self.extent();
+        noise.move_points(&mut scene.points.positions, extent);
+        if noise.rotations > 0.0 || noise.translations > 0.0 {
+            for &i in &self.split.train {
+                let view = &mut scene.views[i];
+                view.camera = noise.moved(&view.camera, i, extent);
+                view.stored_camera = noise.moved(&view.stored_camera, i, extent);
+            }
+        }
+        scene
+    }
+
     /// Loads the image of a view with the scene's exposure, as [`View::load_image`].
     pub fn load_image(&self, view: usize) -> Result<Image> {
         self.view(view)?.load_image(&self.load_options())
@@ -320,8 +355,8 @@ fn seen_points(
     warnings: &mut Vec<String>,
 ) -> PointCloud {
     let training = split.train.iter().filter_map(|&i| views.get(i)).map(|view| view.camera.name.as_str());
-    let kept = tracks.seen_twice(&training.collect());
-    let (count, left) = (points.len(), kept.iter().filter(|kept| **kept).count());
+    let retained = tracks.seen_twice(&training.collect());
+    let (count, left) = (points.len(), retained.iter().filter(|retained| **retained).count());
     if left == 0 {
         warnings.push(format!(
             "fewer than two training views see any of the {count} points; training starts from all of them; train with more \
@@ -335,7 +370,7 @@ fn seen_points(
             "fewer than two training views see {out} of the {count} points; training starts from the other {left}"
         ));
     }
-    points.filtered(&kept)
+    points.filtered(&retained)
 }
 
 /// Returns a warning if undistortion leaves more than 1 % of an image uncovered.

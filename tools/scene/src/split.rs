@@ -6,8 +6,8 @@ use std::path::Path;
 use serde::Deserialize;
 
 use crate::error::{Result, SceneError};
+use crate::image::stem_of;
 use crate::json::read_json;
-use crate::reader::stem_of;
 use crate::split_rule::SplitRule;
 
 /// Interval of test views without `split.json`, from the first view on.

@@ -4,7 +4,8 @@
 //! with poses of an arbitrary small scale, are computed in another unit. The unit is a power of two, so conversion and
 //! back-conversion preserve every digit of a length.
 
-use crate::{Camera, Scene, Splats};
+use crate::camera::Camera;
+use crate::splats::Splats;
 use std::ops::RangeInclusive;
 
 /// Extents of scenes that are computed in their own unit.
@@ -24,7 +25,9 @@ impl Unit {
     /// Unit of the scene itself.
     pub const OWN: Unit = Unit(1.0);
 
-    /// Returns the unit for a scene with this extent ([`Scene::extent`]).
+    /// Returns the unit for a scene of this extent.
+    ///
+    /// The extent is that of [`crate::Scene::extent`].
     pub fn of_extent(extent: f64) -> Unit {
         if USUAL.contains(&extent) || !extent.is_normal() || extent < 0.0 {
             return Unit::OWN;
@@ -90,25 +93,6 @@ impl Splats {
             self.log_scales.iter_mut().flatten().for_each(|scale| *scale -= less);
         }
         self
-    }
-}
-
-impl Scene {
-    /// Returns the unit in which the scene is computed.
-    pub fn unit(&self) -> Unit {
-        Unit::of_extent(self.extent())
-    }
-
-    /// Returns the scene with lengths converted to a unit. Ground truth and sensor depth keep the units of their files.
-    #[must_use]
-    pub fn in_unit(&self, unit: Unit) -> Scene {
-        let mut scene = self.clone();
-        for view in &mut scene.views {
-            view.camera = view.camera.in_unit(unit);
-        }
-        scene.points.positions.iter_mut().for_each(|p| *p = unit.place(*p));
-        scene.extent /= unit.0;
-        scene
     }
 }
 

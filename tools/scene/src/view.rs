@@ -8,7 +8,7 @@ use crate::error::{Result, SceneError};
 use crate::image::{
     Encoding, Image, linear_to_srgb, read_raster, resized, srgb_to_linear, undistort, undistort_coverage,
 };
-use crate::maps::{self, Meaning};
+use crate::map_file::{self, Meaning};
 use crate::reader::Frame;
 
 /// Largest finite half-precision value. Half-float files store infinity for pixels that exceed their range. Clamping to
@@ -132,7 +132,7 @@ impl View {
         let Some(path) = &self.beside.mask else {
             return Ok(None);
         };
-        let (mut mask, _) = maps::stored(path, Meaning::Scalar)?;
+        let (mut mask, _) = map_file::read(path, Meaning::Scalar)?;
         let size = (self.stored_camera.width, self.stored_camera.height);
         check_size(path, (mask.width, mask.height), &self.image_path, size)?;
         mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.5)));

@@ -109,11 +109,11 @@ pub fn write_relevance_exr(path: &Path, size: [u32; 2], relevance: Vec<f32>) -> 
 
 /// Returns a class name as part of a file name. Percent-encodes characters that file systems reserve.
 pub fn file_part(class: &str) -> String {
-    let kept = |c: char| !c.is_control() && !r#"/\:*?"<>|%"#.contains(c);
+    let allowed = |c: char| !c.is_control() && !r#"/\:*?"<>|%"#.contains(c);
     let mut bytes = [0; 4];
     class
         .chars()
-        .map(|c| match kept(c) {
+        .map(|c| match allowed(c) {
             true => c.to_string(),
             false => c.encode_utf8(&mut bytes).bytes().map(|b| format!("%{b:02X}")).collect(),
         })

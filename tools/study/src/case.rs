@@ -33,8 +33,7 @@ const ALL: [Case; 5] = [
 ];
 
 /// Noise of a case for which the settings have none of its kind. The paper gives no numbers.
-const USUAL: NoiseSettings =
-    NoiseSettings { positions: 0.01, normals: 10.0, semantics: 0.1, rotations: 0.5, translations: 0.005 };
+const USUAL: NoiseSettings = NoiseSettings { positions: 0.01, normals: 10.0, semantics: 0.1, cameras: [0.5, 0.005] };
 
 impl Case {
     /// Returns every case, in the order of the paper's table. The case without noise is first.
@@ -65,10 +64,8 @@ impl Case {
             Input::Normals => noise.normals = or(requested.normals, USUAL.normals),
             Input::Semantics => noise.semantics = or(requested.semantics, USUAL.semantics),
             // Settings with rotations alone, or translations alone, keep these.
-            Input::Poses if requested.rotations > 0.0 || requested.translations > 0.0 => {
-                (noise.rotations, noise.translations) = (requested.rotations, requested.translations);
-            }
-            Input::Poses => (noise.rotations, noise.translations) = (USUAL.rotations, USUAL.translations),
+            Input::Poses if requested.cameras != [0.0; 2] => noise.cameras = requested.cameras,
+            Input::Poses => noise.cameras = USUAL.cameras,
         }
         Settings { noise, ..base.clone() }
     }
@@ -83,7 +80,7 @@ impl Case {
             Input::Normals => format!("normal priors turned by {}°", n.normals),
             Input::Semantics => format!("{} of semantic cells wrong", share(n.semantics)),
             Input::Poses => {
-                let (turn, far) = (n.rotations, share(n.translations));
+                let (turn, far) = (n.cameras[0], share(n.cameras[1]));
                 format!("training cameras turned by {turn}°, {far} of the extent off")
             }
         };
@@ -124,7 +121,7 @@ mod tests {
     fn cases_differ_only_in_noise() {
         let mut base = Settings { seed: 5, ..Settings::default() };
         base.noise.normals = 25.0;
-        base.noise.translations = 0.03;
+        base.noise.cameras = [0.0, 0.03];
         let noise = |name: &str| {
             let case = ALL.iter().find(|c| c.name == name).unwrap();
             let mut settings = case.settings(&base);
@@ -137,7 +134,7 @@ mod tests {
         assert_eq!(noise("positions"), NoiseSettings { positions: 0.01, ..none });
         assert_eq!(noise("normals"), NoiseSettings { normals: 25.0, ..none });
         assert_eq!(noise("semantics"), NoiseSettings { semantics: 0.1, ..none });
-        assert_eq!(noise("poses"), NoiseSettings { translations: 0.03, ..none });
+        assert_eq!(noise("poses"), NoiseSettings { cameras: [0.0, 0.03], ..none });
         assert_eq!(ALL[2].entry(&base).about, "normal priors turned by 25°");
         assert_eq!(ALL[1].entry(&base).about, "initial points 1 % of the extent off");
     }

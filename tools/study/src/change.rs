@@ -37,13 +37,13 @@ impl Change {
             Change::Nothing => {}
             Change::GrayStart => s.start = MaterialStart::Gray,
             Change::Lights => {
-                s.lights.enabled = false;
+                s.lights.grid = 0;
                 // Without lights no relit image can be shown to a provider.
                 if s.relight.command().is_some() {
                     l.relight = 0.0;
                 }
             }
-            Change::Environment => s.environment.enabled = false,
+            Change::Environment => s.environment.resolution = 0,
             Change::Visibility => s.visibility.kind = VisibilityKind::None,
             Change::CrossView => l.cross_view = 0.0,
             Change::Relight => (l.relight, l.own_prior) = (0.0, OwnPrior::Weight(own_prior)),
@@ -55,28 +55,27 @@ impl Change {
     /// Returns why the change would have no effect, as the end of a sentence. None if it has an effect.
     pub fn lacks(self, scene: &Scene, settings: &Settings) -> Result<Option<String>> {
         let s = &settings.intrinsic;
-        let said = |text: &str| Ok(Some(text.to_owned()));
+        let reason = |text: &str| Ok(Some(text.to_owned()));
         let late = |what: &str, from: u32| {
             (from > s.steps).then(|| format!("it begins at step {from} of {} ({what})", s.steps))
         };
         let mut changed = s.clone();
         self.apply(&mut changed);
         if self != Change::Nothing && changed == *s {
-            return said("the settings leave it out anyway");
+            return reason("the settings leave it out anyway");
         }
         let albedo = || any(scene, |view| Ok(scene.albedo_prior(view)?.is_some()));
         let roughness = || any(scene, |view| Ok(scene.roughness_prior(view)?.is_some()));
         let metallic = || any(scene, |view| Ok(scene.metallic_prior(view)?.is_some()));
         match self {
-            Change::CrossView => Ok(late("intrinsic.cross_view_from", s.cross_view_from)),
             Change::Relight if s.relight.command().is_none() => {
-                said("no provider of materials is asked (intrinsic.relight.provider)")
+                reason("no provider of materials is asked (intrinsic.relight.provider)")
             }
-            Change::OwnPrior if s.own_prior_weight() == 0.0 => said("the settings leave it out anyway"),
-            Change::OwnPrior if !albedo()? => said("the scene has no priors/albedo"),
+            Change::OwnPrior if s.own_prior_weight() == 0.0 => reason("the settings leave it out anyway"),
+            Change::OwnPrior if !albedo()? => reason("the scene has no priors/albedo"),
             Change::Relight | Change::OwnPrior => Ok(late("intrinsic.relight_from", s.relight_from)),
             Change::GrayStart | Change::Priors if !(albedo()? || roughness()? || metallic()?) => {
-                said("the scene has no priors of materials")
+                reason("the scene has no priors of materials")
             }
             _ => Ok(None),
         }

@@ -203,11 +203,11 @@ mod tests {
         assert!(!timed(state(&requested)), "the time of a part was taken for the whole");
         // Other materials may be trained on the same geometry.
         run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
-        requested.intrinsic.losses.l1 = 0.7;
+        requested.intrinsic.losses.dssim = 0.7;
         assert_eq!(State::of(&root, &requested, &Goal { materials: true, lpips: None }), State::Formed);
         assert!(matches!(state(&requested), State::Measured(_)));
         // Any other setting makes another run.
-        requested.geometry.losses.l1 = 0.7;
+        requested.geometry.losses.dssim = 0.7;
         assert_eq!(state(&requested), State::Absent);
     }
 }

@@ -131,8 +131,8 @@ impl Variant {
         }
     }
 
-    /// Returns the settings of the variant. A variant of geometry enables its components and disables all others. A
-    /// variant of materials changes one component.
+    /// Returns the settings of the variant. A variant of geometry disables the components that it does not use. A variant
+    /// of materials changes one component.
     pub fn settings(&self, base: &Settings) -> Settings {
         let mut settings = base.clone();
         if let Kind::Materials(change) = self.kind {
@@ -140,10 +140,14 @@ impl Variant {
             return settings;
         }
         let g = &mut settings.geometry;
-        (g.depth_smooth, g.depth_variance) = (self.uses(Part::Depth), self.uses(Part::Depth));
         g.normals = self.uses(Part::Normals);
         g.semantics = self.uses(Part::Semantics);
-        g.correspondence = self.uses(Part::Correspondence);
+        if !self.uses(Part::Depth) {
+            (g.losses.depth_smooth, g.losses.depth_variance) = (0.0, 0.0);
+        }
+        if !self.uses(Part::Correspondence) {
+            g.losses.correspondence = 0.0;
+        }
         settings
     }
 
@@ -177,6 +181,9 @@ impl Variant {
                 let folder = if *part == Part::Normals { "priors/normal" } else { "priors/semantic" };
                 return Ok(Some(format!("the scene has no {folder}")));
             }
+            if *part == Part::Correspondence && losses.correspondence == 0.0 {
+                return Ok(Some("the loss of regions weighs nothing".to_owned()));
+            }
             let (steps, from) = (settings.geometry.steps, settings.geometry.correspondence_from);
             if *part == Part::Correspondence && from > steps {
                 return Ok(Some(format!("it begins at step {from} of {steps} (geometry.correspondence_from)")));
@@ -208,17 +215,19 @@ mod tests {
     use sgs_config::{MaterialStart, VisibilityKind};
 
     #[test]
-    fn geometry_variants_differ_only_in_switches() {
+    fn geometry_variants_differ_only_in_components() {
         let base = Settings { seed: 5, ..Settings::default() };
         let of = |variant: &Variant| {
             let mut settings = variant.settings(&base);
             let g = &mut settings.geometry;
-            assert_eq!(g.depth_smooth, g.depth_variance);
-            let switches = [g.depth_smooth, g.normals, g.semantics, g.correspondence];
-            (g.depth_smooth, g.depth_variance) = (true, true);
-            (g.normals, g.semantics, g.correspondence) = (true, true, true);
+            let (l, full) = (&mut g.losses, &base.geometry.losses);
+            assert_eq!(l.depth_smooth > 0.0, l.depth_variance > 0.0);
+            let components = [l.depth_smooth > 0.0, g.normals, g.semantics, l.correspondence > 0.0];
+            (l.depth_smooth, l.depth_variance) = (full.depth_smooth, full.depth_variance);
+            l.correspondence = full.correspondence;
+            (g.normals, g.semantics) = (true, true);
             assert_eq!(settings, base, "{}", variant.name);
-            switches
+            components
         };
         for (count, variant) in Scope::Geometry.variants().iter().take(5).enumerate() {
             assert_eq!(of(variant), [0, 1, 2, 3].map(|i| i < count), "{}", variant.name);
@@ -255,7 +264,7 @@ mod tests {
         };
         assert_eq!(of("full"), base.intrinsic);
         assert_eq!(of("gray_start").start, MaterialStart::Gray);
-        assert!(!of("no_lights").lights.enabled && !of("no_environment").environment.enabled);
+        assert!(!of("no_lights").lights.enabled() && !of("no_environment").environment.enabled());
         assert_eq!(of("no_visibility").visibility.kind, VisibilityKind::None);
         assert_eq!((of("no_cross_view").losses.cross_view, of("no_relight").losses.relight), (0.0, 0.0));
         let l = of("no_priors").losses;

@@ -54,7 +54,7 @@ pub(crate) fn place(scene: &Scene, options: &SynthOptions) -> Views {
     let cameras = |poses: Vec<Pose>| {
         poses
             .into_iter()
-            .map(|p| Camera::look(p.position, p.target, p.roll, FOV_X, options.width, options.height))
+            .map(|p| Camera::look_at(p.position, p.target, p.roll, FOV_X, options.width, options.height))
             .collect()
     };
     Views { train: cameras(train), test: cameras(test) }
@@ -130,7 +130,7 @@ fn clearance(scene: &Scene, pose: &Pose) -> f32 {
         .obstacles
         .iter()
         .any(|o| p.cmpge(o.min - Vec3::splat(MARGIN)).all() && p.cmple(o.max + Vec3::splat(MARGIN)).all());
-    let camera = Camera::look(p, pose.target, pose.roll, FOV_X, 16, 12);
+    let camera = Camera::look_at(p, pose.target, pose.roll, FOV_X, 16, 12);
     let mut depths: Vec<f32> = (0..16 * 12)
         .map(|i| {
             let pixel = Vec2::new((i % 16) as f32 + 0.5, (i / 16) as f32 + 0.5);

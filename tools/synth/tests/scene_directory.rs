@@ -264,8 +264,8 @@ fn errors_name_option_value_and_limits() {
     fs::write(out.join("thesis.txt"), "mine").unwrap();
     let occupied = fail(base.clone());
     assert!(occupied.ends_with("already holds something; name another directory, or replace a scene with --force"));
-    let kept = fail(SynthOptions { replace: true, ..base.clone() });
-    assert!(kept.ends_with("is not replaced because it is no scene directory: it holds no file of cameras"));
+    let error = fail(SynthOptions { replace: true, ..base.clone() });
+    assert!(error.ends_with("is not replaced because it is no scene directory: it holds no file of cameras"));
     assert_eq!(fs::read(out.join("thesis.txt")).unwrap(), b"mine");
     let nowhere = generate(Path::new("/"), &base, &|_, _| {}).unwrap_err();
     assert!(matches!(nowhere, SynthError::BadPath(_)));

@@ -109,7 +109,7 @@ impl Correspondence {
     ///
     /// # Errors
     /// If no graph can be compiled for this capacity.
-    pub fn looking(&self, device: &Device, layout: &Layout, largest: [u32; 2], entries: u32) -> Result<u64> {
+    pub fn rendering_bytes(&self, device: &Device, layout: &Layout, largest: [u32; 2], entries: u32) -> Result<u64> {
         if self.polls() { RegionProvider::rendering(device, layout, largest, entries) } else { Ok(0) }
     }
 

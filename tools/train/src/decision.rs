@@ -33,10 +33,10 @@ impl Decision {
 
 impl std::fmt::Display for Decision {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let kept = if self.on { "kept" } else { "left out" };
+        let verdict = if self.on { "kept" } else { "left out" };
         match self.step {
-            0 => write!(f, "{} {kept}: {} ({})", self.what, self.reason, self.setting),
-            step => write!(f, "{} {kept} after step {step}: {} ({})", self.what, self.reason, self.setting),
+            0 => write!(f, "{} {verdict}: {} ({})", self.what, self.reason, self.setting),
+            step => write!(f, "{} {verdict} after step {step}: {} ({})", self.what, self.reason, self.setting),
         }
     }
 }

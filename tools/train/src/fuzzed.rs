@@ -47,12 +47,12 @@ pub fn intrinsic_checkpoint(path: &Path) -> Result<String> {
     }
     saved.floats("light_gains", 1)?;
     let mut requested = Vec::new();
-    if saved.has("relit_asked_at") {
+    if saved.has("relit_queried_at") {
         requested = saved.requested_at(2)?;
         assert!(requested.iter().all(|step| step.saturating_sub(1) <= saved.step), "what was asked has been");
         saved.words("relit_estimates0", 4)?;
     }
-    let decided = [saved.lobes, saved.levels, saved.texels, saved.update_interval.map(|[every, _, _]| every)]
+    let decided = [saved.lobes, saved.levels, saved.texels, saved.update_interval.map(|interval| interval.every)]
         .map(|n| n.is_some());
     Ok(format!(
         "{known} {} {} {decided:?} {} {gathered} {}",

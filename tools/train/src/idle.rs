@@ -64,11 +64,21 @@ pub(crate) struct FoundForGeometry {
     pub regions: bool,
 }
 
+/// Materials of which the scene has priors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PriorKinds {
+    /// Whether the scene has albedo priors.
+    pub albedo: bool,
+    /// Whether the scene has roughness priors.
+    pub roughness: bool,
+    /// Whether the scene has metallic priors.
+    pub metallic: bool,
+}
+
 /// Inputs that the intrinsic stage found.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FoundForMaterials {
-    /// Whether priors exist of albedo, roughness, metallic.
-    pub priors: [bool; 3],
+    pub priors: PriorKinds,
     pub regions: bool,
     /// Whether a provider of materials answers.
     pub estimates: bool,
@@ -112,7 +122,7 @@ pub(crate) fn of_geometry(s: &Settings, found: FoundForGeometry) -> Vec<IdleLoss
             add("L_semantic (classes)", "geometry.losses.semantic_class", prior("semantic"));
         }
     }
-    if g.correspondence && g.losses.correspondence > 0.0 && !found.regions {
+    if g.losses.correspondence > 0.0 && !found.regions {
         let why = if !g.semantics {
             ("geometry.semantics is false".into(), "set geometry.semantics = true".into())
         } else if !found.semantics {
@@ -132,7 +142,7 @@ pub(crate) fn of_geometry(s: &Settings, found: FoundForGeometry) -> Vec<IdleLoss
 pub(crate) fn of_materials(s: &Settings, found: FoundForMaterials) -> Vec<IdleLoss> {
     let i = &s.intrinsic;
     let l = &i.losses;
-    let [albedo, roughness, metallic] = found.priors;
+    let PriorKinds { albedo, roughness, metallic } = found.priors;
     let mut idle = Vec::new();
     let mut add = |loss, setting, (missing, remedy)| {
         idle.push(IdleLoss { stage: "intrinsic", loss, setting, missing, remedy });
@@ -146,13 +156,8 @@ pub(crate) fn of_materials(s: &Settings, found: FoundForMaterials) -> Vec<IdleLo
     if l.metallic > 0.0 && !metallic && i.metallic != Metallic::Off {
         add("metallic prior", "intrinsic.losses.metallic", prior("metallic"));
     }
-    if l.cross_view > 0.0 {
-        if i.cross_view_from > i.steps {
-            let why = late(i.cross_view_from, i.steps, "intrinsic.cross_view_from");
-            add("L_cross_semantic", "intrinsic.losses.cross_view", why);
-        } else if !found.regions {
-            add("L_cross_semantic", "intrinsic.losses.cross_view", regions(s));
-        }
+    if l.cross_view > 0.0 && !found.regions {
+        add("L_cross_semantic", "intrinsic.losses.cross_view", regions(s));
     }
     if l.relight > 0.0 {
         let why = if i.relight.command().is_none() {
@@ -224,7 +229,7 @@ mod tests {
         s.geometry.steps = 100;
         assert!(text(&s).contains("begins at step 2000, and training ends at step 100"), "{}", text(&s));
         // Losses that are switched off or have weight zero cause no warning.
-        (s.geometry.normals, s.geometry.semantics, s.geometry.correspondence) = (false, false, false);
+        (s.geometry.normals, s.geometry.semantics, s.geometry.losses.correspondence) = (false, false, 0.0);
         assert_eq!(of_geometry(&s, none), []);
         let mut s = Settings::default();
         let l = &mut s.geometry.losses;
@@ -235,8 +240,9 @@ mod tests {
     #[test]
     fn idle_intrinsic_losses_name_missing_inputs() {
         let mut s = Settings::default();
-        let none = FoundForMaterials { priors: [false; 3], regions: false, estimates: false };
-        let all = FoundForMaterials { priors: [true; 3], regions: true, estimates: true };
+        let priors = |known| PriorKinds { albedo: known, roughness: known, metallic: known };
+        let none = FoundForMaterials { priors: priors(false), regions: false, estimates: false };
+        let all = FoundForMaterials { priors: priors(true), regions: true, estimates: true };
         let idle = of_materials(&s, none);
         let expected = ["albedo", "roughness", "metallic", "cross_view", "relight", "own_prior"];
         assert_eq!(names(&idle), expected);

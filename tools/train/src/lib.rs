@@ -33,8 +33,10 @@ pub use divergence::RollBack;
 pub use error::{Requirement, Result, TrainError};
 pub use framing::Framing;
 pub use geometry::{Geometry, Progress, Sight, StepLog};
-pub use idle::IdleLoss;
-pub use intrinsic::{Intrinsic, IntrinsicLog, IntrinsicNeeds, LoggedLosses, Probe};
+pub use idle::{IdleLoss, PriorKinds};
+pub use intrinsic::{
+    AlbedoComparisons, CONSISTENCY_INTERVAL, Intrinsic, IntrinsicLog, IntrinsicNeeds, LoggedLosses, Probe,
+};
 pub use memory::Needs;
 pub use pseudo::PseudoViews;
 pub use region_provider::FrameRendering;

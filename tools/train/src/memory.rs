@@ -90,7 +90,7 @@ impl Needs {
         correspondence: &Correspondence,
     ) -> Result<Needs> {
         self.regions = correspondence.bytes();
-        self.requested = correspondence.looking(device, layout, options.largest, options.entry_capacity)?;
+        self.requested = correspondence.rendering_bytes(device, layout, options.largest, options.entry_capacity)?;
         let inputs = InputSizes { regions: Some(self.regions), ..*inputs };
         let options = GeometryOptions { pseudo: Some(correspondence.masks()), ..*options };
         let plan = GeometryStep::plan(tuning, layout, &inputs, &options)?;

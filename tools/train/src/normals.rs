@@ -33,9 +33,9 @@ fn initial_normal(p: DVec3, views: &[Prior<'_>]) -> DVec3 {
         if x >= camera.width as usize || y >= camera.height as usize {
             continue;
         }
-        let said = prior.get(y * camera.width as usize + x).and_then(|n| octahedral_decode(*n));
+        let direction = prior.get(y * camera.width as usize + x).and_then(|n| octahedral_decode(*n));
         // A prior that faces away from the camera belongs to another surface.
-        sum += said.map(DVec3::from).filter(|n| n.dot(way) > 0.0).unwrap_or(DVec3::ZERO);
+        sum += direction.map(DVec3::from).filter(|n| n.dot(way) > 0.0).unwrap_or(DVec3::ZERO);
     }
     sum.try_normalize().unwrap_or(nearest)
 }

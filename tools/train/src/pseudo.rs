@@ -45,12 +45,11 @@ impl PseudoViews {
     /// Builds the pseudo-views of a scene's training views, in the order of the split.
     ///
     /// # Errors
-    /// If an option is impossible, or the split names a view that does not exist.
+    /// If the split names a view that does not exist.
     pub fn new(scene: &Scene, options: &PseudoOptions) -> Result<PseudoViews> {
         let cameras = |list: &[usize]| -> Result<Vec<Camera>> {
             list.iter().map(|&i| Ok(scene.view(i)?.camera.clone())).collect()
         };
-        options.check("geometry.pseudo.")?;
         let test = cameras(&scene.split.test)?;
         if options.neighbors == Neighbors::Test && test.is_empty() {
             tracing::warn!("there are no test views; pseudo-views lie between training views alone");

@@ -78,8 +78,8 @@ impl RegionProvider {
     fn helper(s: &ProviderSettings) -> Result<Option<Helper>> {
         let options = ProviderOptions {
             command: s.command.clone(),
-            start_seconds: s.start_seconds,
-            answer_seconds: s.answer_seconds,
+            start_seconds: s.seconds[0],
+            answer_seconds: s.seconds[1],
             ..ProviderOptions::default()
         };
         let mut helper = Helper::start(&options, s.on_failure)?;

@@ -76,8 +76,8 @@ impl RegionMaps {
         if let Some(maps) = RegionMaps::from_masks(scene)? {
             return Ok(maps.known(scene));
         }
-        let Some(said) = labels()? else { return Ok(None) };
-        Ok(RegionMaps::from_labels(scene, &said.views, &said.labels)?.known(scene))
+        let Some(answer) = labels()? else { return Ok(None) };
+        Ok(RegionMaps::from_labels(scene, &answer.views, &answer.labels)?.known(scene))
     }
 
     /// Reads regions from `priors/masks`. Returns none if no training view has a map there.
@@ -283,7 +283,7 @@ fn regions_of(ids: &[u16]) -> Vec<(u16, u32)> {
 }
 
 fn first_pixel(pixels: usize) -> Result<u32> {
-    let many = Requirement::FewerPixels { what: "Region maps", remedy: "--scale or fewer poses" };
+    let many = Requirement::FewerPixels { what: "Region maps", remedy: "--scale" };
     Ok(u32::try_from(pixels).map_err(|_| many)?)
 }
 

@@ -93,8 +93,8 @@ impl Schedule {
             weight_dssim: g.losses.dssim,
             weight_normal: g.losses.normal,
             weight_normal_smooth: g.losses.normal_smooth,
-            weight_depth_smooth: g.depth_smooth_weight(),
-            weight_depth_variance: g.depth_variance_weight() * spread,
+            weight_depth_smooth: g.losses.depth_smooth,
+            weight_depth_variance: g.losses.depth_variance * spread,
             weight_semantic: g.losses.semantic,
             weight_semantic_class: g.losses.semantic_class,
             weight_correspondence: g.losses.correspondence,
@@ -110,7 +110,7 @@ impl Schedule {
     fn last_densification(&self) -> u32 {
         let (d, steps) = (&self.settings.geometry.densify, self.settings.geometry.steps);
         let until = (f64::from(steps) * d.until) as u32;
-        if d.enabled { until.min(steps.saturating_sub(d.interval)) } else { 0 }
+        if d.enabled() { until.min(steps.saturating_sub(d.interval)) } else { 0 }
     }
 
     /// Returns whether this step's densification is the last.
@@ -121,7 +121,7 @@ impl Schedule {
     /// Returns the settings of the densification after a step, or none.
     pub fn densify(&self, step: u32) -> Option<DensifySettings> {
         let d = &self.settings.geometry.densify;
-        if !d.enabled || step < d.from || step > self.last_densification() || !step.is_multiple_of(d.interval) {
+        if !d.enabled() || step < d.from || step > self.last_densification() || !step.is_multiple_of(d.interval) {
             return None;
         }
         let after_reset = d.reset_interval > 0 && step > d.reset_interval;
@@ -151,7 +151,7 @@ impl Schedule {
     /// Returns whether opacities are reset after a step.
     pub fn reset(&self, step: u32) -> bool {
         let d = &self.settings.geometry.densify;
-        d.enabled && d.reset_interval > 0 && step.is_multiple_of(d.reset_interval) && step < self.last_densification()
+        d.enabled() && d.reset_interval > 0 && step.is_multiple_of(d.reset_interval) && step < self.last_densification()
     }
 }
 

@@ -3,7 +3,7 @@
 
 use crate::error::{Requirement, Result, TrainError};
 use half::f16;
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
@@ -140,11 +140,11 @@ impl SemanticMaps {
         let bytes = samples * size_of::<SemanticTarget>() as u64;
         let targets = device.buffer("semantic_targets", bytes, Location::Device)?;
         work_out(device, &features, &embeddings, text.labels.len() as u32, samples as u32, &targets)?;
-        let said: Vec<SemanticTarget> = device.download_as(&targets, samples as usize)?;
+        let computed: Vec<SemanticTarget> = device.download_as(&targets, samples as usize)?;
         for view in &mut views {
             let count = view.size[0] * view.size[1];
             let first = view.offset as usize;
-            [view.valid, view.labeled] = count_targets(&said[first..first + count as usize]);
+            [view.valid, view.labeled] = count_targets(&computed[first..first + count as usize]);
         }
         Ok(SemanticData { features, targets, embeddings, text, largest, views })
     }
@@ -175,8 +175,8 @@ impl SemanticMaps {
 }
 
 fn labels_of(device: &Device, targets: &DeviceBuffer, samples: usize) -> Result<Vec<u32>> {
-    let said: Vec<SemanticTarget> = device.download_as(targets, samples)?;
-    Ok(said.iter().map(|t| t.label).collect())
+    let computed: Vec<SemanticTarget> = device.download_as(targets, samples)?;
+    Ok(computed.iter().map(|t| t.label).collect())
 }
 
 /// Returns the used width and height of a map: at most those of the image.
@@ -289,14 +289,14 @@ mod tests {
             channels: 1,
             data: (0..width * height).map(|i| f16::from_f32(i as f32)).collect(),
         };
-        let kept = |of: FeatureMap, size: [u32; 2]| -> Vec<f32> {
-            let kept = thinned(of, size);
-            assert_eq!([kept.width as u32, kept.height as u32], size);
-            kept.data.iter().map(|v| v.to_f32()).collect()
+        let reduced = |of: FeatureMap, size: [u32; 2]| -> Vec<f32> {
+            let small = thinned(of, size);
+            assert_eq!([small.width as u32, small.height as u32], size);
+            small.data.iter().map(|v| v.to_f32()).collect()
         };
-        assert_eq!(kept(map(5, 1), [5, 1]), [0.0, 1.0, 2.0, 3.0, 4.0]);
-        assert_eq!(kept(map(5, 1), [3, 1]), [0.0, 2.0, 4.0]);
-        assert_eq!(kept(map(9, 2), [4, 2]), [0.0, 3.0, 5.0, 8.0, 9.0, 12.0, 14.0, 17.0]);
-        assert_eq!(kept(map(4, 3), [1, 1]), [0.0]);
+        assert_eq!(reduced(map(5, 1), [5, 1]), [0.0, 1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(reduced(map(5, 1), [3, 1]), [0.0, 2.0, 4.0]);
+        assert_eq!(reduced(map(9, 2), [4, 2]), [0.0, 3.0, 5.0, 8.0, 9.0, 12.0, 14.0, 17.0]);
+        assert_eq!(reduced(map(4, 3), [1, 1]), [0.0]);
     }
 }

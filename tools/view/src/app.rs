@@ -20,7 +20,7 @@ use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop};
 use winit::window::{Window, WindowId};
 
 /// Interval of polls for a resting camera, while a coarse frame is shown.
-const LOOK_AGAIN: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Frames after which the window is expected to create no more buffers or images.
 const WARM: u64 = 4;
 
@@ -165,7 +165,7 @@ impl App {
             WindowEvent::MouseInput { state: ElementState::Pressed, button, .. } => match button {
                 MouseButton::Left if stage.fast => stage.press(Drag::Pan)?,
                 MouseButton::Left => stage.press(Drag::Orbit)?,
-                MouseButton::Right => stage.press(Drag::Look)?,
+                MouseButton::Right => stage.press(Drag::Turn)?,
                 MouseButton::Middle => stage.press(Drag::Pan)?,
                 _ => {}
             },
@@ -218,7 +218,7 @@ impl App {
             window.request_redraw();
         }
         let idle = ControlFlow::Wait;
-        events.set_control_flow(if !coarse { idle } else { ControlFlow::WaitUntil(Instant::now() + LOOK_AGAIN) });
+        events.set_control_flow(if !coarse { idle } else { ControlFlow::WaitUntil(Instant::now() + POLL_INTERVAL) });
         Ok(())
     }
 

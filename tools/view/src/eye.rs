@@ -49,8 +49,8 @@ impl Eye {
         eye.yaw = forward.dot(side).atan2(forward.dot(front));
         // The remaining rotation is a roll about the viewing direction.
         let [right, down, _] = eye.axes();
-        let given = camera.rotation.transpose() * DVec3::X;
-        eye.roll = given.dot(down).atan2(given.dot(right));
+        let side_axis = camera.rotation.transpose() * DVec3::X;
+        eye.roll = side_axis.dot(down).atan2(side_axis.dot(right));
         eye
     }
 
@@ -87,12 +87,12 @@ impl Eye {
     /// Rotates about the orbit center by `around` (yaw) and `over` (pitch), in radians.
     pub fn orbit(&mut self, around: f64, over: f64) {
         let target = self.target();
-        self.look(around, over);
+        self.turn(around, over);
         self.position = target - self.distance * self.forward();
     }
 
     /// Rotates in place, in radians.
-    pub fn look(&mut self, right: f64, up: f64) {
+    pub fn turn(&mut self, right: f64, up: f64) {
         self.yaw += right;
         // A camera may already be steeper; the limit must not snap it back.
         let most = STEEPEST.max(self.pitch.abs());
@@ -154,10 +154,10 @@ mod tests {
     #[test]
     fn camera_round_trips_through_viewpoint() {
         for up in [DVec3::Y, -DVec3::Y, DVec3::Z, DVec3::new(0.6, 0.0, 0.8)] {
-            let given = camera();
-            let back = Eye::of(&given, up, 2.0).camera("a", [160, 120]);
-            assert!(back.rotation.abs_diff_eq(given.rotation, 1e-12), "{up}: {back:?}");
-            assert!(back.translation.abs_diff_eq(given.translation, 1e-12) && (back.fx - given.fx).abs() < 1e-12);
+            let original = camera();
+            let back = Eye::of(&original, up, 2.0).camera("a", [160, 120]);
+            assert!(back.rotation.abs_diff_eq(original.rotation, 1e-12), "{up}: {back:?}");
+            assert!(back.translation.abs_diff_eq(original.translation, 1e-12) && (back.fx - original.fx).abs() < 1e-12);
         }
     }
 
@@ -185,9 +185,9 @@ mod tests {
         let seen = |eye: &Eye| eye.camera("c", [100, 100]).project(DVec3::new(1.0, 2.0, 3.0)).expect("in front");
         assert!((seen(&eye) - DVec2::splat(50.0)).length() < 1e-9);
         // A rotation to the right and up moves the target to the left and down in the image.
-        eye.look(0.1, 0.1);
+        eye.turn(0.1, 0.1);
         assert!(seen(&eye).x < 45.0 && seen(&eye).y > 55.0, "{}", seen(&eye));
-        eye.look(-0.1, -0.1);
+        eye.turn(-0.1, -0.1);
         eye.walk(DVec3::new(0.5, 0.0, 0.0));
         assert!(seen(&eye).x < 45.0 && (seen(&eye).y - 50.0).abs() < 1e-9);
     }

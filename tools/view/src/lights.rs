@@ -59,11 +59,11 @@ impl Handles {
             let light_parameters = relighter.light(light)?;
             let Some(at) = seen(&light_parameters, camera) else { continue };
             let color = relighter.light_color(light)?.map(linear_to_srgb);
-            let mut look = if self.chosen == Some(light) { MARK_RINGED } else { 0 };
+            let mut style = if self.chosen == Some(light) { MARK_RINGED } else { 0 };
             if !light_parameters.on || light_parameters.gain == 0.0 {
-                look |= MARK_HOLLOW;
+                style |= MARK_HOLLOW;
             }
-            self.marks.push(Mark { at: at.as_vec2().to_array(), radius, look, color });
+            self.marks.push(Mark { at: at.as_vec2().to_array(), radius, style, color });
         }
         Ok(&self.marks)
     }

@@ -33,14 +33,14 @@ pub fn image_and_camera(dir: &Path, camera: &Camera, texels: &[u8], blue_first: 
 /// Writes an edit without its empty fields. Returns the path.
 pub fn edit(dir: &Path, edit: &Edit) -> Result<PathBuf> {
     let (_, path) = free(dir, "edit", "json");
-    let value = serde_json::to_value(edit).map_or(serde_json::Value::Null, said);
+    let value = serde_json::to_value(edit).map_or(serde_json::Value::Null, without_empty);
     let text = format!("{value:#}\n");
     atomic_write(&path, |file| std::io::Write::write_all(file, text.as_bytes()))?;
     Ok(path)
 }
 
 /// Removes empty fields.
-fn said(value: serde_json::Value) -> serde_json::Value {
+fn without_empty(value: serde_json::Value) -> serde_json::Value {
     use serde_json::Value;
     let empty = |v: &Value| match v {
         Value::Null | Value::Bool(false) => true,
@@ -52,10 +52,10 @@ fn said(value: serde_json::Value) -> serde_json::Value {
         // The field `on` of a change is significant for both values.
         Value::Object(map) => map
             .into_iter()
-            .map(|(k, v)| (k, said(v)))
+            .map(|(k, v)| (k, without_empty(v)))
             .filter(|(k, v)| k == "on" && v.is_boolean() || !empty(v))
             .collect(),
-        Value::Array(all) => all.into_iter().map(said).collect(),
+        Value::Array(all) => all.into_iter().map(without_empty).collect(),
         other => other,
     }
 }
@@ -70,11 +70,11 @@ mod tests {
         let change =
             LightChange { light: Some(0), on: Some(false), color: Some([1.0, 0.5, 0.25]), ..Default::default() };
         let lights = LightEdit { change: vec![change], ..Default::default() };
-        let given = Edit { lights, ..Default::default() };
-        let value = said(serde_json::to_value(&given).expect("JSON"));
+        let sample = Edit { lights, ..Default::default() };
+        let value = without_empty(serde_json::to_value(&sample).expect("JSON"));
         let expected = r#"{"lights":{"change":[{"color":[1.0,0.5,0.25],"light":0,"on":false}]}}"#;
         assert_eq!(value.to_string(), expected);
-        assert_eq!(Edit::parse(expected, Path::new("")), Ok(given));
-        assert_eq!(said(serde_json::to_value(Edit::default()).expect("JSON")).to_string(), "{}");
+        assert_eq!(Edit::parse(expected, Path::new("")), Ok(sample));
+        assert_eq!(without_empty(serde_json::to_value(Edit::default()).expect("JSON")).to_string(), "{}");
     }
 }

@@ -28,12 +28,19 @@ const LATEST: f64 = 0.3;
 /// Rotation of a drag by one pixel, in radians.
 const TURN: f64 = 0.005;
 
+/// Walking keys of an axis that are held.
+#[derive(Clone, Copy, Debug, Default)]
+struct HeldKeys {
+    back: bool,
+    forth: bool,
+}
+
 /// Kind of drag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Drag {
     Light,
     Orbit,
-    Look,
+    Turn,
     Pan,
 }
 
@@ -52,7 +59,8 @@ pub struct Stage {
     message: String,
     pointer: DVec2,
     drag: Option<Drag>,
-    walking: [[bool; 2]; 3],
+    /// Held walking keys of the right, down and forward axes.
+    walking: [HeldKeys; 3],
     /// Time of the last change of the camera or the window.
     moved: Option<Instant>,
     /// Mean frame time in seconds; 0 before the first frame.
@@ -111,7 +119,7 @@ impl Stage {
             message: "H: help".into(),
             pointer: DVec2::ZERO,
             drag: None,
-            walking: [[false; 2]; 3],
+            walking: [HeldKeys::default(); 3],
             moved: None,
             seconds: 0.0,
             fast: false,
@@ -329,12 +337,13 @@ impl Stage {
 
     /// Handles the press or release of a walking key.
     pub fn walk(&mut self, Walk(axis, way): Walk, pressed: bool) {
-        self.walking[axis][usize::from(way > 0)] = pressed;
+        let keys = &mut self.walking[axis];
+        *(if way > 0 { &mut keys.forth } else { &mut keys.back }) = pressed;
     }
 
     /// Releases all keys, because the window lost the focus.
     pub fn stand(&mut self) {
-        self.walking = [[false; 2]; 3];
+        self.walking = [HeldKeys::default(); 3];
         self.fast = false;
     }
 
@@ -358,7 +367,7 @@ impl Stage {
 
     /// Returns true if a walking key is held.
     pub fn walks(&self) -> bool {
-        self.walking.as_flattened().contains(&true)
+        self.walking.iter().any(|keys| keys.back || keys.forth)
     }
 
     /// Walks for the given time.
@@ -366,7 +375,7 @@ impl Stage {
         if !self.walks() {
             return;
         }
-        let way = self.walking.map(|[back, forth]| f64::from(i8::from(forth) - i8::from(back)));
+        let way = self.walking.map(|keys| f64::from(i8::from(keys.forth) - i8::from(keys.back)));
         let turn_rate = RATE * self.source.radius * if self.fast { 4.0 } else { 1.0 };
         // The time step is limited, so that a slow frame causes no jump.
         self.eye.walk(DVec3::from(way) * turn_rate * time.as_secs_f64().min(0.2));
@@ -407,7 +416,7 @@ impl Stage {
         self.moves();
         match drag {
             Drag::Orbit => self.eye.orbit(-TURN * by.x, TURN * by.y),
-            Drag::Look => self.eye.look(TURN * by.x, -TURN * by.y),
+            Drag::Turn => self.eye.turn(TURN * by.x, -TURN * by.y),
             Drag::Pan => {
                 let pixel = self.eye.pixel(self.canvas.size());
                 self.eye.walk(DVec3::new(-by.x, -by.y, 0.0) * pixel);

@@ -36,19 +36,19 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// Creates a choice from `asks`.
+    /// Creates a choice from `assignments`.
     ///
     /// An optional `--accuracy NAME` comes first, then `KEY=VALUE` as for `--set`.
-    pub fn new(name: &str, asks: &[&str], kind: Kind) -> anyhow::Result<Choice> {
+    pub fn new(name: &str, assignments: &[&str], kind: Kind) -> anyhow::Result<Choice> {
         let mut over = toml::Table::new();
-        for ask in asks {
-            let table = match ask.strip_prefix("--accuracy ") {
+        for assignment in assignments {
+            let table = match assignment.strip_prefix("--accuracy ") {
                 Some(level) => accuracy_named(level)?,
-                None => set(ask)?,
+                None => set(assignment)?,
             };
             overlay(&mut over, table);
         }
-        let setting: Vec<String> = asks.iter().map(|ask| format!("`{ask}`")).collect();
+        let setting: Vec<String> = assignments.iter().map(|assignment| format!("`{assignment}`")).collect();
         Ok(Choice { name: name.to_owned(), setting: setting.join(", "), kind, over })
     }
 
@@ -94,21 +94,21 @@ pub fn set(pair: &str) -> anyhow::Result<toml::Table> {
 /// Order: `exact`, every single choice, levels of accuracy, equivalent implementations.
 pub fn of_geometry(own: &Tuning) -> anyhow::Result<Vec<Choice>> {
     let mut all = vec![Choice::level("exact")?];
-    let mut add = |name: &str, asks: &[&str], kind: Kind| -> anyhow::Result<()> {
-        all.push(Choice::new(name, asks, kind)?);
+    let mut add = |name: &str, assignments: &[&str], kind: Kind| -> anyhow::Result<()> {
+        all.push(Choice::new(name, assignments, kind)?);
         Ok(())
     };
     for bits in [24, 16] {
         add(&format!("depth of {bits} bits"), &[&format!("accuracy.depth_bits={bits}")], Kind::Accuracy)?;
     }
     for parts in [128.0_f32, 64.0, 32.0] {
-        let ask = format!("accuracy.alpha_min={}", 1.0 / parts);
-        add(&format!("alpha from 1/{parts}"), &[&ask], Kind::Accuracy)?;
+        let assignment = format!("accuracy.alpha_min={}", 1.0 / parts);
+        add(&format!("alpha from 1/{parts}"), &[&assignment], Kind::Accuracy)?;
     }
     add("last splat kept", &["accuracy.keep_last=true"], Kind::Accuracy)?;
     for least in ["0.001", "0.01", "0.05"] {
-        let asks = [&format!("accuracy.transmittance_min={least}"), "accuracy.keep_last=true"];
-        add(&format!("transmittance to {least}, last splat kept"), &asks, Kind::Accuracy)?;
+        let assignments = [&format!("accuracy.transmittance_min={least}"), "accuracy.keep_last=true"];
+        add(&format!("transmittance to {least}, last splat kept"), &assignments, Kind::Accuracy)?;
     }
     add("colors in 16 bits", &["accuracy.color_bits=16"], Kind::Accuracy)?;
     for level in ["balanced", "fast"] {
@@ -130,8 +130,8 @@ pub fn of_geometry(own: &Tuning) -> anyhow::Result<Vec<Choice>> {
 /// Order: `exact`, every single choice, levels of accuracy, combinations, other models.
 pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>> {
     let mut all = vec![Choice::level("exact")?];
-    let mut add = |name: &str, asks: &[&str], kind: Kind| -> anyhow::Result<()> {
-        all.push(Choice::new(name, asks, kind)?);
+    let mut add = |name: &str, assignments: &[&str], kind: Kind| -> anyhow::Result<()> {
+        all.push(Choice::new(name, assignments, kind)?);
         Ok(())
     };
     add("weights recomputed", &["intrinsic.surface_bytes=1"], Kind::Same)?;
@@ -160,9 +160,6 @@ pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>
     if s.lights.grid > 1 {
         add("fewer lights", &[&format!("intrinsic.lights.grid={}", s.lights.grid - 1)], Kind::Model)?;
     }
-    if s.lights.enabled && s.lights.prune == 0.0 {
-        add("faint lights off", &["intrinsic.lights.prune=0.05"], Kind::Model)?;
-    }
     if s.lights.lobes > 1 {
         add("fewer lobes", &[&format!("intrinsic.lights.lobes={}", s.lights.lobes / 2)], Kind::Model)?;
     }
@@ -175,9 +172,9 @@ pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>
         let ratio = f64::from(s.visibility.finest) / f64::from(s.visibility.coarsest.max(1));
         let finest =
             f64::from(s.visibility.coarsest) * ratio.powf(f64::from(levels - 1) / f64::from(s.visibility.levels - 1));
-        let asks = [("levels", f64::from(levels)), ("finest", finest.round())];
-        let asks = asks.map(|(key, value)| format!("intrinsic.visibility.{key}={value}"));
-        add("half of the field", &asks.each_ref().map(String::as_str), Kind::Model)?;
+        let assignments = [("levels", f64::from(levels)), ("finest", finest.round())];
+        let assignments = assignments.map(|(key, value)| format!("intrinsic.visibility.{key}={value}"));
+        add("half of the field", &assignments.each_ref().map(String::as_str), Kind::Model)?;
     }
     Ok(all)
 }
@@ -248,20 +245,20 @@ mod tests {
         let intrinsic: Vec<_> = lit.iter().map(|c| settings(c).intrinsic).collect();
         assert!(intrinsic.iter().any(|s| s.environment.every > 1) && intrinsic.iter().any(|s| s.visibility.sample > 1));
         assert!(intrinsic.iter().any(|s| s.cull_error > 0.0) && intrinsic.iter().any(|s| s.scale < 1.0));
-        assert!(intrinsic.iter().any(|s| s.lights.prune > 0.0) && intrinsic.iter().any(|s| s.lights.lobes < 12));
+        assert!(intrinsic.iter().any(|s| s.lights.grid < 4) && intrinsic.iter().any(|s| s.lights.lobes < 12));
     }
 
     /// Parses the settings of the table as `sgs train --accuracy ... --set ...` does.
     fn parsed_settings(text: &str) -> Settings {
         let mut table = toml::Table::new();
-        for ask in text.split(", ") {
-            let ask = ask.strip_prefix('`').and_then(|a| a.strip_suffix('`')).unwrap();
-            if let Some(level) = ask.strip_prefix("--accuracy ") {
+        for assignment in text.split(", ") {
+            let assignment = assignment.strip_prefix('`').and_then(|a| a.strip_suffix('`')).unwrap();
+            if let Some(level) = assignment.strip_prefix("--accuracy ") {
                 assert!(table.is_empty(), "\"{text}\": levels go before settings");
                 table = accuracy_named(level).unwrap();
                 continue;
             }
-            let (key, value) = ask.split_once('=').unwrap();
+            let (key, value) = assignment.split_once('=').unwrap();
             let parsed = format!("x = {value}").parse::<toml::Table>().ok().and_then(|mut t| t.remove("x"));
             let mut over = parsed.unwrap_or_else(|| toml::Value::String(value.to_owned()));
             for part in key.rsplit('.') {

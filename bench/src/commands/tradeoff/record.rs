@@ -100,12 +100,12 @@ mod tests {
         assert_eq!(differing(&s).unwrap(), "the defaults");
         s.intrinsic.visibility.levels = 8;
         s.intrinsic.rates.materials = 0.03;
-        s.geometry.densify.enabled = false;
+        s.geometry.densify.until = 0.0;
         s.scale = 0.3;
         let differences = differing(&s).unwrap();
         assert_eq!(
             differences,
-            "geometry.densify.enabled=false, intrinsic.rates.materials=0.03, intrinsic.visibility.levels=8, scale=0.3"
+            "geometry.densify.until=0, intrinsic.rates.materials=0.03, intrinsic.visibility.levels=8, scale=0.3"
         );
         // The record parses back to the same settings.
         let mut report = super::super::again::report(&[]);

@@ -21,6 +21,17 @@ use super::plan::{ImageMemory, Plan, Transition};
 use super::resource::ImageState;
 use crate::shader::Access;
 
+/// Measured times of one pass.
+#[derive(Clone, Debug)]
+pub struct PassTime {
+    /// Name of the pass.
+    pub name: String,
+    /// By replay: start in nanoseconds, relative to the first pass of the replay.
+    pub start: Vec<f64>,
+    /// By replay: duration in nanoseconds.
+    pub nanoseconds: Vec<f64>,
+}
+
 /// Returns the names of a pass's accesses, in order.
 fn labels(pass: &Pass) -> Vec<&str> {
     match &pass.kind {

@@ -1,7 +1,7 @@
 //! Measured times of replays as a Chrome trace (`chrome://tracing`, Perfetto): one process per plan, one row per
 //! concurrent pass.
 
-use crate::graph::exec::PassTime;
+use crate::graph::dump::PassTime;
 use serde_json::{Value, json};
 
 /// One replay of one plan.
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 pub struct Track<'t> {
     /// Name of the process.
     pub name: &'t str,
-    /// Result of [`Executor::take_times`](crate::graph::exec::Executor::take_times).
+    /// Result of [`Executor::take_times`](crate::exec::Executor::take_times).
     pub times: &'t [PassTime],
     /// Index of the replay in `times`.
     pub replay: usize,

@@ -7,7 +7,7 @@ use super::kernels::pass;
 use super::random::recipes;
 use super::snapshot::step;
 use super::*;
-use crate::graph::exec::PassTime;
+use crate::graph::dump::PassTime;
 use crate::shader::Access::{Read, ReadWrite, Write};
 
 /// Parses as XML, which is stricter than HTML: closed elements, quoted attributes, escaped names.

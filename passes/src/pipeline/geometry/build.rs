@@ -11,10 +11,10 @@ use crate::loss::{
     GeometryLoss, Photometric, SemanticLoss, decoder_gradient, geometry_loss, loss_sum, photometric, photometric_bwd,
     photometric_bwd_in_place, semantic_loss, semantic_prepare, semantic_sum, wanted_samples,
 };
-use crate::optim::{Adam, AdamUnseen, EPSILON, Rate, adam as adam_pass, adam_unseen};
+use crate::optim::{Adam, AdamUnseen, EPSILON, Rate, adam as adam_pass, adam_unseen, decoder_step};
 use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
-use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles, decoder_step};
+use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles};
 use crate::splat::{
     Blended, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam, PixelGradients, Screen,
     Statistic, Visible, Wanted, blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd,

@@ -2,7 +2,7 @@
 
 use crate::loss::{Head, SemanticTargets};
 use crate::scene::{Decoder, DecoderHandles, EMBEDDING};
-use sgs_engine::graph::exec::Executor;
+use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{DeviceBuffer, Result};
 use sgs_shaders::structs::SemanticTarget;

@@ -13,7 +13,7 @@ use super::status::{Status, StatusHandles};
 use crate::Tuning;
 use crate::scene::{Gaussians, Handles, Layout};
 use crate::splat::{BackwardKernel, Channels, Statistic};
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph, Plan};
 use sgs_engine::{Device, Result, Ticket};
 use std::sync::Arc;

@@ -75,12 +75,12 @@ impl Region {
         o: &GeometryOptions,
         steps: [Buffer; PSEUDO_VIEWS],
     ) -> Built<Option<Region>> {
-        let (Some(masks), Some(given)) = (o.pseudo, inputs.regions) else { return Ok(None) };
+        let (Some(masks), Some(regions)) = (o.pseudo, inputs.regions) else { return Ok(None) };
         let mask = match masks {
-            Masks::Provided => given,
+            Masks::Provided => regions,
             Masks::Carried | Masks::Numbered => {
                 let mask = g.transient("region_mask", 4 * wanted_words(view.screen.pixels()));
-                region_mask(g, *t, &view.screen, given, mask)?;
+                region_mask(g, *t, &view.screen, regions, mask)?;
                 mask
             }
         };

@@ -133,13 +133,13 @@ fn under_other_lights(
 }
 
 /// Pairs an image with an estimate or prior of it, within the step's region.
-fn in_region(f: &Frame<'_>, mask: Buffer, said: Buffer, image: Buffer) -> Msg {
+fn in_region(f: &Frame<'_>, mask: Buffer, estimate: Buffer, image: Buffer) -> Msg {
     Msg {
         step: f.steps.shaded,
         weights: f.steps.weights,
         images: MaterialImages { albedo: image, roughness: None },
         coverage: f.seen.coverage,
-        albedo_prior: said,
+        albedo_prior: estimate,
         roughness_prior: None,
         all_views: true,
         mask: Some(mask),

@@ -7,16 +7,15 @@ use super::{IntrinsicOptions, Steps};
 use crate::Tuning;
 use crate::kernel::stage;
 use crate::loss::{Compose, compose, compose_bwd, material_images_bwd, material_sum};
-use crate::optim::{EPSILON, Rate};
+use crate::optim::{AdamRule, EPSILON, Rate, StepWords};
 use crate::pipeline::{RING, SurfaceHandles};
-use crate::scene::{AdamRule, StepWords};
 use crate::shade::environment::{
     Environment, EnvironmentView, StoredFilter, environment as ambient_light, environment_bwd, environment_clamp,
     environment_filter, environment_filter_bwd, environment_smoothness,
 };
 use crate::shade::lights::{
     LightParameterGradients, LightParameters, Lights, Shape, lights_bwd, lights_materials_bwd, lights_normals_bwd,
-    lights_prepare_bwd, lights_prepare_culled, lights_prune, lights_regularize, lights_train,
+    lights_prepare_bwd, lights_prepare_culled, lights_regularize, lights_train,
 };
 use crate::shade::traced::{lights_bwd_traced, lights_normals_bwd_traced, lights_train_traced};
 use crate::shade::visibility::{
@@ -259,9 +258,6 @@ pub(super) fn build(g: &mut Graph, t: &Tuning, all: &StepResources<'_>, o: &Intr
     }
     if let (Some((e, texels, ..)), None) = (&around, stored) {
         environment_clamp(g, t, e, texels.parameters)?;
-    }
-    if let (Some((lights, parameters, ..)), true) = (&lit, o.light_prune > 0.0) {
-        lights_prune(g, *t, lights.prepared.model, parameters, o.light_prune)?;
     }
     let bindings = report::Bindings {
         params: step.into(),

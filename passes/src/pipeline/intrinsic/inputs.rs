@@ -6,9 +6,18 @@ use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
 use crate::shade::traced::{Traced, TracedMemory};
 use crate::shade::visibility::{FieldHandles, VisibilityField};
-use sgs_engine::graph::exec::Executor;
+use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
+
+/// Trained parameters of the lights.
+#[derive(Debug)]
+pub struct LightTrainables {
+    /// Positions.
+    pub positions: Trainable,
+    /// Lobes.
+    pub lobes: Trainable,
+}
 
 /// Parameters trained in the intrinsic stage.
 #[derive(Debug)]
@@ -19,8 +28,8 @@ pub struct IntrinsicParameters {
     pub roughness: Trainable,
     /// Raw metallic, 1 float per Gaussian, if trained.
     pub metallic: Option<Trainable>,
-    /// Positions and lobes of lights.
-    pub lights: Option<[Trainable; 2]>,
+    /// Lights.
+    pub lights: Option<LightTrainables>,
     /// Texels of the environment map.
     pub environment: Option<Trainable>,
     /// Visibility field.
@@ -34,7 +43,7 @@ impl IntrinsicParameters {
     pub fn all(&self) -> Vec<&Trainable> {
         let mut all = vec![&self.albedo, &self.roughness];
         all.extend(&self.metallic);
-        all.extend(self.lights.iter().flatten());
+        all.extend(self.lights.iter().flat_map(|l| [&l.positions, &l.lobes]));
         all.extend(&self.environment);
         all.extend(&self.normals);
         all
@@ -210,10 +219,7 @@ impl Declared {
             normalizer,
             positions,
             lobes,
-            gains: match o.light_prune > 0.0 {
-                true => g.external("light_gains", model.gain_bytes()),
-                false => g.input("light_gains", model.gain_bytes()),
-            },
+            gains: g.input("light_gains", model.gain_bytes()),
         });
         Declared {
             albedo,
@@ -241,9 +247,9 @@ impl Declared {
         if let (Some(memory), Some(handles)) = (&p.metallic, &self.metallic) {
             memory.bind(exec, handles)?;
         }
-        if let (Some([positions, lobes]), Some(handles), Some(gains)) = (&p.lights, &self.lights, inputs.gains) {
-            positions.bind(exec, &handles.positions)?;
-            lobes.bind(exec, &handles.lobes)?;
+        if let (Some(lights), Some(handles), Some(gains)) = (&p.lights, &self.lights, inputs.gains) {
+            lights.positions.bind(exec, &handles.positions)?;
+            lights.lobes.bind(exec, &handles.lobes)?;
             exec.bind(handles.gains, gains)?;
         }
         if let (Some(texels), Some((handles, tables)), Some((environment, memory))) =

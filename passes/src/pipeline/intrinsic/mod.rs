@@ -11,7 +11,7 @@ mod priors;
 mod refresh;
 mod relit;
 
-pub use inputs::{COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes};
+pub use inputs::{COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes, LightTrainables};
 pub use refresh::{EnvironmentRefresh, StoredEnvironment};
 pub use relit::{RelitOptions, RelitView};
 
@@ -24,7 +24,7 @@ use crate::shade::environment::{Environment, EnvironmentTables, StoredFilter};
 use crate::shade::lights::LightModel;
 use crate::shade::traced::TracedShape;
 use crate::shade::visibility::FieldConfig;
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result, Ticket};
 use sgs_shaders::structs::{FieldStep, IntrinsicReport, MaterialWeights};
@@ -53,10 +53,6 @@ pub struct IntrinsicOptions {
     pub visibility_sample: u32,
     /// Weights of the distance of lights from surfaces and of their amplitudes.
     pub light_regularizers: [f32; 2],
-    /// Amplitude threshold that switches lights off for good.
-    ///
-    /// Fraction of the largest amplitude that at least one amplitude of a light must reach; 0 keeps all lights.
-    pub light_prune: f32,
     /// Diffuse radiance per channel that culled lights may lack at a pixel.
     ///
     /// Faint lights are culled from blocks of pixels; 0 disables culling. Specular radiance lacks at most

@@ -11,13 +11,13 @@ use super::build::TEXEL_EPSILON;
 use super::{IntrinsicInputs, IntrinsicOptions, IntrinsicStatus, Step};
 use crate::Tuning;
 use crate::kernel::stage;
-use crate::optim::Rate;
-use crate::scene::{AdamRule, StepWords, Trainable};
+use crate::optim::{AdamRule, Rate, StepWords};
+use crate::scene::Trainable;
 use crate::shade::environment::{
     Environment, EnvironmentTables, StoredFilter, environment_clamp, environment_filter_stored,
     environment_filter_stored_bwd, environment_smoothness,
 };
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::semantic_reduce;

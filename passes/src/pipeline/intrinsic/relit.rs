@@ -16,7 +16,7 @@ use crate::shade::traced::lights_traced;
 use crate::shade::visibility::lights_field;
 use crate::shade::{PixelMaterials, Pixels, RawMaterials, materials, normals, values};
 use crate::splat::Screen;
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;

@@ -32,8 +32,7 @@ pub(super) struct Built {
     pub gaussians: Handles,
     /// Albedo, roughness, metallic.
     pub materials: Vec<TrainableHandles>,
-    /// Positions, lobes, gains.
-    pub lights: Option<[Buffer; 3]>,
+    pub lights: Option<LightParameters>,
     pub field: Option<FieldHandles>,
     pub tree: Option<Traced>,
     pub environment: Option<EnvironmentBuffers>,
@@ -107,7 +106,7 @@ pub(super) fn build(
     weight_rows(&mut g, t, &screen, &visible, &entries, surfaces.coverage, &room, &rows)?;
 
     // Materials.
-    let take = |g: &mut Graph, name, given: &Trainable| Trainable::handles(g, name, given.floats(), false);
+    let take = |g: &mut Graph, name, trained: &Trainable| Trainable::handles(g, name, trained.floats(), false);
     let mut of = vec![take(&mut g, "albedo", &s.albedo), take(&mut g, "roughness", &s.roughness)];
     of.extend(s.metallic.as_ref().map(|m| take(&mut g, "metallic", m)));
     let metallic = of.get(2).map(|m| m.parameters);
@@ -136,7 +135,8 @@ pub(super) fn build(
         let [positions, lobes, gains] =
             [("light_positions", m.position_bytes()), ("light_lobes", m.lobe_bytes()), ("light_gains", m.gain_bytes())]
                 .map(|(name, bytes)| g.uniform(name, bytes));
-        light_buffers = Some([positions, lobes, gains]);
+        let parameters = LightParameters { positions, lobes, gains };
+        light_buffers = Some(parameters);
         if layer == LitLayer::Visibility && tree.is_none() {
             if let Some(f) = &field {
                 let into = floats(&mut g, "visibility", 1);
@@ -146,7 +146,6 @@ pub(super) fn build(
                 parts.values = Some((into, [1, 0, 1]));
             }
         } else {
-            let parameters = LightParameters { positions, lobes, gains };
             let prepared = lights_prepare(&mut g, *t, "lights_prepare", step, m, &parameters, None)?;
             let shape = Shape::for_device(*t);
             let light_table = Lights { pixels: seen, prepared, normalizer: lighting.normalizer, shape };
@@ -173,25 +172,25 @@ pub(super) fn build(
     }
     let mut environment = None;
     if let Some(e) = scene.environment.as_ref().filter(|_| layer.ambient()) {
-        let tables = e.given.tables.declare(&mut g);
-        let texels = take(&mut g, "texels", &e.given.texels);
+        let tables = e.source.tables.declare(&mut g);
+        let texels = take(&mut g, "texels", &e.source.texels);
         let radiance = g.input("environment_radiance", e.radiance.bytes());
         environment = Some(EnvironmentBuffers { tables, texels, radiance });
-        let (filtered, view) = (Filtered::kept(radiance), EnvironmentView::from(&seen));
+        let (filtered, view) = (Filtered::from_radiance(radiance), EnvironmentView::from(&seen));
         if layer != LitLayer::Diffuse {
             let ambient = floats(&mut g, "ambient", 3);
-            ambient_light(&mut g, t, &e.given.tables, &tables, &view, &filtered, ambient)?;
+            ambient_light(&mut g, t, &e.source.tables, &tables, &view, &filtered, ambient)?;
             parts.ambient = Some(ambient);
         }
         if layer.split() {
             let diffuse = floats(&mut g, "ambient_diffuse", 3);
-            environment_diffuse(&mut g, t, &e.given.tables, &tables, &view, &filtered, diffuse)?;
+            environment_diffuse(&mut g, t, &e.source.tables, &tables, &view, &filtered, diffuse)?;
             let place = if layer == LitLayer::Diffuse { &mut parts.ambient } else { &mut parts.rest[1] };
             *place = Some(diffuse);
         }
         if layer == LitLayer::Environment {
             let behind = floats(&mut g, "environment_background", 3);
-            environment_background(&mut g, t, &e.given.tables, step, pixels, texels.parameters, behind)?;
+            environment_background(&mut g, t, &e.source.tables, step, pixels, texels.parameters, behind)?;
             parts.environment_map = Some(behind);
         }
     }

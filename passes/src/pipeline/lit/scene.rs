@@ -3,7 +3,7 @@
 use crate::Tuning;
 use crate::pipeline::{ShadedEnvironment, ShadedScene};
 use crate::shade::environment::{Environment, environment_filter};
-use sgs_engine::graph::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
@@ -23,7 +23,7 @@ pub struct LitScene {
 #[derive(Debug)]
 pub struct LitEnvironment {
     /// Tables and texels.
-    pub(super) given: ShadedEnvironment,
+    pub(super) source: ShadedEnvironment,
     /// Radiance of all mip levels.
     pub(super) radiance: DeviceBuffer,
 }
@@ -35,8 +35,8 @@ impl LitScene {
     /// If memory runs out or the device fails.
     pub fn new(device: &Device, tuning: &Tuning, mut scene: ShadedScene) -> Result<LitScene> {
         scene.lights = None;
-        let given = scene.environment.take();
-        let environment = given.map(|e| LitEnvironment::new(device, tuning, e)).transpose()?;
+        let source = scene.environment.take();
+        let environment = source.map(|e| LitEnvironment::new(device, tuning, e)).transpose()?;
         Ok(LitScene { scene, environment })
     }
 }
@@ -46,27 +46,27 @@ impl LitEnvironment {
     ///
     /// # Errors
     /// If memory runs out or the device fails.
-    pub fn new(device: &Device, tuning: &Tuning, given: ShadedEnvironment) -> Result<LitEnvironment> {
+    pub fn new(device: &Device, tuning: &Tuning, source: ShadedEnvironment) -> Result<LitEnvironment> {
         let mut g = Graph::new("environment");
-        let tables = given.tables.declare(&mut g);
-        let texels = given.texels.declare(&mut g, false);
-        let bytes = 12 * u64::from(given.tables.filtered_texels());
-        let kept = g.external("environment_radiance", bytes);
-        let filtered = environment_filter(&mut g, tuning, &given.tables, &tables, texels.parameters)?;
-        g.copy("keep_radiance", filtered.radiance, kept)?;
+        let tables = source.tables.declare(&mut g);
+        let texels = source.texels.declare(&mut g, false);
+        let bytes = 12 * u64::from(source.tables.filtered_texels());
+        let stored = g.external("environment_radiance", bytes);
+        let filtered = environment_filter(&mut g, tuning, &source.tables, &tables, texels.parameters)?;
+        g.copy("keep_radiance", filtered.radiance, stored)?;
         let radiance = device.buffer("environment_radiance", bytes, Location::Device)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
-        exec.bind(kept, &radiance)?;
-        given.texels.bind(&mut exec, &texels)?;
-        given.memory.bind(&mut exec, &given.tables, &tables)?;
+        exec.bind(stored, &radiance)?;
+        source.texels.bind(&mut exec, &texels)?;
+        source.memory.bind(&mut exec, &source.tables, &tables)?;
         exec.submit(&[])?;
         exec.finish()?;
-        Ok(LitEnvironment { given, radiance })
+        Ok(LitEnvironment { source, radiance })
     }
 
     /// Returns the mip levels and filter tables.
     pub fn tables(&self) -> &Environment {
-        &self.given.tables
+        &self.source.tables
     }
 }

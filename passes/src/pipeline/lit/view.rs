@@ -4,10 +4,10 @@ use super::build::{Built, build, field_step};
 use super::{Lighting, LitFrame, LitLayer, LitOptions, LitScene};
 use crate::Tuning;
 use crate::pipeline::{ShadedVisibility, Step, ViewError, ViewReport, ViewResult};
-use crate::shade::lights::LightModel;
+use crate::shade::lights::{LightModel, LightParameters};
 use crate::shade::traced::TracedShape;
+use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::Buffer;
-use sgs_engine::graph::exec::{ExecOptions, Executor};
 use sgs_engine::{Device, DeviceBuffer, DeviceImage, ImageFormat, Location};
 use sgs_shaders::structs::LitStep;
 
@@ -122,9 +122,9 @@ impl LitView {
         how: impl FnOnce(&mut Executor, &[(Buffer, &[u8])]) -> sgs_engine::Result<R>,
     ) -> ViewResult<R> {
         let view = self.options.size;
-        for (what, given) in [("image", image.size()), ("camera", frame.camera.size)] {
-            if given != view {
-                return Err(ViewError::Size { what, view, given });
+        for (what, actual) in [("image", image.size()), ("camera", frame.camera.size)] {
+            if actual != view {
+                return Err(ViewError::Size { what, view, actual });
             }
         }
         if image.format() != ImageFormat::from(self.options.format) {
@@ -143,7 +143,7 @@ impl LitView {
         let lit = LitStep { behind: frame.background, exposure: frame.exposure, environment: lighting.environment };
         let field = field_step(scene, lighting, view);
         let mut uniforms = vec![(built.step, bytemuck::bytes_of(&step)), (built.lit, bytemuck::bytes_of(&lit))];
-        if let Some([positions, lobes, gains]) = built.lights {
+        if let Some(LightParameters { positions, lobes, gains }) = built.lights {
             uniforms.push((positions, bytemuck::cast_slice(&lighting.positions)));
             // The field alone requires only the positions of the lights.
             if self.options.layer != LitLayer::Visibility || built.tree.is_some() {
@@ -259,8 +259,8 @@ fn bind(exec: &mut Executor, built: &Built, scene: &LitScene) -> sgs_engine::Res
         memory.bind(exec, handles)?;
     }
     if let (Some(h), Some(e)) = (&built.environment, &scene.environment) {
-        e.given.memory.bind(exec, &e.given.tables, &h.tables)?;
-        e.given.texels.bind(exec, &h.texels)?;
+        e.source.memory.bind(exec, &e.source.tables, &h.tables)?;
+        e.source.texels.bind(exec, &h.texels)?;
         exec.bind(h.radiance, &e.radiance)?;
     }
     Ok(())

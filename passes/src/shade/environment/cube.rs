@@ -122,7 +122,7 @@ fn across(face: usize, x: i32, y: i32, size: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
+    use crate::rng::Pcg;
 
     #[test]
     fn face_coordinates_and_directions_are_inverse() {

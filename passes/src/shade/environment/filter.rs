@@ -26,7 +26,7 @@ pub struct Filtered {
 
 impl Filtered {
     /// Wraps levels that another graph left in memory. The result supports lookups, not gradients.
-    pub fn kept(radiance: Buffer) -> Filtered {
+    pub fn from_radiance(radiance: Buffer) -> Filtered {
         Filtered { radiance, inverse_sums: radiance }
     }
 }
@@ -154,9 +154,9 @@ pub fn environment_filter_stored(
     e: &Environment,
     tables: &EnvironmentTables,
     texels: Buffer,
-    kept: &StoredFilter,
+    filter: &StoredFilter,
 ) -> Result<(), GraphError> {
-    filter_into(g, t, e, tables, texels, kept.filtered()).map(|_| ())
+    filter_into(g, t, e, tables, texels, filter.filtered()).map(|_| ())
 }
 
 fn filter_into(
@@ -248,11 +248,11 @@ pub fn environment_filter_stored_bwd(
     t: &Tuning,
     e: &Environment,
     tables: &EnvironmentTables,
-    kept: &StoredFilter,
+    filter: &StoredFilter,
     smoothness: Option<&Smoothness>,
     gradient: Buffer,
 ) -> Result<(), GraphError> {
-    back(g, t, e, tables, kept.gathered, smoothness, gradient)
+    back(g, t, e, tables, filter.gathered, smoothness, gradient)
 }
 
 fn back(

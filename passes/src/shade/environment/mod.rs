@@ -35,7 +35,7 @@ pub use lookup::{
 };
 pub use smoothness::{Smoothness, environment_clamp, environment_smoothness};
 
-use crate::reference::rng::Pcg;
+use crate::rng::Pcg;
 use form::Form;
 use levels::Level;
 use map::MapLookup;

@@ -13,7 +13,7 @@
 //!    [`lights_split`];
 //! 3. [`lights_materials_bwd`]: gradients of albedo, roughness, metallic;
 //! 4. [`lights_regularize`], [`lights_bwd`], [`lights_prepare_bwd`]: gradients of the lights; [`lights_normals_bwd`]:
-//!    gradients of trainable normals. [`lights_prune`] runs occasionally.
+//!    gradients of trainable normals.
 //!
 //! Operations of a pair of pixel and light (a multiply-add counts two, an exponential, root or division four): 20 for
 //! direction and cosine, for all pairs. Pairs that face each other, about half of them in a room, add 21 per lobe and
@@ -35,4 +35,4 @@ pub use backward::{LightGradients, LightParameterGradients, lights_bwd, lights_n
 pub use forward::{Lights, Shape, Sums, lights, lights_materials_bwd, lights_split, lights_train};
 pub use model::{Axes, LightModel, LightParameters};
 pub use prepare::{Perturbation, Prepared, lights_prepare, lights_prepare_culled};
-pub use regularize::{LightRegularizers, lights_prune, lights_regularize};
+pub use regularize::{LightRegularizers, lights_regularize};

@@ -1,5 +1,4 @@
-//! `lights_near`, `lights_regularize`: regularizers of lights; `lights_prune`: pruning. Pruning switches off lights
-//! that have become too faint.
+//! `lights_near`, `lights_regularize`: regularizers of lights.
 //!
 //! The regularizers are two means (SGS-Intrinsic, as in the published code): `1 / max(d², 1e-3)` over the lights, with
 //! d the distance to the nearest visible point of the view, and three times the mean of all amplitudes. Lights that are
@@ -14,7 +13,7 @@ use super::{LightParameters, Lights};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::{lights_near as near, lights_prune as prune, lights_regularize as regularize};
+use sgs_shaders::{lights_near as near, lights_regularize as regularize};
 
 /// Regularizer data that [`super::lights_prepare_bwd`] needs to add gradients.
 #[derive(Clone, Copy, Debug)]
@@ -76,23 +75,4 @@ pub fn lights_regularize(
         .dispatch([1, 1, 1])?;
     let [weight_near, weight_brightness] = weights;
     Ok(LightRegularizers { nearest, weight_near, weight_brightness, points: p.surfaces.points })
-}
-
-/// Sets the gain of faint lights to 0. A light is faint if none of its amplitudes is at least `share` (0.05 as
-/// published elsewhere) of the largest amplitude of all lights that are on. The pass is one workgroup.
-///
-/// # Errors
-/// If a buffer does not belong to the graph, cannot be written, or is too small to be bound.
-pub fn lights_prune(
-    g: &mut Graph,
-    tuning: Tuning,
-    model: super::LightModel,
-    parameters: &LightParameters,
-    share: f32,
-) -> Result<(), GraphError> {
-    let bindings = prune::Bindings { lobes: parameters.lobes.into(), gains: parameters.gains.into() };
-    let specs = prune::Specs { workgroup: tuning.workgroup, lobes: model.lobes, free: model.is_free() };
-    let push = prune::Push { lights: model.lights, log_share: share.ln() };
-    stage(g, "lights_prune", &prune::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
-        .dispatch([1, 1, 1])
 }

@@ -4,11 +4,11 @@
 //! function of the configuration alone, initial values of the seed alone. [`super`] evaluates the field, and the tools
 //! handle files.
 
-use crate::reference::rng::{random_bits, uniform_from};
+use crate::rng::{random_bits, uniform_from};
 use sgs_shaders::structs::FieldLevel;
 
 /// Neurons of a hidden layer.
-pub const FIELD_WIDTH: usize = 32;
+pub const FIELD_WIDTH: usize = crate::matrices::WIDTH as usize;
 
 /// Features of an entry.
 pub const FIELD_FEATURES: usize = 2;
@@ -74,13 +74,13 @@ impl FieldConfig {
     /// feature of an entry and per weight. The result behaves as if the features of the dropped levels were zero.
     pub fn numbers_of_first_levels(&self, levels: u32, each: usize, [tables, layers]: [&[f32]; 2]) -> [Vec<f32>; 2] {
         let left = self.first_levels(levels);
-        let kept = left.entries() as usize * FIELD_FEATURES * each;
+        let table_numbers = left.entries() as usize * FIELD_FEATURES * each;
         let features = FIELD_FEATURES * left.levels as usize * each;
         let (row, first) = (self.inputs() * each, self.inputs() * FIELD_WIDTH * each);
         // In a row, the weights of direction and distance follow those of the features.
         let rows = layers[..first].chunks(row).flat_map(|r| r[..features].iter().chain(&r[row - 4 * each..]));
         let layers = rows.chain(&layers[first..]).copied().collect();
-        [tables[..kept].to_vec(), layers]
+        [tables[..table_numbers].to_vec(), layers]
     }
 
     /// Checks the configuration, and returns the first violation.
@@ -175,8 +175,8 @@ impl FieldConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::reference::rng::Pcg;
     use crate::reference::visibility::Field;
+    use crate::rng::Pcg;
 
     #[test]
     fn default_has_the_published_size() {

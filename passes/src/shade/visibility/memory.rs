@@ -2,7 +2,7 @@
 
 use super::{Field, FieldConfig, FieldError, Gradients, Moments};
 use half::f16;
-use sgs_engine::graph::exec::Executor;
+use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::{FieldLevel, FieldStep};
@@ -32,15 +32,28 @@ struct Training {
 pub struct FieldHandles {
     /// Field, whose step is a uniform that the host writes before each replay.
     pub field: Field,
-    /// Moments of tables and layers, gradients of tables, touched bits. Only present in training.
-    pub training: Option<[Buffer; 4]>,
+    /// Buffers that only training has.
+    pub training: Option<TrainingHandles>,
+}
+
+/// Buffers in one graph that training adds to a visibility field.
+#[derive(Clone, Copy, Debug)]
+pub struct TrainingHandles {
+    /// Moments of the tables.
+    pub table_moments: Buffer,
+    /// Moments of the layers.
+    pub mlp_moments: Buffer,
+    /// Gradients of the tables; see [`Gradients`].
+    pub table_gradients: Buffer,
+    /// Bits of the touched entries.
+    pub touched: Buffer,
 }
 
 impl FieldHandles {
     /// Returns the gradients for [`super::visibility_bwd`] with `lights` lights. Gradients of layers and lights, and
     /// the scale, live within a replay. Returns `None` without training.
     pub fn gradients(&self, g: &mut Graph, lights: u32) -> Option<Gradients> {
-        let [.., tables, touched] = self.training?;
+        let TrainingHandles { table_gradients: tables, touched, .. } = self.training?;
         Some(Gradients {
             mlp: g.transient("visibility.mlp_gradient", 4 * self.field.config.weights() as u64),
             lights: g.transient("visibility.light_gradients", 12 * u64::from(lights)),
@@ -52,7 +65,7 @@ impl FieldHandles {
 
     /// Returns the moments for [`super::visibility_adam`], or `None` without training.
     pub fn moments(&self, flags: Buffer, flag_words: u32, skipped: Buffer) -> Option<Moments> {
-        let [tables, mlp, ..] = self.training?;
+        let TrainingHandles { table_moments: tables, mlp_moments: mlp, .. } = self.training?;
         Some(Moments { tables, mlp, flags, flag_words, skipped })
     }
 }
@@ -228,13 +241,11 @@ impl VisibilityField {
             packed,
             mlp: mlp_buffer,
         };
-        let beside = |g: &mut Graph| {
-            [
-                g.external("visibility_table_moments", 2 * tables),
-                g.external("visibility_mlp_moments", 2 * mlp),
-                g.external("visibility_table_gradients", 2 * tables),
-                g.external("visibility_touched", bits),
-            ]
+        let beside = |g: &mut Graph| TrainingHandles {
+            table_moments: g.external("visibility_table_moments", 2 * tables),
+            mlp_moments: g.external("visibility_mlp_moments", 2 * mlp),
+            table_gradients: g.external("visibility_table_gradients", 2 * tables),
+            touched: g.external("visibility_touched", bits),
         };
         FieldHandles { field, training: training.then(|| beside(g)) }
     }
@@ -251,10 +262,10 @@ impl VisibilityField {
         }
         exec.bind(handles.field.mlp, &self.mlp)?;
         if let (Some(handles), Some(t)) = (handles.training, &self.training) {
-            let buffers = [&t.table_moments, &t.mlp_moments, &t.table_gradients, &t.touched];
-            for (handle, buffer) in handles.into_iter().zip(buffers) {
-                exec.bind(handle, buffer)?;
-            }
+            exec.bind(handles.table_moments, &t.table_moments)?;
+            exec.bind(handles.mlp_moments, &t.mlp_moments)?;
+            exec.bind(handles.table_gradients, &t.table_gradients)?;
+            exec.bind(handles.touched, &t.touched)?;
         }
         Ok(())
     }

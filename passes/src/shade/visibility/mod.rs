@@ -29,7 +29,7 @@ pub use lights::{
     lights_bwd_field, lights_field, lights_normals_bwd_field, lights_split_field, lights_train_field,
     visibility_lights_bwd,
 };
-pub use memory::{FieldHandles, VisibilityField, packed_tables};
+pub use memory::{FieldHandles, TrainingHandles, VisibilityField, packed_tables};
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};

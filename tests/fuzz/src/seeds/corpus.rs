@@ -25,7 +25,7 @@ pub fn write_seeds(folder: &Path) -> std::io::Result<()> {
     files.extend(images());
     files.extend(models());
     files.extend(tensors());
-    files.extend(said());
+    files.extend(provider_messages());
     std::fs::create_dir_all(folder)?;
     let mut targets: BTreeMap<&str, Vec<(String, Vec<u8>)>> = BTreeMap::new();
     for (target, name, bytes) in files {
@@ -235,8 +235,8 @@ fn tensors() -> Files {
         ("lobes", "6"),
         ("levels", "4"),
         ("texels", "16"),
-        ("pace", "8 20 20"),
-        ("last_look", "0.015625"),
+        ("update_interval", "8 20 20"),
+        ("last_error", "0.015625"),
     ];
     let mut materials: Vec<(&str, Vec<usize>, f32)> = Vec::new();
     for (name, moments, count) in [
@@ -257,7 +257,7 @@ fn tensors() -> Files {
         (
             "intrinsic_checkpoint",
             "automatic.safetensors",
-            tensor_file(&materials, &[("relit_asked_at", 2), ("relit_estimates0", 4)], &meta),
+            tensor_file(&materials, &[("relit_queried_at", 2), ("relit_estimates0", 4)], &meta),
         ),
     ]
 }
@@ -272,7 +272,7 @@ fn message(text: &serde_json::Value, arrays: &[(&str, Kind, &[usize])]) -> Vec<u
 }
 
 /// Returns messages of well-behaved providers.
-fn said() -> Files {
+fn provider_messages() -> Files {
     use serde_json::json;
     let hello = json!({"kind": "hello", "version": 1, "name": "a stand-in", "offers": {
         "masks": {}, "regions": {"ids": "scene", "max_side": 8}, "normals": {"image": "linear"}, "semantics": {"channels": 4},

@@ -1,7 +1,7 @@
 //! Photographs, and maps as priors and ground truth of every kind.
 
-use super::look;
-use super::said;
+use super::describe;
+use super::text_of;
 use crate::place::Place;
 use crate::seeds;
 use sgs_scene::{NpyArray, read_exr, read_ids};
@@ -17,7 +17,7 @@ fn photograph(name: &'static str, file: &str, bytes: &[u8]) -> String {
     });
     place.put("transforms.json", seeds::unsized_transforms(file).as_bytes());
     place.put(&format!("images/{file}"), bytes);
-    look::scene(&place.path(""))
+    describe::scene(&place.path(""))
 }
 
 pub(crate) fn photograph_png(bytes: &[u8]) -> String {
@@ -43,7 +43,7 @@ fn maps(name: &'static str, extension: &str, bytes: &[u8]) -> (String, std::rc::
     for folder in folders {
         place.put(&format!("{folder}/000.{extension}"), bytes);
     }
-    (look::scene(&place.path("")), place)
+    (describe::scene(&place.path("")), place)
 }
 
 /// Reads a scene of InteriorVerse that uses these bytes for all files of a view.
@@ -52,12 +52,12 @@ fn beside(bytes: &[u8]) -> String {
     for kind in ["albedo", "normal", "depth", "material", "mask"] {
         place.put(&format!("000_{kind}.exr"), bytes);
     }
-    look::scene(&place.path(""))
+    describe::scene(&place.path(""))
 }
 
 pub(crate) fn map_exr(bytes: &[u8]) -> String {
     let (words, place) = maps("map_exr", "exr", bytes);
-    let read = said(read_exr(&place.path("priors/normal/000.exr")), |exr| {
+    let read = text_of(read_exr(&place.path("priors/normal/000.exr")), |exr| {
         assert!(exr.image.check().is_ok() && exr.names.len() == exr.image.channels as usize, "sizes fit");
         exr.names.join(" ")
     });
@@ -66,7 +66,7 @@ pub(crate) fn map_exr(bytes: &[u8]) -> String {
 
 pub(crate) fn map_png(bytes: &[u8]) -> String {
     let (words, place) = maps("map_png", "png", bytes);
-    let read = said(read_ids(&place.path("priors/masks/000.png")), |(width, height, ids)| {
+    let read = text_of(read_ids(&place.path("priors/masks/000.png")), |(width, height, ids)| {
         assert_eq!(ids.len() as u64, u64::from(width) * u64::from(height), "sizes fit");
         "ids".into()
     });
@@ -76,15 +76,15 @@ pub(crate) fn map_png(bytes: &[u8]) -> String {
 pub(crate) fn map_npy(bytes: &[u8]) -> String {
     let (words, place) = maps("map_npy", "npy", bytes);
     let array = |path: &Path| {
-        said(NpyArray::read(path), |array| {
+        text_of(NpyArray::read(path), |array| {
             let count = array.shape.iter().product::<usize>();
             assert!(array.to_f32().len() == count && array.to_f16().len() == count, "sizes fit");
-            said(array.to_image(), |image| format!("{}", image.channels.min(9)))
+            text_of(array.to_image(), |image| format!("{}", image.channels.min(9)))
         })
     };
     let words = words + &array(&place.path("priors/albedo/000.npy"));
     // The same bytes as text embeddings of the classes.
     let texts = Place::of("map_npy_texts", seeds::scene);
     texts.put("priors/semantic/text_embeddings.npy", bytes);
-    words + &look::scene(&texts.path(""))
+    words + &describe::scene(&texts.path(""))
 }

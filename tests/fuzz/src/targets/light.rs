@@ -1,6 +1,6 @@
 //! Lights, environment maps and edits of them.
 
-use super::said;
+use super::text_of;
 use crate::place::Place;
 use crate::seeds;
 use sgs_relight::{Edit, fuzzed};
@@ -17,7 +17,7 @@ fn sound(lights: &LightFile) -> String {
 
 pub(crate) fn lights(bytes: &[u8]) -> String {
     let place = Place::of("lights", |_| ());
-    said(read_lights(&place.put("lights.json", bytes)), |lights| sound(&lights))
+    text_of(read_lights(&place.put("lights.json", bytes)), |lights| sound(&lights))
 }
 
 /// Reads lights next to a PLY file.
@@ -27,8 +27,8 @@ pub(crate) fn lights_beside(bytes: &[u8]) -> String {
     });
     place.put("scene.lights.json", bytes);
     let path = place.path("scene.ply");
-    let all = said(read_exchange(&path), |e| e.lights.as_ref().map_or_else(String::new, sound));
-    all + &said(read_light(&path, 16), |light| format!("{}", light.lights.is_some()))
+    let all = text_of(read_exchange(&path), |e| e.lights.as_ref().map_or_else(String::new, sound));
+    all + &text_of(read_light(&path, 16), |light| format!("{}", light.lights.is_some()))
 }
 
 pub(crate) fn environment(bytes: &[u8]) -> String {
@@ -36,7 +36,7 @@ pub(crate) fn environment(bytes: &[u8]) -> String {
         place.put("scene.ply", seeds::SPLATS_ASCII.as_bytes());
     });
     let path = place.put("scene.environment.exr", bytes);
-    let words = said(read_environment(&path), |image| {
+    let words = text_of(read_environment(&path), |image| {
         assert!(
             image.check().is_ok() && image.data.iter().all(|v| v.is_finite() && *v >= 0.0),
             "light is no less than none"
@@ -44,7 +44,7 @@ pub(crate) fn environment(bytes: &[u8]) -> String {
         format!("{}", image.width.min(9))
     });
     words
-        + &said(read_light(&place.path("scene.ply"), 16), |light| {
+        + &text_of(read_light(&place.path("scene.ply"), 16), |light| {
             let texels = light.environment.map_or_else(Vec::new, |e| e.data);
             assert!(texels.iter().all(|v| v.is_finite()), "the environment map is finite");
             format!("{}", texels.len())
@@ -57,25 +57,25 @@ pub(crate) fn edit(bytes: &[u8]) -> String {
         place.put("lights.json", seeds::LIGHTS.as_bytes());
         place.put("sky.exr", &seeds::exr_sky());
     });
-    let file = said(Edit::read(&place.put("edit.json", bytes)), |edit| {
+    let file = text_of(Edit::read(&place.put("edit.json", bytes)), |edit| {
         let lights = read_lights(&place.path("lights.json")).expect("the lights are whole");
-        said(fuzzed::edited_light(&edit, lights), |(lights, texels)| {
+        text_of(fuzzed::edited_light(&edit, lights), |(lights, texels)| {
             let lights = lights.as_ref().map_or_else(String::new, sound);
             format!("{lights} {}", texels.is_some())
         })
     });
     let text = String::from_utf8_lossy(bytes);
-    file + &said(Edit::parse(&text, &place.path("")), |edit| format!("{}", edit.insert.len().min(3)))
+    file + &text_of(Edit::parse(&text, &place.path("")), |edit| format!("{}", edit.insert.len().min(3)))
 }
 
 pub(crate) fn true_lights(bytes: &[u8]) -> String {
     let place = Place::of("true_lights", |_| ());
-    said(fuzzed::true_lights(&place.put("lights.json", bytes)), |lights| {
+    text_of(fuzzed::true_lights(&place.put("lights.json", bytes)), |lights| {
         lights.as_ref().map_or_else(String::new, sound)
     })
 }
 
 pub(crate) fn true_edit(bytes: &[u8]) -> String {
     let place = Place::of("true_edit", |_| ());
-    said(fuzzed::true_edit(&place.put("day.json", bytes)), |known| format!("{known}"))
+    text_of(fuzzed::true_edit(&place.put("day.json", bytes)), |known| format!("{known}"))
 }

@@ -1,13 +1,13 @@
 //! Provider output: single messages, whole replies of a process, command lines.
 
-use super::said;
+use super::text_of;
 use crate::place::Place;
 use sgs_provider::{Message, Provider, ProviderImage, ProviderOptions};
 use sgs_scene::Image;
 
 /// Decodes a single payload.
 pub(crate) fn message(bytes: &[u8]) -> String {
-    said(Message::decode(bytes), |message| {
+    text_of(Message::decode(bytes), |message| {
         // Decoding drops arrays of unknown types, so that the rest can be encoded again.
         let again = message.encode().and_then(|bytes| Message::decode(&bytes));
         assert_eq!(again.map(|m| m.arrays).ok().as_ref(), Some(&message.arrays), "arrays come back");
@@ -39,28 +39,28 @@ pub(crate) fn talk(bytes: &[u8]) -> String {
     // Two requests, so that data after the first reply is read.
     for _ in 0..2 {
         words += &match choice % 7 {
-            0 => said(provider.masks(&frames, Some([3.0, 2.0])), |masks| {
+            0 => text_of(provider.masks(&frames, Some([3.0, 2.0])), |masks| {
                 assert!(masks.frames.iter().all(|f| f.len() == 12 * 9), "masks fit");
                 "masks".into()
             }),
-            1 => said(provider.regions(&rendered), |r| {
+            1 => text_of(provider.regions(&rendered), |r| {
                 assert_eq!(r.ids.len(), r.size[0] as usize * r.size[1] as usize, "regions fit");
                 "regions".into()
             }),
-            2 => said(provider.normals(&rendered), |n| {
+            2 => text_of(provider.normals(&rendered), |n| {
                 fits(&n.image);
                 "normals".into()
             }),
-            3 => said(provider.semantics(&rendered), |f| {
+            3 => text_of(provider.semantics(&rendered), |f| {
                 assert_eq!(f.data.len(), f.shape.iter().product::<usize>(), "features fit");
                 "features".into()
             }),
-            4 => said(provider.text(&["wall".into(), "floor".into()]), |(width, all)| {
+            4 => text_of(provider.text(&["wall".into(), "floor".into()]), |(width, all)| {
                 assert_eq!(all.len(), 2 * width, "embeddings fit");
                 "text".into()
             }),
-            5 => said(provider.classes(std::slice::from_ref(&rendered)), |names| format!("{}", names.len().min(3))),
-            _ => said(provider.materials(&rendered, &["albedo", "roughness", "metallic"]), |m| {
+            5 => text_of(provider.classes(std::slice::from_ref(&rendered)), |names| format!("{}", names.len().min(3))),
+            _ => text_of(provider.materials(&rendered, &["albedo", "roughness", "metallic"]), |m| {
                 [&m.albedo, &m.roughness, &m.metallic].into_iter().flatten().for_each(fits);
                 "materials".into()
             }),

@@ -1,6 +1,6 @@
 //! Files of runs, settings, and sizes on the command line.
 
-use super::said;
+use super::text_of;
 use crate::place::Place;
 use crate::seeds;
 use sgs_config::{Settings, overlay, parse_bytes};
@@ -19,9 +19,9 @@ pub(crate) fn settings(bytes: &[u8]) -> String {
     // An overlay on other settings is first a table of any content.
     let mut over = Settings::default().to_table().expect("settings are a table");
     overlay(&mut over, table.clone());
-    let over = said(Settings::from_table(over).and_then(|s| s.check()), |()| "over".into());
+    let over = text_of(Settings::from_table(over).and_then(|s| s.check()), |()| "over".into());
     let own = Settings::from_table(table).and_then(|settings| settings.check().map(|()| settings));
-    over + &said(own, |settings| {
+    over + &text_of(own, |settings| {
         let again = settings.to_table().and_then(Settings::from_table);
         assert_eq!(again.ok(), Some(settings), "settings come back");
         "read".into()
@@ -40,7 +40,7 @@ fn place(name: &'static str) -> (std::rc::Rc<Place>, RunDirectory) {
 pub(crate) fn settings_of_run(bytes: &[u8]) -> String {
     let (place, run) = place("run_settings");
     place.put("config.toml", bytes);
-    said(run.settings(), |settings| {
+    text_of(run.settings(), |settings| {
         assert!(settings.check().is_ok(), "a run has settings that can be");
         "read".into()
     })
@@ -71,8 +71,8 @@ pub(crate) fn training(bytes: &[u8]) -> String {
     let (place, run) = place("training");
     place.put("training.json", bytes);
     let mut words = state(&run);
-    words += &said(run.training_summary(), |value| format!("{}", value.is_object()));
-    words += &said(run.write_summary(StageKind::Intrinsic, &serde_json::json!({"steps": 1})), |()| "added".into());
+    words += &text_of(run.training_summary(), |value| format!("{}", value.is_object()));
+    words += &text_of(run.write_summary(StageKind::Intrinsic, &serde_json::json!({"steps": 1})), |()| "added".into());
     words
 }
 
@@ -89,7 +89,7 @@ pub(crate) fn log(bytes: &[u8]) -> String {
     let curves = chart::log(&String::from_utf8_lossy(bytes));
     assert!(!curves.contains('\u{1b}'), "what files say is escaped");
     let retained =
-        |log: Result<std::fs::File, RunError>| said(log, |mut f| said(writeln!(f, "{{}}"), |()| "kept".into()));
+        |log: Result<std::fs::File, RunError>| text_of(log, |mut f| text_of(writeln!(f, "{{}}"), |()| "kept".into()));
     let words = retained(run.open_log(StageKind::Geometry, 3));
     place.put("log.jsonl", bytes);
     words + &retained(run.open_log(StageKind::Intrinsic, 3)) + &curves.matches("<svg").count().min(5).to_string()
@@ -97,7 +97,7 @@ pub(crate) fn log(bytes: &[u8]) -> String {
 
 /// Parses a memory size of the command line.
 pub(crate) fn bytes(bytes: &[u8]) -> String {
-    said(parse_bytes(&String::from_utf8_lossy(bytes)), |n| {
+    text_of(parse_bytes(&String::from_utf8_lossy(bytes)), |n| {
         assert!((1..=i64::MAX as u64).contains(&n), "sizes are sizes");
         "read".into()
     })

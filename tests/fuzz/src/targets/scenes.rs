@@ -2,8 +2,8 @@
 //!
 //! Each file is placed in an otherwise valid scene.
 
-use super::look;
-use super::said;
+use super::describe;
+use super::text_of;
 use crate::place::Place;
 use crate::seeds::{self, COLMAP, TEXT};
 use sgs_scene::Camera;
@@ -12,7 +12,7 @@ use sgs_scene::Camera;
 fn within(name: &'static str, fill: fn(&Place), file: &str, bytes: &[u8]) -> String {
     let place = Place::of(name, fill);
     place.put(file, bytes);
-    look::scene(&place.path(""))
+    describe::scene(&place.path(""))
 }
 
 pub(crate) fn transforms(bytes: &[u8]) -> String {
@@ -35,7 +35,7 @@ pub(crate) fn labels(bytes: &[u8]) -> String {
     let place = Place::of("labels", seeds::scene);
     place.put("gt/semantic/labels.json", bytes);
     place.put("priors/semantic/labels.json", bytes);
-    look::scene(&place.path(""))
+    describe::scene(&place.path(""))
 }
 
 /// Reads cameras without images.
@@ -44,7 +44,7 @@ pub(crate) fn cameras(bytes: &[u8]) -> String {
         place.put("000.png", &seeds::png(8, 6));
     });
     let path = place.put("cameras.json", bytes);
-    said(Camera::read_transforms(&path), |cameras| {
+    text_of(Camera::read_transforms(&path), |cameras| {
         assert!(cameras.iter().all(|c| c.problem().is_none()), "cameras can be");
         // Cameras that are read can be written and read again.
         let again = place.path("again.json");

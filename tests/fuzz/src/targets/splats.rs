@@ -1,6 +1,6 @@
 //! Gaussians and points in files of many programs.
 
-use super::said;
+use super::text_of;
 use crate::place::Place;
 use sgs_run::{read_exchange, read_light, read_splats};
 use sgs_scene::{PointCloud, Splats};
@@ -24,7 +24,7 @@ fn sound(splats: &Splats) -> String {
 pub(crate) fn splats(bytes: &[u8]) -> String {
     let place = Place::of("splats_ply", |_| ());
     let path = place.put("scene.ply", bytes);
-    said(Splats::read_ply_dialect(&path), |(splats, dialect)| {
+    text_of(Splats::read_ply_dialect(&path), |(splats, dialect)| {
         // Splats that are read can be written and read again.
         let again = place.path("again.ply");
         let back = splats.write_ply(&again).and_then(|()| Splats::read_ply(&again));
@@ -35,9 +35,9 @@ pub(crate) fn splats(bytes: &[u8]) -> String {
 
 pub(crate) fn points(bytes: &[u8]) -> String {
     let place = Place::of("points_ply", |_| ());
-    said(PointCloud::read_ply(&place.put("points.ply", bytes)), |points| {
+    text_of(PointCloud::read_ply(&place.put("points.ply", bytes)), |points| {
         assert!(points.positions.iter().flatten().all(|v| v.is_finite()), "points are finite");
-        let splats = said(Splats::from_points(&points, 1), |splats| sound(&splats));
+        let splats = text_of(Splats::from_points(&points, 1), |splats| sound(&splats));
         format!("{} {} {} {splats}", points.len().min(3), points.colors.is_some(), points.normals.is_some())
     })
 }
@@ -47,9 +47,9 @@ pub(crate) fn gltf(bytes: &[u8]) -> String {
         place.put("scene.bin", &[0; 4096]);
     });
     let path = place.put("scene.glb", bytes);
-    let light = said(read_light(&path, 16), |light| format!("{}", light.lights.is_some()));
-    let splats = said(read_splats(&path), |splats| sound(&splats));
-    let all = said(read_exchange(&path), |exchange| {
+    let light = text_of(read_light(&path, 16), |light| format!("{}", light.lights.is_some()));
+    let splats = text_of(read_splats(&path), |splats| sound(&splats));
+    let all = text_of(read_exchange(&path), |exchange| {
         if let Some(lights) = &exchange.lights {
             lights.raw();
         }

@@ -58,14 +58,14 @@ class LSeg:
         image = tensors.srgb(question.images[0])
         height, width = tensors.multiple(*image.shape[:2], STEP, SIDE)
         sent = torch.from_numpy(np.ascontiguousarray(tensors.resize(image, height, width))).permute(2, 0, 1)[None]
-        heard = []
-        hook = self.head.register_forward_hook(lambda module, inputs, output: heard.append(output))
+        outputs = []
+        hook = self.head.register_forward_hook(lambda module, inputs, output: outputs.append(output))
         try:
             with torch.inference_mode():
                 self.network(((sent - 0.5) / 0.5).to(self.device))
         finally:
             hook.remove()
-        if len(heard) != 1 or heard[0].shape[:2] != (1, self.channels):
-            raise Refusal(f"the network's head gave {[list(h.shape) for h in heard]}, not [1, {self.channels}, h, w]")
-        features = heard[0][0].permute(1, 2, 0).float().clamp(-65504, 65504).to(torch.float16)
+        if len(outputs) != 1 or outputs[0].shape[:2] != (1, self.channels):
+            raise Refusal(f"the network's head gave {[list(h.shape) for h in outputs]}, not [1, {self.channels}, h, w]")
+        features = outputs[0][0].permute(1, 2, 0).float().clamp(-65504, 65504).to(torch.float16)
         return {}, {"features": tensors.to_array(features.cpu().numpy())}

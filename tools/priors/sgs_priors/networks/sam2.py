@@ -73,18 +73,18 @@ class Sam2:
         inputs = self.image_processor(images=image, return_tensors="pt").to(self.image.device)
         with torch.inference_mode():
             embeddings = self.image.get_image_embeddings(inputs["pixel_values"])
-            kept = []
+            chosen = []
             for some in np.array_split(grid(image.width, image.height), -(-GRID * GRID // BATCH)):
-                kept.extend(self._around(image, embeddings, some))
-        ids = paint(kept, image.height, image.width)
+                chosen.extend(self._around(image, embeddings, some))
+        ids = paint(chosen, image.height, image.width)
         return {}, {"regions": tensors.to_array(ids)}
 
     def _around(self, image, embeddings, points):
         """Masks around points, with the network's trust in them."""
-        asked = self.image_processor(images=image, input_points=[[[p] for p in points.tolist()]],
+        prompts = self.image_processor(images=image, input_points=[[[p] for p in points.tolist()]],
                                      input_labels=[[[1]] * len(points)], return_tensors="pt").to(self.image.device)
-        out = self.image(image_embeddings=embeddings, input_points=asked["input_points"],
-                         input_labels=asked["input_labels"], multimask_output=True)
+        out = self.image(image_embeddings=embeddings, input_points=prompts["input_points"],
+                         input_labels=prompts["input_labels"], multimask_output=True)
         logits = self.image_processor.post_process_masks(
             out.pred_masks.cpu(), [[image.height, image.width]], binarize=False)[0]
         logits = logits.reshape(-1, image.height, image.width).float().numpy()
@@ -100,19 +100,19 @@ def grid(width, height):
 
 def choose(logits, trust):
     """The masks worth keeping, as pairs of trust and mask."""
-    kept = []
+    chosen = []
     for one, score in zip(logits, trust):
         mask = one > 0
         loose = (one > -1).sum()
         if score >= TRUST and mask.mean() >= SMALLEST and loose and (one > 1).sum() >= STABLE * loose:
-            kept.append((float(score), mask))
-    return kept
+            chosen.append((float(score), mask))
+    return chosen
 
 
-def paint(kept, height, width):
+def paint(chosen, height, width):
     """Region numbers: of masks that are nearly the same the most trusted one is taken, small ones lie over large ones."""
     taken = []
-    for _, mask in sorted(kept, key=lambda k: -k[0]):
+    for _, mask in sorted(chosen, key=lambda k: -k[0]):
         area = mask.sum()
         for other, size in taken:
             both = np.logical_and(mask, other).sum()

@@ -111,7 +111,7 @@ pub struct Filled {
     /// Written files.
     pub written: Vec<PathBuf>,
     /// Number of existing files that were not overwritten.
-    pub kept: usize,
+    pub existing: usize,
     /// True if all views are done and the run was not interrupted.
     pub complete: bool,
     /// Warnings for the user, one sentence each.

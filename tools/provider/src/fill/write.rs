@@ -52,7 +52,7 @@ impl<'a> Writer<'a> {
     pub(super) fn lacks(&mut self, prior: Prior, view: &str) -> bool {
         let folder = self.root.join(prior.name());
         let there = EXTENSIONS.iter().any(|e| folder.join(format!("{view}.{e}")).is_file());
-        self.filled.kept += usize::from(there && !self.force);
+        self.filled.existing += usize::from(there && !self.force);
         !there || self.force
     }
 
@@ -132,7 +132,7 @@ impl<'a> Writer<'a> {
     pub(super) fn wants_classes(&mut self, options: &FillOptions) -> bool {
         let there = self.semantic("text_embeddings.npy").is_file() && self.semantic("labels.json").is_file();
         let wanted = !there || self.force || !options.labels.is_empty();
-        self.filled.kept += 2 * usize::from(!wanted);
+        self.filled.existing += 2 * usize::from(!wanted);
         wanted
     }
 

@@ -157,8 +157,8 @@ impl Attributes<'_> {
         let one = |(i, q): (usize, &[f32; 4])| {
             let [x, y, z, w] = *q;
             let own = raw.get(i).filter(|raw| {
-                let said = unit(**raw);
-                [w, x, y, z].iter().zip(said).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6)
+                let normalized = unit(**raw);
+                [w, x, y, z].iter().zip(normalized).all(|(a, b)| (f64::from(*a) - b).abs() < 1e-6)
             });
             match own {
                 Some(raw) => Ok(*raw),

@@ -117,14 +117,14 @@ mod tests {
             assert!(image.data.iter().enumerate().all(|(i, v)| *v == i as f32), "{blocks:?}");
             let whole = std::fs::read(&path).unwrap();
             let length = whole.len();
-            for (stated, said) in
+            for (stated, message) in
                 [(length as i32, "longer than the file"), (i32::MAX, "longer than the file"), (-1, "EXR")]
             {
                 let damaged = [&whole[..at], &stated.to_le_bytes()[..], &whole[at + 4..]].concat();
                 std::fs::write(&path, damaged).unwrap();
                 let error = read_exr(&path).unwrap_err().to_string();
                 // In the other cases the decoder reports the error and needs little memory to do so.
-                assert!(error.contains(if blocks == huge { said } else { "EXR" }), "{blocks:?} {stated}: {error}");
+                assert!(error.contains(if blocks == huge { message } else { "EXR" }), "{blocks:?} {stated}: {error}");
             }
             // Truncate within the block table, within a block's header, and within the block.
             for end in [at - 20, at - 1, at + 3, length - 1] {

@@ -148,8 +148,8 @@ mod tests {
                         let at = at + WIDE * count;
                         bytes[at..at + WIDE].copy_from_slice(&u64::to_le_bytes(value));
                         std::fs::write(&path, bytes).unwrap();
-                        let said = read_exr(&path).unwrap_err().to_string();
-                        assert!(said.contains("more comes out of it than it has pixels"), "{count} {value}: {said}");
+                        let error = read_exr(&path).unwrap_err().to_string();
+                        assert!(error.contains("more comes out of it than it has pixels"), "{count} {value}: {error}");
                     }
                 }
             }

@@ -32,6 +32,18 @@ pub(crate) enum Encoding {
 /// Supported extensions, in search order.
 pub(crate) const EXTENSIONS: [&str; 4] = ["png", "jpg", "jpeg", "exr"];
 
+/// Returns whether readers support this image extension, in any case.
+fn is_image_extension(extension: &str) -> bool {
+    EXTENSIONS.contains(&extension.to_lowercase().as_str())
+}
+
+/// Returns the file name without its image extension. Names may contain other dots: `frame.0001` is a complete stem.
+pub(crate) fn stem_of(path: &Path) -> String {
+    let known = path.extension().is_some_and(|e| is_image_extension(&e.to_string_lossy()));
+    let name = if known { path.file_stem() } else { path.file_name() };
+    name.unwrap_or_default().to_string_lossy().into_owned()
+}
+
 enum Kind {
     Exr,
     Png,
@@ -164,6 +176,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn stems_drop_only_image_extensions() {
+        let stem = |s: &str| stem_of(Path::new(s));
+        assert_eq!(stem("images/000.png"), "000");
+        assert_eq!(stem("images/a.JPG"), "a");
+        assert_eq!(stem("images/frame.0001"), "frame.0001");
+        assert_eq!(stem("images/frame.0001.exr"), "frame.0001");
+        assert_eq!(stem(""), "");
+    }
+
+    #[test]
     fn jpeg_is_read_and_damage_never_panics() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.JPG");
@@ -235,8 +257,8 @@ mod tests {
             bytes[at + 8..at + 16].copy_from_slice(&[0xff, 0x3f, 0, 0, 0xff, 0x3f, 0, 0]);
         }
         let exr = error("b.exr", &bytes);
-        let said = "16384×16384 pixels, which a file as short as this cannot hold; copy it again";
-        assert!(exr.contains(said), "{exr}");
+        let message = "16384×16384 pixels, which a file as short as this cannot hold; copy it again";
+        assert!(exr.contains(message), "{exr}");
         // Black compresses best; the highest ratio that occurs in practice must be accepted.
         let black = ::image::GrayImage::new(3000, 3000);
         let path = directory.path().join("a.png");

@@ -233,8 +233,8 @@ mod tests {
     #[test]
     fn unsupported_jpegs_are_rejected() {
         let error = |bytes: &[u8]| {
-            let said = |e: SceneError| e.to_string().split_once("a.jpg: ").unwrap().1.to_owned();
-            let (size, rendered) = (of(bytes, read_size).map_err(said), of(bytes, read).map_err(said));
+            let message = |e: SceneError| e.to_string().split_once("a.jpg: ").unwrap().1.to_owned();
+            let (size, rendered) = (of(bytes, read_size).map_err(message), of(bytes, read).map_err(message));
             let rendered = rendered.map(|_| ()).unwrap_err();
             assert_eq!(size.unwrap_err(), rendered, "of the size, too");
             rendered

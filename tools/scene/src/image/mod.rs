@@ -20,7 +20,7 @@ mod undistort;
 pub use color::{linear_to_srgb, srgb_to_linear};
 pub use environment::{read_environment, write_environment};
 pub use exr::{ExrImage, read_exr, write_exr};
-pub(crate) use file::{EXTENSIONS, Encoding, read_raster, read_size, turning_orientation};
+pub(crate) use file::{EXTENSIONS, Encoding, read_raster, read_size, stem_of, turning_orientation};
 pub use npy::NpyArray;
 #[cfg(test)]
 pub(crate) use npy::tests::npy as npy_for_tests;

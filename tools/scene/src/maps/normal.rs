@@ -2,43 +2,13 @@
 
 use std::path::Path;
 
-use glam::{DMat3, DVec3};
-use serde::{Deserialize, Serialize};
+use glam::DVec3;
 
-use super::{bring, is_opaque, read};
+use super::bring;
 use crate::error::{Result, SceneError};
 use crate::image::{Encoding, Image};
+use crate::map_file::{NormalFrame, is_opaque, raster};
 use crate::view::View;
-
-/// Coordinate frame of a file's normals.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
-pub enum NormalFrame {
-    /// World frame of the scene.
-    #[serde(rename = "world")]
-    World,
-    /// Camera frame: x right, y down, z forward.
-    #[serde(rename = "camera-opencv")]
-    CameraOpencv,
-    /// Camera frame: x right, y up, z toward the viewer.
-    #[serde(rename = "camera-opengl")]
-    CameraOpengl,
-    /// Camera frame of StableNormal: x left, y up, z toward the viewer.
-    #[serde(rename = "camera-stablenormal")]
-    CameraStablenormal,
-}
-
-impl NormalFrame {
-    /// Returns the matrix from this frame to world space. `world_to_camera` is the camera's rotation.
-    pub fn to_world(self, world_to_camera: DMat3) -> DMat3 {
-        let to_opencv = match self {
-            Self::World => return DMat3::IDENTITY,
-            Self::CameraOpencv => DVec3::new(1.0, 1.0, 1.0),
-            Self::CameraOpengl => DVec3::new(1.0, -1.0, -1.0),
-            Self::CameraStablenormal => DVec3::new(-1.0, -1.0, -1.0),
-        };
-        world_to_camera.transpose() * DMat3::from_diagonal(to_opencv)
-    }
-}
 
 /// Returns whether a vector of this length may represent a unit vector. In 8-bit files, gray and black both mean
 /// "none". Gray has a small length, and black has the length √3.
@@ -58,7 +28,7 @@ pub(crate) fn load(path: &Path, view: &View, frame: NormalFrame) -> Result<Image
 
 /// Reads world-space unit vectors at the file's size, and their mask.
 pub(crate) fn stored(path: &Path, view: &View, frame: NormalFrame) -> Result<(Image, Image)> {
-    let (raster, encoding) = read(path)?;
+    let (raster, encoding) = raster(path)?;
     if raster.channels < 3 {
         let problem = format!("a normal map has 3 channels, but the file has {}", raster.channels);
         return Err(SceneError::image(path, problem));

@@ -5,6 +5,7 @@ use glam::{DMat3, DVec3};
 use super::*;
 use crate::camera::{Camera, Distortion};
 use crate::image::{write_exr, write_png};
+use crate::map_file::NormalFrame;
 use crate::reader::Frame;
 
 /// Returns a `width`×`height` view with a camera at the origin with this rotation.

@@ -44,9 +44,11 @@ impl PointCloud {
         }
     }
 
-    /// Returns the points whose entry in `kept` is true.
-    pub(crate) fn filtered(&self, kept: &[bool]) -> PointCloud {
-        let of = |values: &[[f32; 3]]| values.iter().zip(kept).filter(|(_, kept)| **kept).map(|(v, _)| *v).collect();
+    /// Returns the points whose entry in `retained` is true.
+    pub(crate) fn filtered(&self, retained: &[bool]) -> PointCloud {
+        let of = |values: &[[f32; 3]]| {
+            values.iter().zip(retained).filter(|(_, retained)| **retained).map(|(v, _)| *v).collect()
+        };
         PointCloud {
             positions: of(&self.positions),
             colors: self.colors.as_deref().map(of),

@@ -9,14 +9,14 @@
 
 use std::path::{Path, PathBuf};
 
-use super::frame::{find_image, stem_of};
+use super::frame::find_image;
 use super::pose::Axes;
 use super::transforms::{Source, collect, open, usual_points};
 use super::{Found, Frame};
-use crate::beside::Form;
+use crate::beside::{Form, GroundTruthKind};
 use crate::error::{Result, SceneError};
-use crate::ground_truth::GroundTruthKind;
-use crate::maps::NormalFrame;
+use crate::image::stem_of;
+use crate::map_file::NormalFrame;
 
 /// Returns the name of the file that identifies the layout, if it exists.
 pub(super) fn sign(root: &Path) -> Option<String> {

@@ -11,16 +11,15 @@ use std::path::{Path, PathBuf};
 
 use glam::DVec3;
 
-use super::frame::{missing_warning, stem_of};
+use super::frame::missing_warning;
 use super::numbers::{self, Block};
 use super::pose::{self, Axes};
 use super::transforms::{self, Source, collect, usual_points};
 use super::{Found, Frame};
-use crate::beside::Form;
+use crate::beside::{Form, GroundTruthKind};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError, io_error};
-use crate::ground_truth::GroundTruthKind;
-use crate::image::read_size;
+use crate::image::{read_size, stem_of};
 
 /// Returns the names of the files that identify the layout, if they exist.
 pub(super) fn sign(root: &Path) -> Option<String> {

@@ -54,18 +54,6 @@ impl Frame {
     }
 }
 
-/// Returns whether readers support this image extension, in any case.
-fn is_image_extension(extension: &str) -> bool {
-    EXTENSIONS.contains(&extension.to_lowercase().as_str())
-}
-
-/// Returns the file name without its image extension. Names may contain other dots: `frame.0001` is a complete stem.
-pub(crate) fn stem_of(path: &Path) -> String {
-    let known = path.extension().is_some_and(|e| is_image_extension(&e.to_string_lossy()));
-    let name = if known { path.file_stem() } else { path.file_name() };
-    name.unwrap_or_default().to_string_lossy().into_owned()
-}
-
 /// Returns the image that a scene file names, relative to `folder`. The name may lack the extension. Returns `None` if
 /// the file does not exist.
 pub(crate) fn find_image(folder: &Path, name: &str) -> Option<PathBuf> {
@@ -101,16 +89,6 @@ pub(crate) fn missing_warning(declared_in: &Path, missing: &[String], total: usi
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn stems_drop_only_image_extensions() {
-        let stem = |s: &str| stem_of(Path::new(s));
-        assert_eq!(stem("images/000.png"), "000");
-        assert_eq!(stem("images/a.JPG"), "a");
-        assert_eq!(stem("images/frame.0001"), "frame.0001");
-        assert_eq!(stem("images/frame.0001.exr"), "frame.0001");
-        assert_eq!(stem(""), "");
-    }
 
     #[test]
     fn images_are_found_with_and_without_extension() {

@@ -11,10 +11,9 @@
 use std::path::{Path, PathBuf};
 
 use super::{Found, Frame, colmap, fipt, transforms};
-use crate::beside::Form;
+use crate::beside::{Form, GroundTruthKind};
 use crate::error::{Result, SceneError};
-use crate::ground_truth::GroundTruthKind;
-use crate::maps::NormalFrame;
+use crate::map_file::NormalFrame;
 
 /// Returns the name of the first image `NNN_im.exr`, which identifies the layout.
 pub(super) fn sign(root: &Path) -> Option<String> {

@@ -17,7 +17,7 @@ pub(crate) mod transforms;
 
 use std::path::{Path, PathBuf};
 
-pub(crate) use frame::{Frame, stem_of};
+pub(crate) use frame::Frame;
 
 use crate::error::{Result, SceneError};
 use crate::points::{PointCloud, Tracks};

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::frame::stem_of;
+use crate::image::stem_of;
 
 /// Returns the commands for a folder of photographs without cameras. Returns `None` for a folder without photographs.
 pub(super) fn problem(root: &Path) -> Option<String> {
@@ -44,14 +44,14 @@ mod tests {
         assert_eq!(problem(&root), None);
         std::fs::write(root.join("b.jpeg"), "").unwrap();
         let at = root.display();
-        let said = problem(&root).unwrap();
-        assert!(said.contains(&format!("--workspace_path '{at}' --image_path '{at}' --use_gpu 0")), "{said}");
+        let message = problem(&root).unwrap();
+        assert!(message.contains(&format!("--workspace_path '{at}' --image_path '{at}' --use_gpu 0")), "{message}");
         std::fs::write(root.join("images/a.JPG"), "").unwrap();
-        let said = problem(&root).unwrap();
+        let message = problem(&root).unwrap();
         assert!(
-            said.starts_with("holds 1 photographs") && said.contains(&format!("--image_path '{at}/images' ")),
-            "{said}"
+            message.starts_with("holds 1 photographs") && message.contains(&format!("--image_path '{at}/images' ")),
+            "{message}"
         );
-        assert!(said.contains(&format!("demo_colmap.py --scene_dir '{at}'")), "{said}");
+        assert!(message.contains(&format!("demo_colmap.py --scene_dir '{at}'")), "{message}");
     }
 }

@@ -169,7 +169,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let entries = sight.most_entries;
     let ends = match a.gaussians {
         Some(n) => vec![n],
-        None if s.geometry.densify.enabled => [1, 2, 4].map(|k| count.saturating_mul(k)).to_vec(),
+        None if s.geometry.densify.enabled() => [1, 2, 4].map(|k| count.saturating_mul(k)).to_vec(),
         None => vec![count],
     };
     let mut expected = Vec::new();
@@ -237,7 +237,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let color = match s.geometry.sh_degree {
         ShDegree::Fixed(degree) => format!("of degree {degree} (geometry.sh_degree)"),
         ShDegree::Auto => format!(
-            "of degree {} at first; all bands are tried early; a band stays if it gains {} dB at held-back views (geometry.sh_degree, geometry.sh_gain)",
+            "of degree {} at first; all bands are tried early; a band stays if it gains {} dB at held-back views (geometry.sh_degree)",
             model.sh_degree, s.geometry.sh_gain
         ),
     };
@@ -265,7 +265,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     for warning in IdleLoss::warnings(training.idle_losses()) {
         println!("warning     {warning}");
     }
-    println!("densify     {}", if s.geometry.densify.enabled { "on" } else { "off (--no-densify)" });
+    println!("densify     {}", if s.geometry.densify.enabled() { "on" } else { "off (--no-densify)" });
     println!(
         "a step      {} passes in {} groups, {} barriers",
         plan.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
@@ -298,7 +298,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             Expected::work(&e.step)
         );
     }
-    if s.geometry.densify.enabled {
+    if s.geometry.densify.enabled() {
         println!(
             "growth      to {most} Gaussians at most: no more fit, or are asked for (memory.budget, geometry.densify.max_gaussians)"
         );

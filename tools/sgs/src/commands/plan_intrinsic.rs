@@ -8,7 +8,7 @@ use sgs_passes::cost::Cost;
 use sgs_passes::pipeline::IntrinsicOptions;
 use sgs_run::read_splats;
 use sgs_scene::{Scene, Splats};
-use sgs_train::{Decision, IdleLoss, Intrinsic, IntrinsicNeeds};
+use sgs_train::{AlbedoComparisons, CONSISTENCY_INTERVAL, Decision, IdleLoss, Intrinsic, IntrinsicNeeds, PriorKinds};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -19,9 +19,9 @@ pub struct IntrinsicPlan {
     points: bool,
     options: IntrinsicOptions,
     resolution: Option<u32>,
-    priors: [bool; 3],
-    compares: [bool; 2],
-    kept: bool,
+    priors: PriorKinds,
+    comparisons: AlbedoComparisons,
+    stores_surfaces: bool,
     interval: u32,
     /// Losses that have a weight but cannot run.
     idle: Vec<IdleLoss>,
@@ -49,13 +49,13 @@ impl IntrinsicPlan {
             options: *training.options(),
             resolution: {
                 let e = &training.required().environment;
-                e.enabled.then_some(e.resolution)
+                e.enabled().then_some(e.resolution)
             },
             decisions: training.decisions().to_vec(),
             priors: training.priors(),
-            compares: training.compares(),
-            kept: training.keeps_surfaces(),
-            interval: s.intrinsic.consistency_interval,
+            comparisons: training.comparisons(),
+            stores_surfaces: training.keeps_surfaces(),
+            interval: CONSISTENCY_INTERVAL,
             idle: training.idle_losses().to_vec(),
             needs: *training.needs(),
             graph,
@@ -65,7 +65,7 @@ impl IntrinsicPlan {
 
     pub fn json(&self, budget: &Budget) -> serde_json::Value {
         let o = &self.options;
-        let [albedo, roughness, metallic] = self.priors;
+        let PriorKinds { albedo, roughness, metallic } = self.priors;
         serde_json::json!({
             "gaussians": self.gaussians,
             "from_points": self.points,
@@ -79,12 +79,12 @@ impl IntrinsicPlan {
             })),
             "decisions": self.decisions,
             "priors": {"albedo": albedo, "roughness": roughness, "metallic": metallic},
-            "cross_view": self.compares[0],
-            "relight": self.compares[1] && o.relight,
-            "relight_asked": self.compares[1] && o.relight,
-            "own_prior": self.compares[1] && o.own_prior,
+            "cross_view": self.comparisons.cross_view,
+            "relight": self.comparisons.relight && o.relight,
+            "relight_asked": self.comparisons.relight && o.relight,
+            "own_prior": self.comparisons.relight && o.own_prior,
             "warnings": self.idle,
-            "surfaces_kept": self.kept,
+            "surfaces_kept": self.stores_surfaces,
             "needs": self.needs,
             "needs_bytes": self.needs.total(),
             "budget": budget,
@@ -101,18 +101,19 @@ impl IntrinsicPlan {
         let stand_in =
             if self.points { ", the scene's points: what geometry comes to needs more (--start)" } else { "" };
         println!("Gaussians   {}, standing still{stand_in}", self.gaussians);
-        let names = ["albedo", "roughness", "metallic"];
-        let answers: Vec<&str> = names.iter().zip(self.priors).filter(|(_, there)| *there).map(|(n, _)| *n).collect();
+        let p = &self.priors;
+        let known = [("albedo", p.albedo), ("roughness", p.roughness), ("metallic", p.metallic)];
+        let answers: Vec<&str> = known.iter().filter(|(_, there)| *there).map(|(name, _)| *name).collect();
         let metallic = if o.metallic { "albedo, roughness, metallic" } else { "albedo, roughness" };
         println!("materials   {metallic} (intrinsic.metallic)");
         println!("priors      {}", if answers.is_empty() { "none".to_owned() } else { answers.join(", ") });
         match &o.lights {
             Some((model, _)) => println!("lights      {} of {} lobes (intrinsic.lights)", model.lights, model.lobes),
-            None => println!("lights      none (intrinsic.lights.enabled)"),
+            None => println!("lights      none (intrinsic.lights.grid)"),
         }
         match self.resolution {
             Some(size) => println!("environment a cube of {size} x {size} texels a face (intrinsic.environment)"),
-            None => println!("environment none (intrinsic.environment.enabled)"),
+            None => println!("environment none (intrinsic.environment.resolution)"),
         }
         match &o.visibility {
             Some(v) => println!(
@@ -127,18 +128,22 @@ impl IntrinsicPlan {
         for d in &self.decisions {
             println!("required    {d}");
         }
-        let [cross_view, lights] = self.compares;
+        let AlbedoComparisons { cross_view, relight } = self.comparisons;
         let every = format!("every {} steps", self.interval);
-        let said = |due: bool| if due { every.as_str() } else { "never" };
-        println!("cross view  {} (albedo in pseudo-views)", said(cross_view));
-        println!("relight     {} (albedo against intrinsic.relight.provider)", said(lights && o.relight));
-        println!("own prior   {} (albedo of regions against the view's prior)", said(lights && o.own_prior));
+        let interval = |due: bool| if due { every.as_str() } else { "never" };
+        println!("cross view  {} (albedo in pseudo-views)", interval(cross_view));
+        println!("relight     {} (albedo against intrinsic.relight.provider)", interval(relight && o.relight));
+        println!("own prior   {} (albedo of regions against the view's prior)", interval(relight && o.own_prior));
         for warning in IdleLoss::warnings(&self.idle) {
             println!("warning     {warning}");
         }
         println!(
             "surfaces    {}",
-            if self.kept { "kept for all training views" } else { "recomputed in each step: memory is short" }
+            if self.stores_surfaces {
+                "kept for all training views"
+            } else {
+                "recomputed in each step: memory is short"
+            }
         );
         println!(
             "a step      {} passes in {} groups, {} barriers",

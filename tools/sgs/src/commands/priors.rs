@@ -89,11 +89,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let summary = serde_json::json!({
         "provider": provider.about().name,
         "written": filled.written,
-        "kept": filled.kept,
+        "kept": filled.existing,
         "complete": filled.complete,
     });
     if !common.answer(&summary)? && !common.quiet {
-        eprintln!("wrote {} files, kept {}", filled.written.len(), filled.kept);
+        eprintln!("wrote {} files, kept {}", filled.written.len(), filled.existing);
     }
     Ok(())
 }

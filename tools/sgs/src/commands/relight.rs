@@ -122,7 +122,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         false => None,
     };
     let scene = scene_of(a, &edit, settings.as_ref())?;
-    let cameras = match a.output.is_some() || video.is_some() || a.viewpoints.are_given() {
+    let cameras = match a.output.is_some() || video.is_some() || a.viewpoints.choose_cameras() {
         true => a.viewpoints.cameras(&a.source, settings.as_ref(), &splats, scene.as_ref())?,
         false => Vec::new(),
     };
@@ -132,14 +132,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let device = common.open_device()?;
     let mut selector = Selector { device: &device, head, scene: scene.as_ref() };
-    let size = settings.as_ref().map_or(64, |s| s.intrinsic.environment.resolution);
-    let given = light.visibility.clone();
+    let size = settings.as_ref().map_or(64, |s| s.intrinsic.environment.edge());
+    let original = light.visibility.clone();
     let mut relit = Relit { splats, light }.edited(&edit, size, &mut selector, loaded)?;
     match a.visibility {
-        Some(Seen::Learned) if !matches!(given, Visibility::Learned(_)) => {
+        Some(Seen::Learned) if !matches!(original, Visibility::Learned(_)) => {
             refuse_usage!("\"{}\" has no learned visibility; use --visibility traced or none.", a.source.display())
         }
-        Some(Seen::Learned) => relit.light.visibility = given,
+        Some(Seen::Learned) => relit.light.visibility = original,
         Some(Seen::Traced) => {
             let rays = settings.as_ref().map_or_else(Rays::default, |s| Rays::of(&s.intrinsic.visibility));
             relit.light.visibility = Visibility::Traced(rays);
@@ -196,7 +196,7 @@ fn check_bake(a: &Args, file: &Path, run: bool) -> anyhow::Result<()> {
     if let Some(folder) = folder.filter(|p| !p.is_dir()) {
         refuse_usage!("\"{}\" is no directory to write into.", folder.display());
     }
-    if !run && !a.viewpoints.are_given() {
+    if !run && !a.viewpoints.choose_cameras() {
         refuse_usage!("\"{}\" is no run and has no training views; give --cameras to bake from.", a.source.display());
     }
     Ok(())

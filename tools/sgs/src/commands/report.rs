@@ -201,12 +201,12 @@ fn summary(files: &Files, settings: &Settings, splats: &Splats, scene: &Scene, d
     let size = scene.views.first().map_or(String::new(), |v| format!(", {} × {}", v.camera.width, v.camera.height));
     add("views", format!("{} to train on, {} to test{size}", scene.split.train.len(), scene.split.test.len()));
     add("Gaussians", splats.len().to_string());
-    for (stage, said) in [("geometry", &files.training), ("intrinsic", &files.training["intrinsic"])] {
-        let value = |key: &str| said[key].as_f64();
+    for (stage, record) in [("geometry", &files.training), ("intrinsic", &files.training["intrinsic"])] {
+        let value = |key: &str| record[key].as_f64();
         if let (Some(steps), Some(seconds)) = (value("steps"), value("seconds")) {
             let rate = value("steps_per_second").map_or(String::new(), |r| format!(", {r:.2} steps/s"));
             let peak = value("peak_device_bytes").map_or(String::new(), |b| format!(", at most {:.0} MB", b / 1e6));
-            let on = said["device"].as_str().map_or(String::new(), |d| format!(", on {d}"));
+            let on = record["device"].as_str().map_or(String::new(), |d| format!(", on {d}"));
             add(stage, format!("{steps:.0} steps in {}{rate}{peak}{on}", duration(seconds)));
         }
     }

@@ -101,15 +101,15 @@ pub fn possible<T: Copy>(
     named: bool,
     lacks: impl Fn(&T) -> sgs_study::Result<Option<(&'static str, String)>>,
 ) -> anyhow::Result<Vec<T>> {
-    let mut kept = Vec::new();
+    let mut remaining = Vec::new();
     for one in all {
         match lacks(&one)? {
-            None => kept.push(one),
+            None => remaining.push(one),
             Some((name, lacking)) if !named => tracing::warn!("The {what} \"{name}\" is left out: {lacking}."),
             Some((name, lacking)) => refuse_usage!("The {what} \"{name}\" would differ from no other: {lacking}."),
         }
     }
-    Ok(kept)
+    Ok(remaining)
 }
 
 /// Description of a series and its table.

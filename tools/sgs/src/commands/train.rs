@@ -208,7 +208,7 @@ fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::R
         s.scale = f;
     }
     if o.no_densify {
-        s.geometry.densify.enabled = false;
+        s.geometry.densify.until = 0.0;
     }
     if let Some(seed) = o.seed {
         s.seed = seed;

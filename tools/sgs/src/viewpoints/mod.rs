@@ -44,7 +44,7 @@ enum Views {
 
 impl ViewpointArgs {
     /// Returns whether an option chooses cameras.
-    pub fn are_given(&self) -> bool {
+    pub fn choose_cameras(&self) -> bool {
         self.cameras.is_some() || self.views.is_some() || self.orbit.is_some() || self.path
     }
 

@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 const VIEWS: usize = 3;
 
 /// Time without a request after which a page counts as closed. An open page polls every two seconds.
-const ASKS_WITHIN: Duration = Duration::from_secs(6);
+const AWAITED_WITHIN: Duration = Duration::from_secs(6);
 
 /// Training that is shown on a live page.
 pub struct Watch {
@@ -99,7 +99,7 @@ impl Watch {
             return;
         }
         self.board.end(how);
-        while self.board.is_awaited(ASKS_WITHIN) {
+        while self.board.is_awaited(AWAITED_WITHIN) {
             std::thread::sleep(Duration::from_millis(50));
         }
     }

@@ -16,7 +16,7 @@ pub struct PageRate {
 }
 
 impl PageRate {
-    /// Creates a pace whose first images are due at once.
+    /// Creates a rate whose first images are due at once.
     pub fn new() -> PageRate {
         PageRate { due: None, spent: Duration::ZERO }
     }

@@ -26,7 +26,7 @@ fn prior_errors_match_those_of_networks() {
     let (mut angle, mut surfaces) = (0.0f64, 0.0f64);
     let mut squares = [0.0f64; 3];
     let (mut right, mut cells) = (0.0, 0.0);
-    let (mut wrong_regions, mut kept) = (0, 0.0);
+    let (mut wrong_regions, mut masked) = (0, 0.0);
     for (index, camera) in views.train.iter().enumerate().step_by(2) {
         let film = render(&scene, camera, index as u64, 2, &PathOptions::default(), &|| {});
         let image = denoise::image(&film, 1.0 / camera.focal, &[Vec3::ONE; MAX_GROUPS], true);
@@ -34,7 +34,7 @@ fn prior_errors_match_those_of_networks() {
         let regions = masks::imitate(&film, 5, index as u64);
         for (i, truth) in film.features.iter().enumerate() {
             wrong_regions += u32::from(regions[i] != 0 && regions[i] != truth.instance);
-            kept += f64::from(u8::from(regions[i] != 0));
+            masked += f64::from(u8::from(regions[i] != 0));
             if !truth.surface {
                 continue;
             }
@@ -55,10 +55,10 @@ fn prior_errors_match_those_of_networks() {
     let angle = angle / surfaces;
     let [albedo, roughness, metallic] = squares.map(|s| s / surfaces);
     let psnr = -10.0 * albedo.log10();
-    let (right, kept) = (right / cells, kept / (3.0 * 120.0 * 90.0));
+    let (right, masked) = (right / cells, masked / (3.0 * 120.0 * 90.0));
     let report = format!(
         "normals {angle:.1}°, albedo {psnr:.1} dB, roughness {roughness:.4}, metallic {metallic:.4}, \
-         labels {right:.2}, masks kept {kept:.2}"
+         labels {right:.2}, masks kept {masked:.2}"
     );
     println!("{report}");
     assert!((6.0..12.0).contains(&angle), "{report}");
@@ -66,7 +66,7 @@ fn prior_errors_match_those_of_networks() {
     assert!((0.003..0.011).contains(&roughness), "{report}");
     assert!((0.0005..0.006).contains(&metallic), "{report}");
     assert!((0.8..0.99).contains(&right), "{report}");
-    assert!(kept > 0.6 && wrong_regions == 0, "{report}");
+    assert!(masked > 0.6 && wrong_regions == 0, "{report}");
 }
 
 /// Returns the number of correctly labeled cells and the number of cells.

@@ -24,7 +24,7 @@ impl Camera {
     /// Creates a camera at `position` that looks at `target`.
     ///
     /// `roll` turns the camera around its viewing axis, in radians. `fov_x` is the horizontal field of view in radians.
-    pub(crate) fn look(position: Vec3, target: Vec3, roll: f32, fov_x: f32, width: usize, height: usize) -> Self {
+    pub(crate) fn look_at(position: Vec3, target: Vec3, roll: f32, fov_x: f32, width: usize, height: usize) -> Self {
         let back = (position - target).normalize_or(Vec3::Z);
         let right = Vec3::Y.cross(back).normalize_or(Vec3::X);
         let up = back.cross(right);
@@ -95,7 +95,7 @@ mod tests {
 
     #[test]
     fn projection_inverts_direction() {
-        let camera = Camera::look(Vec3::new(1.0, 1.5, 2.0), Vec3::new(-0.3, 0.7, -0.4), 0.05, 1.2, 160, 120);
+        let camera = Camera::look_at(Vec3::new(1.0, 1.5, 2.0), Vec3::new(-0.3, 0.7, -0.4), 0.05, 1.2, 160, 120);
         for pixel in [Vec2::new(0.5, 0.5), Vec2::new(133.2, 17.9)] {
             let direction = camera.direction(pixel);
             let (back, depth) = camera.project(camera.position + 3.0 * direction).unwrap();
@@ -106,7 +106,7 @@ mod tests {
 
     #[test]
     fn image_right_and_up_match_world_right_and_up() {
-        let camera = Camera::look(Vec3::new(0.0, 1.0, 3.0), Vec3::Y, 0.0, 1.2, 100, 100);
+        let camera = Camera::look_at(Vec3::new(0.0, 1.0, 3.0), Vec3::Y, 0.0, 1.2, 100, 100);
         let (right, _) = camera.project(Vec3::new(0.5, 1.0, 0.0)).unwrap();
         let (up, _) = camera.project(Vec3::new(0.0, 1.5, 0.0)).unwrap();
         assert!(right.x > 50.0 && up.y < 50.0);

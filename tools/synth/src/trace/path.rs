@@ -58,7 +58,7 @@ pub(crate) struct PathSample {
 const OFFSET: f32 = 1e-4;
 
 /// Returns the first intersection of a camera ray, and its surface point if any.
-pub(crate) fn look(scene: &Scene, origin: Vec3, direction: Vec3) -> (Sight, Option<SurfacePoint>) {
+pub(crate) fn first_hit(scene: &Scene, origin: Vec3, direction: Vec3) -> (Sight, Option<SurfacePoint>) {
     let mut sight = Sight::default();
     match scene.hit(origin, direction) {
         None => {
@@ -93,7 +93,7 @@ pub(crate) fn trace(
     sampler: &mut Sampler,
     options: &PathOptions,
 ) -> (Sight, PathSample) {
-    let (sight, first) = look(scene, origin, direction);
+    let (sight, first) = first_hit(scene, origin, direction);
     let mut out = PathSample::default();
     let (Some(first), Some(mut reflectance)) = (first, sight.surface) else {
         return (sight, out);

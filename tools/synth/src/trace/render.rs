@@ -11,7 +11,7 @@ use crate::rng;
 use crate::scene::{MAX_GROUPS, Scene};
 use crate::trace::camera::Camera;
 use crate::trace::film::{Feature, Film, Pixel, feature};
-use crate::trace::path::{PathOptions, Sight, look, trace};
+use crate::trace::path::{PathOptions, Sight, first_hit, trace};
 use crate::trace::sampler::Sampler;
 
 /// Renders one view with `samples` paths per pixel or more.
@@ -151,7 +151,7 @@ fn pixel(scene: &Scene, camera: &Camera, x: usize, y: usize, key: u64, samples: 
         for index in 0..COVERAGE {
             let mut sampler = Sampler::new(key, index as u32);
             let direction = camera.direction(corner + sampler.pair());
-            coverage.add(&look(scene, camera.position, direction).0);
+            coverage.add(&first_hit(scene, camera.position, direction).0);
         }
     }
     // Diffuse radiance is proportional to the albedo that its paths hit. The coverage rays estimate the pixel's albedo

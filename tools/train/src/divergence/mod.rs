@@ -16,7 +16,7 @@ mod plain;
 mod worst;
 
 pub(crate) use plain::plain;
-pub(crate) use worst::{Group, worst};
+pub(crate) use worst::{Group, diverged};
 
 use serde::{Deserialize, Serialize};
 
@@ -54,7 +54,20 @@ pub struct RollBack {
 }
 
 /// Factor on learning rates at each rollback.
-pub(crate) const HALF: f64 = 0.5;
+const HALF: f64 = 0.5;
+
+impl RollBack {
+    /// Returns the factor on learning rates after a number of rollbacks.
+    pub(crate) fn rates_after(count: usize) -> f64 {
+        HALF.powi(count as i32)
+    }
+
+    /// Returns rollbacks with another one, from step `step` to step `to`.
+    pub(crate) fn appended(before: &[RollBack], step: u32, to: u32) -> Vec<RollBack> {
+        let rates = RollBack::rates_after(before.len() + 1);
+        before.iter().copied().chain([RollBack { step, to, rates }]).collect()
+    }
+}
 
 /// Report of a step.
 #[derive(Clone, Copy, Debug)]

@@ -1,6 +1,8 @@
 //! Search for the parameter that is farthest from its usual range. Runs on parameters that are read back after
 //! divergence.
 
+use crate::error::TrainError;
+
 /// Group of parameters, with their usual range.
 pub(crate) struct Group<'a> {
     /// Name of the group.
@@ -32,8 +34,14 @@ impl std::fmt::Display for Worst {
     }
 }
 
+/// Makes the error of a training that has diverged. Names the parameter that is farthest out of its range.
+pub(crate) fn diverged(step: u32, reason: &str, groups: &[Group<'_>]) -> TrainError {
+    let found = worst(groups).map_or_else(String::new, |w| format!("; farthest out is {w}"));
+    TrainError::diverged(step, format!("it has diverged: {reason}{found}"))
+}
+
 /// Finds the parameter that is farthest out of its range. A NaN is farther out than any number.
-pub(crate) fn worst(groups: &[Group<'_>]) -> Option<Worst> {
+fn worst(groups: &[Group<'_>]) -> Option<Worst> {
     let mut found: Option<Worst> = None;
     for g in groups {
         let middles: Vec<f32> = match g.middle {

@@ -2,7 +2,7 @@
 //!
 //! Training starts with band 0. After a twentieth of the steps all bands are added, for a trial of a tenth of the
 //! steps. A few training views are held out during the trial. At its end they are rendered with no band, with one, and
-//! so on. A band stays if the band and those above it raise the PSNR of these views by `geometry.sh_gain`. The other
+//! so on. A band stays if the band and those above it raise the PSNR of these views by `sh_gain`. The other
 //! bands are removed with their moments. Views that are trained on would not do, because a band improves every
 //! photograph that it is fitted to.
 //!
@@ -124,12 +124,12 @@ impl Geometry {
                 };
                 let requested = self.settings.geometry.sh_gain;
                 let pays = |band: &u32| contribution.as_ref().is_some_and(|w| w.of(*band) >= requested);
-                let kept = (1..=tried).take_while(pays).count() as u32;
+                let chosen = (1..=tried).take_while(pays).count() as u32;
                 for band in 1..=tried {
-                    self.decide_band(step, band, contribution.as_ref(), band <= kept, on_report);
+                    self.decide_band(step, band, contribution.as_ref(), band <= chosen, on_report);
                 }
-                if kept < tried {
-                    self.gaussians = self.gaussians.with_degree(&self.device, kept)?;
+                if chosen < tried {
+                    self.gaussians = self.gaussians.with_degree(&self.device, chosen)?;
                 }
             }
         }

@@ -21,8 +21,8 @@ pub(crate) struct State {
     pub parameters: GaussianData,
     pub moments: GaussianData,
     pub statistics: Vec<f32>,
-    /// Semantic decoder and its moments, where the Gaussians have features.
-    pub decoder: Option<[Vec<f32>; 2]>,
+    /// Semantic decoder, where the Gaussians have features.
+    pub decoder: Option<DecoderValues>,
     /// Progress of the training besides its tensors.
     pub course: Course,
     /// State of the search for the number of spherical-harmonics bands.
@@ -33,6 +33,12 @@ pub(crate) struct State {
     pub growth: Growth,
     /// Groups of parameters.
     pub model: Model,
+}
+
+/// Semantic decoder and the state of its optimizer.
+pub(crate) struct DecoderValues {
+    pub parameters: Vec<f32>,
+    pub moments: Vec<f32>,
 }
 
 impl State {
@@ -47,7 +53,7 @@ impl State {
         }
         let statistics = &self.statistics;
         tensors.push(("statistics".to_owned(), Floats(statistics, vec![count, statistics.len() / count.max(1)])));
-        if let Some([parameters, moments]) = &self.decoder {
+        if let Some(DecoderValues { parameters, moments }) = &self.decoder {
             tensors.push(("decoder".to_owned(), Floats(parameters, vec![EMBEDDING, AUGMENTED])));
             tensors.push(("decoder_moments".to_owned(), Floats(moments, vec![EMBEDDING, AUGMENTED, 2])));
         }
@@ -138,10 +144,10 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
         return Err(error(path, format!("damaged: \"statistics\" does not fit {count} Gaussians")));
     }
     let decoder = match model.semantics {
-        true => Some([floats("decoder")?, floats("decoder_moments")?]),
+        true => Some(DecoderValues { parameters: floats("decoder")?, moments: floats("decoder_moments")? }),
         false => None,
     };
-    if let Some([parameters, moments]) = &decoder {
+    if let Some(DecoderValues { parameters, moments }) = &decoder {
         let scalars = EMBEDDING * AUGMENTED;
         let whole = parameters.len() == scalars && moments.len() == 2 * scalars;
         if !whole || parameters.iter().any(|v| !v.is_finite()) || wrong_moments(moments).is_some() {

@@ -3,12 +3,14 @@
 use super::Geometry;
 use crate::decision::Decision;
 use crate::error::{Requirement, Result};
-use crate::idle::IdleLoss;
+use crate::idle::{FoundForGeometry, IdleLoss};
 use sgs_config::{DensifyStatistic, GeometrySettings, Settings};
 
-/// Returns the decisions that follow from data and settings, before the first step. `found`: whether the scene has
-/// normals, semantics, and a source of regions.
-pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
+/// Settings that switch the depth terms.
+const DEPTH: &str = "geometry.losses.depth_smooth, geometry.losses.depth_variance";
+
+/// Returns the decisions that follow from data and settings, before the first step.
+pub(super) fn initial(s: &Settings, found: FoundForGeometry) -> Vec<Decision> {
     let g = &s.geometry;
     let prior = |what: &str, wanted: bool, weight: f32, found: bool| match (wanted, weight > 0.0, found) {
         (false, ..) => "switched off".to_owned(),
@@ -16,27 +18,25 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
         (.., false) => format!("the scene has no {what} priors"),
         (.., true) => format!("the scene has {what} priors"),
     };
-    let regions = if found[1] && g.correspondence && g.losses.correspondence > 0.0 && g.correspondence_from > g.steps {
+    let regions = if found.semantics && g.losses.correspondence > 0.0 && g.correspondence_from > g.steps {
         format!("there is none before step {}, and training ends at {}", g.correspondence_from, g.steps)
-    } else if g.correspondence && g.losses.correspondence > 0.0 && !found[1] {
+    } else if g.losses.correspondence > 0.0 && !found.semantics {
         "there are no semantics".to_owned()
     } else {
-        match (g.correspondence, g.losses.correspondence > 0.0, found[2]) {
-            (false, ..) => "switched off".to_owned(),
-            (_, false, _) => "its loss weighs nothing".to_owned(),
-            (.., false) => "there are no regions".to_owned(),
-            (.., true) => format!("regions are compared from step {} on", g.correspondence_from),
+        match (g.losses.correspondence > 0.0, found.regions) {
+            (false, _) => "its loss weighs nothing".to_owned(),
+            (true, false) => "there are no regions".to_owned(),
+            (true, true) => format!("regions are compared from step {} on", g.correspondence_from),
         }
     };
-    let normals = prior("normal", g.normals, g.losses.normal + g.losses.normal_smooth, found[0]);
-    let depth = match (g.depth_smooth_weight() > 0.0, g.depth_variance_weight() > 0.0) {
+    let normals = prior("normal", g.normals, g.losses.normal + g.losses.normal_smooth, found.normals);
+    let depth = match (g.losses.depth_smooth > 0.0, g.losses.depth_variance > 0.0) {
         (true, true) => "smoothness and variance have weights",
         (true, false) => "smoothness has a weight",
         (false, true) => "variance has a weight",
-        (false, false) if g.depth_smooth || g.depth_variance => "its losses weigh nothing",
-        (false, false) => "switched off",
+        (false, false) => "its losses weigh nothing",
     };
-    let semantics = prior("semantic", g.semantics, g.losses.semantic + g.losses.semantic_class, found[1]);
+    let semantics = prior("semantic", g.semantics, g.losses.semantic + g.losses.semantic_class, found.semantics);
     let of = |what: &str, on: bool, reason: String, setting: &str| Decision {
         step: 0,
         what: what.to_owned(),
@@ -47,17 +47,17 @@ pub(super) fn given(s: &Settings, found: [bool; 3]) -> Vec<Decision> {
         setting: setting.to_owned(),
     };
     vec![
-        of("normals", found[0], normals, "geometry.normals"),
-        of("depth terms", g.depth_terms(), depth.to_owned(), "geometry.depth_smooth, geometry.depth_variance"),
-        of("semantics", found[1], semantics, "geometry.semantics"),
-        of("pseudo-views", found[2], regions, "geometry.correspondence"),
+        of("normals", found.normals, normals, "geometry.normals"),
+        of("depth terms", g.depth_terms(), depth.to_owned(), DEPTH),
+        of("semantics", found.semantics, semantics, "geometry.semantics"),
+        of("pseudo-views", found.regions, regions, "geometry.losses.correspondence"),
     ]
 }
 
 /// Refuses a geometric statistic of densification without a geometric loss. No Gaussian would be densified.
 pub(super) fn check_statistic(g: &GeometrySettings, normals: bool) -> Result<()> {
     let d = &g.densify;
-    if !d.enabled || d.statistic != DensifyStatistic::Geometric || normals || g.depth_terms() {
+    if !d.enabled() || d.statistic != DensifyStatistic::Geometric || normals || g.depth_terms() {
         return Ok(());
     }
     Err(Requirement::GeometricLoss.into())

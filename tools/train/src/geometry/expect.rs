@@ -135,7 +135,7 @@ impl Geometry {
     /// # Errors
     /// If that many Gaussians have no valid graph.
     pub fn most_within_budget(&self, count: u32, entries: u32) -> Result<u32> {
-        if !self.settings.geometry.densify.enabled {
+        if !self.settings.geometry.densify.enabled() {
             return Ok(count);
         }
         last_that(count, self.most, |n| Ok(self.expected(n, count, entries)?.total() <= self.allowed))
@@ -145,7 +145,7 @@ impl Geometry {
         let g = &self.settings.geometry;
         let now = self.gaussians.layout();
         let model = Model { sh_degree: sh_degree.max(now.model.sh_degree), ..now.model };
-        let capacity = if g.densify.enabled { next_room(gaussians, now.capacity, self.most) } else { now.capacity };
+        let capacity = if g.densify.enabled() { next_room(gaussians, now.capacity, self.most) } else { now.capacity };
         let layout = Layout { model, capacity, ..now };
         // The capacity for entries is an eighth larger than needed when it grows; half of that remains on average.
         let most = f64::from(entries).max(entries_with(entries, count, gaussians));

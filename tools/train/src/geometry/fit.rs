@@ -126,7 +126,7 @@ impl Geometry {
         };
         let fits = |n: u32| self.fits(&Layout { capacity: n, ..layout }, entries(n));
         // A promised budget takes precedence over the number of Gaussians.
-        let keep = match self.settings.geometry.densify.enabled || self.promised {
+        let keep = match self.settings.geometry.densify.enabled() || self.promised {
             true => last_that(1, count, fits)?,
             false => count,
         };
@@ -164,19 +164,19 @@ impl Geometry {
             let rows = order.iter().filter_map(|i| values.get(i * width..(i + 1) * width));
             rows.flatten().copied().collect()
         };
-        let (mut kept, mut kept_moments) = (GaussianData::default(), GaussianData::default());
+        let (mut retained, mut retained_moments) = (GaussianData::default(), GaussianData::default());
         let layout = self.gaussians.layout();
         for g in layout.model.groups() {
             let width = g.width() as usize;
-            kept.groups[g as usize] = of(parameters.group(g), width);
-            kept_moments.groups[g as usize] = of(moments.group(g), 2 * width);
+            retained.groups[g as usize] = of(parameters.group(g), width);
+            retained_moments.groups[g as usize] = of(moments.group(g), 2 * width);
         }
         // Two of them would not fit.
         self.gaussians = Gaussians::with(&device, layout.model, 1, true, layout.statistics)?;
         self.gaussians = Gaussians::with(&device, layout.model, keep, true, layout.statistics)?;
-        self.gaussians.upload(&device, &kept)?;
+        self.gaussians.upload(&device, &retained)?;
         let statistics = of(&statistics, STATISTICS as usize);
-        Ok(self.gaussians.upload_optimizer(&device, &kept_moments, &statistics)?)
+        Ok(self.gaussians.upload_optimizer(&device, &retained_moments, &statistics)?)
     }
 }
 

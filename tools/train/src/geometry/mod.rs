@@ -41,7 +41,7 @@ use inputs::GeometryInputs;
 pub use log::StepLog;
 use sgs_config::{Backward, Settings, ShDegree};
 use sgs_engine::Device;
-use sgs_engine::graph::exec::PassTime;
+use sgs_engine::exec::PassTime;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, OpacityReset, PSEUDO_VIEWS,
@@ -161,7 +161,7 @@ impl Geometry {
     /// Prepares training of given splats on a scene or on images.
     pub(crate) fn of(
         device: &Device,
-        given: &GeometryInputs<'_>,
+        source: &GeometryInputs<'_>,
         settings: &Settings,
         start: &Splats,
     ) -> Result<Geometry> {
@@ -172,9 +172,9 @@ impl Geometry {
         if budget > 0 {
             device.set_memory_budget(Some(budget));
         }
-        let wants_views = g.correspondence && g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
+        let wants_views = g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
-        let (data, maps) = given.read(wants_normals, wants_semantics)?;
+        let (data, maps) = source.read(wants_normals, wants_semantics)?;
         maps.iter().try_for_each(|maps| maps.check(device))?;
         let inputs = InputSizes {
             targets: data.image_bytes(),
@@ -190,7 +190,7 @@ impl Geometry {
         let mut initial;
         let mut start = start;
         if let (Some(priors), None) = (data.normals(), &start.normals) {
-            let cameras = given.cameras();
+            let cameras = source.cameras();
             let views: Vec<Prior> = cameras.into_iter().zip(priors).map(|(c, prior)| (c, prior.as_slice())).collect();
             initial = start.clone();
             initial.normals = Some(initial_normals(&start.means, &views));
@@ -208,7 +208,7 @@ impl Geometry {
             largest: data.largest,
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
             channels: Channels { colors: true, normals: model.normals, depth },
-            statistics: g.densify.enabled.then(|| g.densify.statistic.gathered()),
+            statistics: g.densify.enabled().then(|| g.densify.statistic.gathered()),
             dense_adam: g.dense_adam,
             backward: kernel_of(g.backward, device)?,
             semantic_geometry: g.semantic_geometry,
@@ -216,7 +216,7 @@ impl Geometry {
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
-        let layout = Layout { model, capacity: count.max(1), training: true, statistics: g.densify.enabled };
+        let layout = Layout { model, capacity: count.max(1), training: true, statistics: g.densify.enabled() };
         let budget = device.budget();
         let of = |layout: &Layout| Needs::of(device, &tuning, layout, &inputs, &options);
         let first = of(&layout)?;
@@ -239,9 +239,9 @@ impl Geometry {
         }
         let watch = Watch::new(data.plain());
         let data = data.upload(device)?;
-        let semantics = given.semantics(device, maps, settings.seed)?;
+        let semantics = source.semantics(device, maps, settings.seed)?;
         let correspondence = match &semantics {
-            Some((data, _)) if wants_views => given.correspondence(device, data, settings, options.largest)?,
+            Some((data, _)) if wants_views => source.correspondence(device, data, settings, options.largest)?,
             _ => None,
         };
         let of = |layout: &Layout| match &correspondence {
@@ -249,7 +249,7 @@ impl Geometry {
             None => of(layout),
         };
         let may = allowance(&budget);
-        let capacity = match g.densify.enabled {
+        let capacity = match g.densify.enabled() {
             true => last_that(layout.capacity, room_for(count, wanted), |capacity| {
                 Ok(of(&Layout { capacity, ..layout })?.total() <= may)
             })?,
@@ -258,10 +258,10 @@ impl Geometry {
         let layout = Layout { capacity, ..layout };
         let needs = of(&layout)?.with_bands(&of(&Layout { model: all_bands, ..layout })?);
         needs.check(&budget)?;
-        let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled)?;
+        let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled())?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;
-        let schedule = Schedule::new(settings, given.extent(), data.views.len());
+        let schedule = Schedule::new(settings, source.extent(), data.views.len());
         let promised = settings.memory.budget > 0;
         let mut settings = settings.clone();
         // CPU devices run lanes one after the other. In `engine-bench` the pixel kernel is faster on them by far.
@@ -298,10 +298,13 @@ impl Geometry {
             promised,
             growth: Growth::default(),
         };
-        let found = [model.normals, model.semantics, training.correspondence.is_some()];
-        training.decisions = decision::given(&training.settings, found);
-        let [normals, semantics, regions] = found;
-        training.idle = idle::of_geometry(&training.settings, FoundForGeometry { normals, semantics, regions });
+        let found = FoundForGeometry {
+            normals: model.normals,
+            semantics: model.semantics,
+            regions: training.correspondence.is_some(),
+        };
+        training.decisions = decision::initial(&training.settings, found);
+        training.idle = idle::of_geometry(&training.settings, found);
         training.rebuild()?;
         Ok(training)
     }
@@ -533,7 +536,7 @@ impl Geometry {
     ///
     /// # Errors
     /// If the executor has to be rebuilt and memory runs out.
-    pub fn executor(&mut self) -> Result<&mut sgs_engine::graph::exec::Executor> {
+    pub fn executor(&mut self) -> Result<&mut sgs_engine::exec::Executor> {
         Ok(self.exec()?.executor())
     }
 }

@@ -1,7 +1,7 @@
 //! Evaluation of step reports: overflows, losses and divergence. Reports are read some steps later.
 
 use super::{Geometry, Progress};
-use crate::divergence::{Group, HALF, RollBack, Seen, worst};
+use crate::divergence::{Group, RollBack, Seen, diverged};
 use crate::error::{Result, TrainError};
 use sgs_config::OnDivergence;
 use sgs_passes::pipeline::StepReport;
@@ -16,10 +16,8 @@ impl Geometry {
     /// Records that this state replaces that of a later step. Halves the learning rates from here on. `before`: earlier
     /// rollbacks.
     pub fn roll_back(&mut self, before: &[RollBack], step: u32) {
-        let rates = HALF.powi(before.len() as i32 + 1);
-        self.roll_backs = before.to_vec();
-        self.roll_backs.push(RollBack { step, to: self.done, rates });
-        self.schedule.set_rates(rates);
+        self.roll_backs = RollBack::appended(before, step, self.done);
+        self.schedule.set_rates(RollBack::rates_after(self.roll_backs.len()));
     }
 
     /// Evaluates the reports up to a finished step. Returns false if an overflow discarded steps.
@@ -136,7 +134,6 @@ impl Geometry {
             middle: Some(0.0),
             reach: 2.0,
         });
-        let found = worst(&groups).map_or_else(String::new, |w| format!("; farthest out is {w}"));
-        Ok(TrainError::diverged(step, format!("it has diverged: {reason}{found}")))
+        Ok(diverged(step, reason, &groups))
     }
 }

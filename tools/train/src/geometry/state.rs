@@ -1,9 +1,9 @@
 //! Saving and restoring of the geometry stage.
 
-use super::checkpoint::{self, State};
+use super::checkpoint::{self, DecoderValues, State};
 use super::{Geometry, first_entry_capacity, last_that};
 use crate::course::Course;
-use crate::divergence::HALF;
+use crate::divergence::RollBack;
 use crate::error::Result;
 use sgs_passes::pipeline::Status;
 use sgs_passes::scene::{Gaussians, Layout};
@@ -18,7 +18,10 @@ impl Geometry {
         let device = &self.device;
         let (moments, statistics) = self.gaussians.download_optimizer(device)?;
         let decoder = match &self.semantics {
-            Some((_, decoder)) => Some([decoder.download(device)?, decoder.download_moments(device)?]),
+            Some((_, decoder)) => Some(DecoderValues {
+                parameters: decoder.download(device)?,
+                moments: decoder.download_moments(device)?,
+            }),
             None => None,
         };
         let state = State {
@@ -45,7 +48,7 @@ impl Geometry {
         let state = checkpoint::load(path, self.gaussians.model, self.bands.is_some())?;
         let count = state.parameters.len() as u32;
         // Densification stops at the capacity, so it has to be restored.
-        let enabled = self.settings.geometry.densify.enabled;
+        let enabled = self.settings.geometry.densify.enabled();
         let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
         let first = self.options.entry_capacity.max(first);
         let room = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
@@ -57,9 +60,9 @@ impl Geometry {
         self.gaussians = Gaussians::with(&self.device, state.model, capacity, true, enabled)?;
         self.gaussians.upload(&self.device, &state.parameters)?;
         self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
-        if let (Some((_, decoder)), Some([parameters, moments])) = (&self.semantics, &state.decoder) {
-            decoder.upload(&self.device, parameters)?;
-            decoder.upload_moments(&self.device, moments)?;
+        if let (Some((_, decoder)), Some(values)) = (&self.semantics, &state.decoder) {
+            decoder.upload(&self.device, &values.parameters)?;
+            decoder.upload_moments(&self.device, &values.moments)?;
         }
         self.options.entry_capacity = first;
         // The status counts from the start again.
@@ -69,7 +72,7 @@ impl Geometry {
         self.done = state.step;
         self.settled = state.step;
         self.watch.restore(&state.course.watch);
-        self.schedule.set_rates(HALF.powi(state.course.roll_backs.len() as i32));
+        self.schedule.set_rates(RollBack::rates_after(state.course.roll_backs.len()));
         self.roll_backs = state.course.roll_backs;
         self.bands = match self.bands {
             Some(_) => Some(state.bands.unwrap_or_default().checked(path, state.model, self.data.views.len())?),

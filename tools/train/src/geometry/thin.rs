@@ -10,7 +10,7 @@ use sgs_scene::{PointCloud, Scene, Splats};
 pub const MANY_POINTS: usize = 10_000;
 
 /// Share of the points that each attempt retains of the one before.
-const KEPT: [usize; 2] = [7, 10];
+const RETAINED: [usize; 2] = [7, 10];
 
 /// Divisor of the number of points. At least one in this many is retained.
 pub const MOST_THINNED: usize = 10;
@@ -30,10 +30,10 @@ impl Geometry {
             Err(error) if error.is_out_of_memory() && all > MANY_POINTS => error,
             ended => return ended,
         };
-        let mut count = all * KEPT[0] / KEPT[1];
+        let mut count = all * RETAINED[0] / RETAINED[1];
         while count * MOST_THINNED >= all {
             match attempt(&scene.points.spread(count)) {
-                Err(error) if error.is_out_of_memory() => count = count * KEPT[0] / KEPT[1],
+                Err(error) if error.is_out_of_memory() => count = count * RETAINED[0] / RETAINED[1],
                 Ok(training) => {
                     tracing::warn!(
                         "memory does not suffice for all {all} points; training starts from {count} of them"

@@ -14,6 +14,19 @@ use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStepValues, PSEUDO
 use sgs_run::camera;
 use sgs_scene::Scene;
 
+/// Number of steps between comparisons of albedo with pseudo-views. The step after each compares albedo under other
+/// lights.
+pub const CONSISTENCY_INTERVAL: u32 = 3;
+
+/// Comparisons of albedo beside those with photograph and priors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AlbedoComparisons {
+    /// Whether albedo is compared between pseudo-views.
+    pub cross_view: bool,
+    /// Whether albedo is compared under other lights.
+    pub relight: bool,
+}
+
 /// Kind of a step: its comparisons beside those with photograph and priors.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum StepKind {
@@ -42,8 +55,8 @@ impl StepKind {
 
     /// Returns the kind of a step that the settings schedule.
     pub fn of(s: &IntrinsicSettings, step: u32) -> StepKind {
-        match step % s.consistency_interval {
-            0 if s.losses.cross_view > 0.0 && step >= s.cross_view_from => StepKind::CrossView,
+        match step % CONSISTENCY_INTERVAL {
+            0 if s.losses.cross_view > 0.0 && step > 0 => StepKind::CrossView,
             1 if s.relight_weight() + s.own_prior_weight() > 0.0 && step >= s.relight_from => StepKind::Relight,
             _ => StepKind::Plain,
         }
@@ -93,7 +106,7 @@ impl Consistency {
     }
 
     /// Returns whether every comparing step queries a provider of masks.
-    pub fn asks(&self) -> bool {
+    pub fn queries_provider(&self) -> bool {
         matches!(self.regions, Regions::Provider(_))
     }
 

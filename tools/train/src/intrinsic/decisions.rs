@@ -1,7 +1,7 @@
 //! Decisions that follow from data, settings and memory before the first step.
 
 use super::Intrinsic;
-use super::consistency::StepKind;
+use super::consistency::{CONSISTENCY_INTERVAL, StepKind};
 use crate::decision::Decision;
 use crate::error::Result;
 use sgs_config::{IntrinsicSettings, Metallic, Settings};
@@ -34,7 +34,7 @@ pub(super) fn add(
     let compared = |kind: StepKind, weight: f32, from: u32, else_missing: &str| {
         let on = kinds[kind as usize];
         let reason = match (on, weight > 0.0, regions) {
-            (true, ..) => format!("once in {} steps from step {from} on", s.consistency_interval),
+            (true, ..) => format!("once in {CONSISTENCY_INTERVAL} steps from step {from} on"),
             (_, false, _) => "its loss weighs nothing".to_owned(),
             _ if from > s.steps => format!("there is none before step {from}, and training ends at {}", s.steps),
             (.., false) => "there are no regions".to_owned(),
@@ -43,7 +43,7 @@ pub(super) fn add(
         (on, reason)
     };
     let none = "there is no step for it";
-    let (on, reason) = compared(StepKind::CrossView, s.losses.cross_view, s.cross_view_from, none);
+    let (on, reason) = compared(StepKind::CrossView, s.losses.cross_view, 1, none);
     decisions.push(of("albedo between views", on, reason, "intrinsic.losses.cross_view"));
     let none = "there are neither albedo priors nor a provider";
     let weight = s.relight_weight() + s.own_prior_weight();
@@ -105,20 +105,20 @@ mod tests {
 
     #[test]
     fn initial_decisions_state_their_reasons() {
-        let mut s = IntrinsicSettings { steps: 100, cross_view_from: 50, relight_from: 200, ..Default::default() };
-        let said = |s: &IntrinsicSettings, answers, regions, kinds| {
+        let mut s = IntrinsicSettings { steps: 100, relight_from: 200, ..Default::default() };
+        let decided = |s: &IntrinsicSettings, answers, regions, kinds| {
             let mut all = Vec::new();
             add(&mut all, s, answers, regions, kinds);
             all.iter().map(ToString::to_string).collect::<Vec<_>>()
         };
-        let [metallic, cross, relight] = &said(&s, true, true, [true, true, false])[..] else {
+        let [metallic, cross, relight] = &decided(&s, true, true, [true, true, false])[..] else {
             panic!("three are said")
         };
         assert_eq!(metallic, "metallic kept: the scene has metallic priors (intrinsic.metallic)");
-        assert!(cross.starts_with("albedo between views kept: once in 3 steps from step 50 on"), "{cross}");
+        assert!(cross.starts_with("albedo between views kept: once in 3 steps from step 1 on"), "{cross}");
         assert!(relight.contains("left out: there is none before step 200, and training ends at 100"), "{relight}");
         (s.metallic, s.losses.cross_view, s.relight_from) = (Metallic::Off, 0.0, 1);
-        let [metallic, cross, relight] = &said(&s, false, false, [true, false, false])[..] else {
+        let [metallic, cross, relight] = &decided(&s, false, false, [true, false, false])[..] else {
             panic!("three are said")
         };
         assert!(metallic.contains("left out: switched off") && cross.contains("weighs nothing"), "{metallic} {cross}");

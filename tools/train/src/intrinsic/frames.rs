@@ -45,7 +45,7 @@ impl Intrinsic {
     pub(super) fn choose(&mut self, kind: StepKind, view: usize, values: &mut IntrinsicStepValues) -> Result<bool> {
         let Some(mut consistency) = self.consistency.take() else { return Ok(false) };
         consistency.fill(self.required.seed, view, values);
-        let there = !consistency.asks() || self.ask_masks(&mut consistency, kind, view, values)?;
+        let there = !consistency.queries_provider() || self.ask_masks(&mut consistency, kind, view, values)?;
         self.consistency = there.then_some(consistency);
         if there && kind == StepKind::Relight {
             self.estimated(view, values)?;
@@ -103,7 +103,7 @@ impl Intrinsic {
             Ok(displayed(images.swap_remove(0)))
         };
         let camera = &self.data.views[view].0;
-        let as_it_is = of(self.surfaces.kept(&self.gaussians, camera, view)?, values)?;
+        let as_it_is = of(self.surfaces.of_view(&self.gaussians, camera, view)?, values)?;
         if kind != StepKind::CrossView {
             let under =
                 |i: usize| relit.get(i).or(relit.first()).map_or_else(|| as_it_is.clone(), |r| displayed(r.clone()));

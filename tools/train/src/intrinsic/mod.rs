@@ -25,6 +25,7 @@ mod surfaces;
 mod train;
 mod values;
 
+pub use consistency::{AlbedoComparisons, CONSISTENCY_INTERVAL};
 pub use log::{IntrinsicLog, LoggedLosses};
 pub use needs::IntrinsicNeeds;
 pub use probe::Probe;
@@ -34,7 +35,7 @@ use crate::data::{Packed, TrainingData};
 use crate::decision::Decision;
 use crate::divergence::{RollBack, Watch};
 use crate::error::{Requirement, Result};
-use crate::idle::{self, FoundForMaterials, IdleLoss};
+use crate::idle::{self, FoundForMaterials, IdleLoss, PriorKinds};
 use crate::limits;
 use crate::schedule::Schedule;
 use crate::uniforms::uniform_bytes;
@@ -48,7 +49,7 @@ use sgs_config::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
     COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicSizes, IntrinsicStatus,
-    IntrinsicStep, IntrinsicStepValues, Masks, RelitView, SurfaceBuilder,
+    IntrinsicStep, IntrinsicStepValues, LightTrainables, Masks, RelitView, SurfaceBuilder,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::ALBEDO_RANGE;
@@ -67,7 +68,7 @@ use values::light_scale;
 const IN_FLIGHT: usize = 2;
 
 /// Number of steps between polls of the device's reports; the ring holds more.
-const LOOK: u32 = 16;
+const POLL_INTERVAL: u32 = 16;
 
 /// Number of lobes of a light for which the initial amplitudes are meant.
 const LOBES: f32 = 12.0;
@@ -156,7 +157,13 @@ impl Intrinsic {
         Intrinsic::of(device, scene, settings, splats, false)
     }
 
-    fn of(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats, asks: bool) -> Result<Intrinsic> {
+    fn of(
+        device: &Device,
+        scene: &Scene,
+        settings: &Settings,
+        splats: &Splats,
+        starts_provider: bool,
+    ) -> Result<Intrinsic> {
         settings.check()?;
         let smaller = (settings.intrinsic.scale < 1.0).then(|| scene.scaled(settings.intrinsic.scale));
         let scene = smaller.as_ref().unwrap_or(scene);
@@ -235,15 +242,15 @@ impl Intrinsic {
         let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
         gaussians.upload(device, &gaussian_data(&splats, model))?;
         let schedule = Schedule::new(settings, scene.extent(), packed.views().len());
-        let consistency = Consistency::load(device, scene, settings, packed.largest, !asks)?;
+        let consistency = Consistency::load(device, scene, settings, packed.largest, !starts_provider)?;
         let others = consistency.as_ref().map(|c| c.cameras(settings, &schedule)).unwrap_or_default();
         let builder = Surfaces::measure(device, tuning, &gaussians, packed.views(), packed.largest, &others)?;
         let axes = if s.lights.layout == LobeLayout::Grid { Axes::Grid } else { Axes::Free };
-        let light_model = LightModel { lights: s.lights.grid.pow(3), lobes: s.lights.lobes, axes };
+        let light_model = LightModel { lights: s.lights.grid.max(1).pow(3), lobes: s.lights.lobes, axes };
         let seed = settings.seed as u32;
-        let surrounded = s.environment.enabled;
-        let environment = surrounded.then(|| tables(s, s.environment.resolution)).transpose()?;
-        let traced = match s.visibility.kind == VisibilityKind::Traced && s.lights.enabled {
+        let has_environment = s.environment.enabled();
+        let environment = has_environment.then(|| tables(s, s.environment.resolution)).transpose()?;
+        let traced = match s.visibility.kind == VisibilityKind::Traced && s.lights.enabled() {
             true => Some(traced(device, &splats, Rays::of(&s.visibility))?),
             false => None,
         };
@@ -253,13 +260,12 @@ impl Intrinsic {
             shape: builder.shape(),
             albedo_range: span(s.albedo_range),
             metallic,
-            lights: s.lights.enabled.then(|| (light_model, 1.0 / light_model.lights as f32)),
-            visibility: s.visibility.config().filter(|_| s.lights.enabled),
+            lights: s.lights.enabled().then(|| (light_model, 1.0 / light_model.lights as f32)),
+            visibility: s.visibility.config().filter(|_| s.lights.enabled()),
             traced: shape,
             visibility_jitter: s.losses.visibility_jitter > 0.0,
             visibility_sample: s.visibility.sample,
             light_regularizers: [s.losses.light_position, s.losses.light_value],
-            light_prune: s.lights.prune,
             cull_error: s.cull_error,
             environment_smooth: s.losses.environment_smooth,
             environment_every: s.environment.every,
@@ -290,9 +296,9 @@ impl Intrinsic {
         let command = s.relight.command().filter(|_| s.losses.relight > 0.0 && due && consistency.is_some());
         let relit = match command {
             Some(command) => {
-                let helper = if asks { Relit::helper(settings, command)? } else { None };
+                let helper = if starts_provider { Relit::helper(settings, command)? } else { None };
                 let first = packed.views().iter().map(|v| v.1).collect();
-                let wanted = helper.is_some() || !asks;
+                let wanted = helper.is_some() || !starts_provider;
                 let make = || Relit::new(device, scene, settings, helper, &bounds, first, packed.image_bytes() / 4);
                 wanted.then(make).transpose()?
             }
@@ -309,12 +315,12 @@ impl Intrinsic {
                 pseudo_regions: consistency.as_ref().and_then(|c| c.regions().pseudo_ids()).map(DeviceBuffer::bytes),
                 estimates: relit.as_ref().map_or([None; 2 * COPIES], |r| r.bound().map(|e| e.map(DeviceBuffer::bytes))),
             },
-            relit: relit.as_ref().map(|_| Relit::options(settings, &bounds)),
-            asks: consistency.as_ref().is_some_and(Consistency::asks),
+            relit: relit.as_ref().map(|_| Relit::options(&bounds)),
+            queries_masks: consistency.as_ref().is_some_and(Consistency::queries_provider),
             environment: environment.as_ref(),
             options: &options,
             geometry: gaussians.bytes(),
-            kept: 1,
+            surfaces: 1,
             surface_arena: builder.compiled().arena_bytes,
             // Gaussians also store their count, beside the parameters.
             surface_small: 16 + SurfaceBuilder::BYTES + uniform_bytes(device, builder.compiled(), 1),
@@ -325,23 +331,23 @@ impl Intrinsic {
         };
         decisions::add(&mut decisions, s, answers.is_some(), consistency.is_some(), sizes.kinds);
         let found = FoundForMaterials {
-            priors: [albedo.is_some(), roughness.is_some(), any_metallic],
+            priors: PriorKinds { albedo: albedo.is_some(), roughness: roughness.is_some(), metallic: any_metallic },
             regions: consistency.is_some(),
             estimates: relit.is_some(),
         };
         let idle = idle::of_materials(settings, found);
         // Surfaces of all views are stored if they fit beside everything else.
-        let all = IntrinsicNeeds::of(device, &tuning, &Sizes { kept: packed.views().len() as u64, ..sizes })?;
+        let all = IntrinsicNeeds::of(device, &tuning, &Sizes { surfaces: packed.views().len() as u64, ..sizes })?;
         let one = IntrinsicNeeds { surfaces: options.shape.bytes(), ..all };
         let step = limits::Single::buffer("intermediate results of a step", one.largest_arena(), limits::Remedy::Step);
         limits::check(device.info(), &[step])?;
         one.check(&budget)?;
-        let kept = match s.surface_bytes {
+        let stores_all = match s.surface_bytes {
             0 => all.total() <= budget.left(),
             most => all.surfaces <= most,
         };
-        let needs = if kept { all } else { one };
-        if !kept {
+        let needs = if stores_all { all } else { one };
+        if !stores_all {
             decisions.push(decisions::without_surfaces(s, all.surfaces));
         }
         let watch = Watch::new(packed.plain());
@@ -353,7 +359,7 @@ impl Intrinsic {
             roughness: up(&roughness, "roughness_priors")?,
             metallic: up(&answers, "metallic_priors")?,
         };
-        let mut surfaces = Surfaces::new(device, builder, &gaussians, &data, kept, &others)?;
+        let mut surfaces = Surfaces::new(device, builder, &gaussians, &data, stores_all, &others)?;
         let environment = match environment {
             Some(made) => Some((EnvironmentMemory::new(device, &made)?, made)).map(|(memory, made)| (made, memory)),
             None => None,
@@ -372,8 +378,8 @@ impl Intrinsic {
         };
         drop((albedo, roughness, answers));
         let n = splats.len();
-        let start = |given: Option<Vec<f32>>, width: usize, otherwise: f32| {
-            given.filter(|v| v.len() == n * width).unwrap_or_else(|| vec![otherwise; n * width])
+        let start = |initial: Option<Vec<f32>>, width: usize, otherwise: f32| {
+            initial.filter(|v| v.len() == n * width).unwrap_or_else(|| vec![otherwise; n * width])
         };
         let flat = splats.albedo.as_ref().map(|a| a.as_flattened().to_vec());
         let trained = |raw: Vec<f32>| in_range(raw, ALBEDO_RANGE, options.albedo_range);
@@ -390,17 +396,17 @@ impl Intrinsic {
                 }
                 false => None,
             },
-            lights: match s.lights.enabled {
+            lights: match s.lights.enabled() {
                 true => {
                     let positions = light_model.start_positions(bounds[0], bounds[1]);
                     let row = light_model.row() as usize;
                     let mut lobes = light_model.start_lobes();
                     let scale = light_scale(&bounds) * s.lights.start.max(1e-30) * LOBES / s.lights.lobes as f32;
                     lobes.chunks_mut(row).flat_map(|l| &mut l[row - 3..]).for_each(|w| *w += scale.ln());
-                    Some([
-                        Trainable::new(device, "light_positions", positions.as_flattened(), true)?,
-                        Trainable::new(device, "light_lobes", &lobes, true)?,
-                    ])
+                    Some(LightTrainables {
+                        positions: Trainable::new(device, "light_positions", positions.as_flattened(), true)?,
+                        lobes: Trainable::new(device, "light_lobes", &lobes, true)?,
+                    })
                 }
                 false => None,
             },
@@ -411,7 +417,7 @@ impl Intrinsic {
                 }
                 None => None,
             },
-            visibility: match s.visibility.config().filter(|_| s.lights.enabled) {
+            visibility: match s.visibility.config().filter(|_| s.lights.enabled()) {
                 Some(config) => Some(VisibilityField::new(device, config, seed, true, tuning.accuracy.table_bits)?),
                 None => None,
             },
@@ -461,7 +467,7 @@ impl Intrinsic {
             roll_backs: Vec::new(),
         };
         training.keep_environment()?;
-        training.expect_to_look()?;
+        training.measure_poll()?;
         Ok(training)
     }
 

@@ -1,12 +1,12 @@
 //! Queries of an intrinsic stage: its model, its memory and the times of its passes.
 
-use super::consistency::StepKind;
+use super::consistency::{AlbedoComparisons, StepKind};
 use super::graphs::gone;
 use super::{Intrinsic, IntrinsicNeeds, LoggedLosses};
 use crate::error::Result;
-use crate::idle::IdleLoss;
+use crate::idle::{IdleLoss, PriorKinds};
 use sgs_config::IntrinsicSettings;
-use sgs_engine::graph::exec::PassTime;
+use sgs_engine::exec::PassTime;
 use sgs_passes::cost::{Cost, Counts, of_plan};
 use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStep};
 
@@ -31,10 +31,10 @@ impl Intrinsic {
         self.environment.as_ref().map(|(e, _)| e.size())
     }
 
-    /// Returns whether priors exist of albedo, roughness, metallic.
-    pub fn priors(&self) -> [bool; 3] {
+    /// Returns the materials of which priors exist.
+    pub fn priors(&self) -> PriorKinds {
         let p = &self.priors;
-        [p.albedo.is_some(), p.roughness.is_some(), p.metallic.is_some()]
+        PriorKinds { albedo: p.albedo.is_some(), roughness: p.roughness.is_some(), metallic: p.metallic.is_some() }
     }
 
     /// Returns the losses that have a weight and cannot run.
@@ -45,7 +45,7 @@ impl Intrinsic {
     /// Returns the losses that steps currently log.
     pub fn logged_losses(&self) -> LoggedLosses {
         let (s, o) = (&self.required.intrinsic, &self.options);
-        let [albedo, roughness, metallic] = self.priors();
+        let PriorKinds { albedo, roughness, metallic } = self.priors();
         let l = &s.losses;
         LoggedLosses {
             albedo,
@@ -67,11 +67,10 @@ impl Intrinsic {
         !self.surfaces.waits(false)
     }
 
-    /// Returns whether any step compares albedo with pseudo-views or other lights.
-    /// The flags are in this order.
-    pub fn compares(&self) -> [bool; 2] {
+    /// Returns the comparisons of albedo that any step makes.
+    pub fn comparisons(&self) -> AlbedoComparisons {
         let due = |kind| (1..=self.required.intrinsic.steps).any(|step| self.kind(step) == kind);
-        [due(StepKind::CrossView), due(StepKind::Relight)]
+        AlbedoComparisons { cross_view: due(StepKind::CrossView), relight: due(StepKind::Relight) }
     }
 
     /// Turns timestamps of passes on or off.

@@ -75,11 +75,11 @@ pub(super) struct Sizes<'a> {
     /// Other lights under which a provider is shown views, if any.
     pub relit: Option<RelitOptions>,
     /// Whether a provider of masks is shown shaded frames.
-    pub asks: bool,
+    pub queries_masks: bool,
     /// Bytes of the Gaussians' geometry.
     pub geometry: u64,
     /// Number of training views with stored surfaces; 1 if each step recomputes them.
-    pub kept: u64,
+    pub surfaces: u64,
     /// Bytes of the arena of surface construction.
     pub surface_arena: u64,
     /// Other bytes of surface construction.
@@ -104,7 +104,7 @@ impl IntrinsicNeeds {
                 + learned(n)
                 + if o.metallic { learned(n) } else { 0 }
                 + if o.learns_normals() { learned(3 * n) } else { 0 },
-            surfaces: s.kept * o.shape.bytes(),
+            surfaces: s.surfaces * o.shape.bytes(),
             surface_arena: s.surface_arena,
             small: IntrinsicStatus::BYTES + s.surface_small,
             ..IntrinsicNeeds::default()
@@ -156,7 +156,7 @@ impl IntrinsicNeeds {
         }
         let relit = s.relit.filter(|_| s.kinds[StepKind::Relight as usize]);
         let compares = s.kinds[StepKind::CrossView as usize] || s.kinds[StepKind::Relight as usize];
-        let frames = Some(Consistency::SHOWN).filter(|_| s.asks && compares);
+        let frames = Some(Consistency::SHOWN).filter(|_| s.queries_masks && compares);
         for shown in relit.iter().chain(&frames) {
             let inputs =
                 IntrinsicSizes { regions: None, pseudo_regions: None, estimates: Default::default(), ..s.inputs };
@@ -170,11 +170,11 @@ impl IntrinsicNeeds {
     /// Adds the memory of a measurement, staging included.
     /// No step has transients meanwhile.
     pub(super) fn poll(&mut self, bytes: u64) {
-        self.looking = bytes.saturating_sub(self.given_up());
+        self.looking = bytes.saturating_sub(self.released());
     }
 
     /// Returns the memory released during a measurement: step transients and staging.
-    pub(super) fn given_up(&self) -> u64 {
+    pub(super) fn released(&self) -> u64 {
         self.arena + self.cross_view_arena + self.relight_arena + self.staging
     }
 

@@ -1,7 +1,7 @@
 //! Evaluation of the steps' delayed reports: losses and divergence.
 
 use super::Intrinsic;
-use crate::divergence::{Group, HALF, RollBack, Seen, worst};
+use crate::divergence::{Group, RollBack, Seen, diverged};
 use crate::error::{Result, TrainError};
 use sgs_config::{IntrinsicRates, OnDivergence};
 use sgs_passes::pipeline::IntrinsicReport;
@@ -15,10 +15,8 @@ impl Intrinsic {
     /// Records that this restored state replaces a state that diverged at `step`.
     /// Halves the learning rates. `before`: earlier rollbacks.
     pub fn roll_back(&mut self, before: &[RollBack], step: u32) {
-        let rates = HALF.powi(before.len() as i32 + 1);
-        self.roll_backs = before.to_vec();
-        self.roll_backs.push(RollBack { step, to: self.done, rates });
-        self.set_rates(rates);
+        self.roll_backs = RollBack::appended(before, step, self.done);
+        self.set_rates(RollBack::rates_after(self.roll_backs.len()));
     }
 
     /// Sets the factor on all learning rates; a power of two.
@@ -141,7 +139,6 @@ impl Intrinsic {
                 reach: *reach,
             })
             .collect();
-        let found = worst(&groups).map_or_else(String::new, |w| format!("; farthest out is {w}"));
-        Ok(TrainError::diverged(step, format!("it has diverged: {reason}{found}")))
+        Ok(diverged(step, reason, &groups))
     }
 }

@@ -47,14 +47,14 @@ impl Relit {
     /// Returns the number of estimates of each view.
     pub fn count(settings: &Settings) -> usize {
         let r = &settings.intrinsic.relight;
-        r.copies as usize * if r.roughness > 0.0 { 2 } else { 1 }
+        COPIES * if r.roughness > 0.0 { 2 } else { 1 }
     }
 
     /// Returns the number of copies and the spacing, for lights that started in a box.
-    pub fn options(settings: &Settings, bounds: &[[f32; 3]; 2]) -> RelitOptions {
+    pub fn options(bounds: &[[f32; 3]; 2]) -> RelitOptions {
         // The published unit is the one in which the box has side 3.
         let spacing = (0..3).map(|i| bounds[1][i] - bounds[0][i]).fold(0.0, f32::max) / 3.0;
-        RelitOptions { as_is: false, copies: settings.intrinsic.relight.copies, spacing }
+        RelitOptions { as_is: false, copies: COPIES as u32, spacing }
     }
 
     /// Starts the provider.
@@ -63,8 +63,8 @@ impl Relit {
         let s = &settings.provider;
         let options = ProviderOptions {
             command: command.to_owned(),
-            start_seconds: s.start_seconds,
-            answer_seconds: s.answer_seconds,
+            start_seconds: s.seconds[0],
+            answer_seconds: s.seconds[1],
             ..ProviderOptions::default()
         };
         let mut helper = Helper::start(&options, s.on_failure)?;
@@ -117,7 +117,7 @@ impl Relit {
         Ok(Relit {
             helper,
             view: None,
-            options: Relit::options(settings, bounds),
+            options: Relit::options(bounds),
             roughness,
             every: settings.intrinsic.relight.every,
             background: settings.geometry.background,
@@ -226,7 +226,7 @@ impl Intrinsic {
             self.relit = Some(relit);
             return Ok(images);
         }
-        let surface = self.surfaces.kept(&self.gaussians, &self.data.views[view].0, view)?.clone();
+        let surface = self.surfaces.of_view(&self.gaussians, &self.data.views[view].0, view)?.clone();
         let inputs = self.inputs(StepKind::Plain);
         let images = relit.images(&self.device, &self.tuning, &inputs, &self.options, &surface, values)?;
         relit.rendered = Some((step, images.clone()));

@@ -20,7 +20,7 @@ pub(super) const GATHERED: &str = "environment_gathered";
 
 /// Tensors of the estimates under other lights, and of the steps of their requests.
 pub(super) const ESTIMATES: &str = "relit_estimates";
-pub(super) const REQUESTED_AT: &str = "relit_asked_at";
+pub(super) const REQUESTED_AT: &str = "relit_queried_at";
 
 /// Metadata key of the decisions about the model.
 pub(super) const DECISIONS: &str = "decisions";
@@ -37,10 +37,10 @@ pub(super) const BEFORE: &str = "environment_after_";
 
 /// Metadata key of the environment update interval, if selected automatically.
 /// The value holds the interval in steps, the step of its last change, and the number of updates before.
-pub(super) const UPDATE_INTERVAL: &str = "pace";
+pub(super) const UPDATE_INTERVAL: &str = "update_interval";
 
 /// Metadata key of the error of shaded images at the last measurement.
-pub(super) const LAST: &str = "last_look";
+pub(super) const LAST: &str = "last_error";
 
 /// Tensor of the last values of losses that do not run in every step.
 /// The order is pseudo-views, other lights, own priors, smoothness of the environment map.
@@ -76,10 +76,20 @@ pub(crate) struct Saved<'a> {
     /// A power of two, at least 16.
     pub texels: Option<u32>,
     /// Update interval of the environment map, if selected automatically.
-    /// The values are the interval in steps, the step of its last change, and the number of updates before.
-    pub update_interval: Option<[u32; 3]>,
+    pub update_interval: Option<UpdateInterval>,
     /// Error of shaded images at the last measurement.
     pub last: Option<f64>,
+}
+
+/// Update interval of the environment map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct UpdateInterval {
+    /// Interval in steps.
+    pub every: u32,
+    /// Step of the last change of the interval.
+    pub since: u32,
+    /// Number of updates until that step.
+    pub moves: u32,
 }
 
 impl<'a> Saved<'a> {
@@ -223,11 +233,13 @@ impl<'a> Saved<'a> {
 }
 
 /// Parses the update interval of the environment map, as of a step.
-fn update_interval(meta: &HashMap<String, String>, step: u32) -> std::result::Result<Option<[u32; 3]>, String> {
+fn update_interval(meta: &HashMap<String, String>, step: u32) -> std::result::Result<Option<UpdateInterval>, String> {
     let Some(text) = meta.get(UPDATE_INTERVAL) else { return Ok(None) };
     let numbers: Option<Vec<u32>> = text.split(' ').map(|n| n.parse().ok()).collect();
     match numbers.as_deref() {
-        Some(&[every @ 1..=64, since, moves]) if since <= step && moves <= since => Ok(Some([every, since, moves])),
+        Some(&[every @ 1..=64, since, moves]) if since <= step && moves <= since => {
+            Ok(Some(UpdateInterval { every, since, moves }))
+        }
         Some(&[1..=64, _, _]) => Err(format!("damaged: \"{text}\" is no update interval of the environment map")),
         _ => Err(format!("damaged: \"{text}\" does not state the update interval of the environment map")),
     }
@@ -251,7 +263,7 @@ mod tests {
 
     /// Makes a checkpoint after 40 steps, with some metadata and tensors replaced.
     fn bytes(meta: &[(&str, &str)], tensors: &[(&str, &[f32])]) -> Vec<u8> {
-        let said = [
+        let fields = [
             ("format", FORMAT),
             ("step", "40"),
             ("splats", "1"),
@@ -267,7 +279,7 @@ mod tests {
             ("environment_after_36", &[2.0; 3]),
             ("environment_after_40", &[1.0; 3]),
         ];
-        let meta: HashMap<_, _> = said.iter().chain(meta).map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
+        let meta: HashMap<_, _> = fields.iter().chain(meta).map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect();
         let tensors: HashMap<_, _> = held.iter().chain(tensors).copied().collect();
         let floats = tensors.iter().map(|(name, v)| (*name, Numbers::Floats(Floats(v, vec![v.len()]))));
         let words = [(REQUESTED_AT, Numbers::Words(&[41, 0], vec![2]))];
@@ -280,7 +292,10 @@ mod tests {
         let saved = Saved::read(Path::new("state"), &bytes).unwrap();
         assert_eq!((saved.step, saved.splats, saved.last, saved.decisions.len()), (40, 1, Some(0.5), 0));
         assert_eq!((saved.lobes, saved.levels, saved.texels), (Some(6), Some(4), Some(16)));
-        assert_eq!((saved.update_interval, saved.course.roll_backs.len()), (Some([8, 20, 20]), 0));
+        assert_eq!(
+            (saved.update_interval, saved.course.roll_backs.len()),
+            (Some(UpdateInterval { every: 8, since: 20, moves: 20 }), 0)
+        );
         assert_eq!(saved.floats("albedo", 3).unwrap(), [0.25, -1.0, 2.0]);
         assert_eq!(saved.moments("albedo_moments", 3).unwrap(), [0.0, 1.0, -1.0, 0.0, 3.0, 2.0]);
         assert_eq!(saved.requested_at(2).unwrap(), [41, 0]);
@@ -328,8 +343,8 @@ mod tests {
             (LAST, "", "\"\" is no error"),
             ("roll_backs", "[1]", "damaged: \"roll_backs\""),
         ] {
-            let said = refused(&[(name, value)], &[]);
-            assert!(said.contains(what), "{name} {value}: {said}");
+            let error = refused(&[(name, value)], &[]);
+            assert!(error.contains(what), "{name} {value}: {error}");
         }
         let tensors: [(&str, &[f32], &str); 7] = [
             ("albedo", &[0.0; 4], "does not hold 3 32-bit floats"),
@@ -341,8 +356,8 @@ mod tests {
             ("environment_after_", &[0.0; 3], "is of no step until 40"),
         ];
         for (name, values, what) in tensors {
-            let said = refused(&[], &[(name, values)]);
-            assert!(said.contains(what), "{name}: {said}");
+            let error = refused(&[], &[(name, values)]);
+            assert!(error.contains(what), "{name}: {error}");
         }
         let whole = bytes(&[], &[]);
         let cut = Saved::read(path, &whole[..whole.len() - 1]).err().unwrap().to_string();

@@ -48,7 +48,7 @@ pub(super) fn start(
         return Ok(Start::default());
     }
     for (i, (camera, _)) in data.views.iter().enumerate() {
-        let columns = surfaces.kept(gaussians, camera, i)?.weights(device)?;
+        let columns = surfaces.of_view(gaussians, camera, i)?.weights(device)?;
         for (priors, sums) in sums.iter_mut().flatten() {
             gather(&columns, &priors.packed[i], sums);
         }

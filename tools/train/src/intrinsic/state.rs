@@ -4,15 +4,15 @@ use super::Intrinsic;
 use super::automatic::Remembered;
 use super::saved::{
     BEFORE, DECISIONS, ESTIMATES, FIELD, FORMAT, GAINS, GATHERED, LAST, LEVELS, LOBES, RECENT, REQUESTED_AT, Saved,
-    TEXELS, UPDATE_INTERVAL,
+    TEXELS, UPDATE_INTERVAL, UpdateInterval,
 };
 use crate::course::Course;
-use crate::divergence::HALF;
+use crate::divergence::RollBack;
 use crate::error::Result;
 use crate::error::error;
 use sgs_config::VisibilityKind;
 use sgs_engine::DeviceBuffer;
-use sgs_passes::pipeline::IntrinsicStatus;
+use sgs_passes::pipeline::{IntrinsicStatus, LightTrainables};
 use sgs_passes::shade::ALBEDO_RANGE;
 use sgs_passes::shade::environment::latlong;
 use sgs_run::floats::Floats;
@@ -23,14 +23,21 @@ use sgs_scene::{Image, Splats};
 use std::collections::HashMap;
 use std::path::Path;
 
+/// Tensors of the visibility field.
+struct FieldValues {
+    tables: Vec<f32>,
+    layers: Vec<f32>,
+    table_moments: Vec<f32>,
+    layer_moments: Vec<f32>,
+}
+
 /// Contents of a checkpoint, in the sizes of the stage that continues from it.
 struct Values {
     /// Values and moments of the parameters.
     /// The order is that of [`sgs_passes::pipeline::IntrinsicParameters::all`].
     parameters: Vec<[Vec<f32>; 2]>,
     gains: Vec<f32>,
-    /// Tensors of the visibility field, in the order of [`FIELD`].
-    field: Option<[Vec<f32>; 4]>,
+    field: Option<FieldValues>,
     gathered: Option<Vec<f32>>,
     before: Vec<Remembered>,
     estimates: Option<(Vec<Vec<u32>>, Vec<u32>)>,
@@ -134,7 +141,7 @@ impl Intrinsic {
         // Device counters restart from zero; graphs are built on first use.
         self.status = IntrinsicStatus::new(&self.device)?;
         self.status.set_smoothness(&self.device, smoothness)?;
-        self.set_rates(HALF.powi(saved.course.roll_backs.len() as i32));
+        self.set_rates(RollBack::rates_after(saved.course.roll_backs.len()));
         self.roll_backs = saved.course.roll_backs;
         self.keep_environment()
     }
@@ -164,7 +171,7 @@ impl Intrinsic {
             self.set_texels(size)?;
         }
         match saved.update_interval {
-            Some([every, since, moves]) => self.set_update_interval(every, since, moves),
+            Some(UpdateInterval { every, since, moves }) => self.set_update_interval(every, since, moves),
             None => Ok(()),
         }
     }
@@ -179,13 +186,13 @@ impl Intrinsic {
         let field = match &self.parameters.visibility {
             Some(f) => {
                 let (table, mlp) = (2 * f.config().entries() as usize, f.config().weights());
-                let [tables, layers, table_moments, mlp_moments] = FIELD;
-                Some([
-                    saved.floats(tables, table)?,
-                    saved.floats(layers, mlp)?,
-                    saved.moments(table_moments, table)?,
-                    saved.moments(mlp_moments, mlp)?,
-                ])
+                let [tables, layers, table_moments, layer_moments] = FIELD;
+                Some(FieldValues {
+                    tables: saved.floats(tables, table)?,
+                    layers: saved.floats(layers, mlp)?,
+                    table_moments: saved.moments(table_moments, table)?,
+                    layer_moments: saved.moments(layer_moments, mlp)?,
+                })
             }
             None => None,
         };
@@ -219,10 +226,9 @@ impl Intrinsic {
 
     /// Uploads the contents of a checkpoint.
     fn put(&mut self, values: Values) -> Result<()> {
-        if let (Some(f), Some([tables, mlp, table_moments, mlp_moments])) = (&self.parameters.visibility, &values.field)
-        {
-            f.upload(&self.device, tables, mlp)?;
-            f.upload_moments(&self.device, [table_moments, mlp_moments])?;
+        if let (Some(field), Some(v)) = (&self.parameters.visibility, &values.field) {
+            field.upload(&self.device, &v.tables, &v.layers)?;
+            field.upload_moments(&self.device, [&v.table_moments, &v.layer_moments])?;
         }
         for (p, [values, moments]) in self.parameters.all().into_iter().zip(&values.parameters) {
             p.upload(&self.device, values)?;
@@ -279,7 +285,7 @@ impl Intrinsic {
 
     /// Returns the lights in the device's unit.
     pub(super) fn scaled_lights(&self) -> Result<Option<LightFile>> {
-        let Some([positions, lobes]) = &self.parameters.lights else { return Ok(None) };
+        let Some(LightTrainables { positions, lobes }) = &self.parameters.lights else { return Ok(None) };
         let normalizer = self.options.lights.map_or(0.0, |l| l.1);
         let gains: Vec<f32> = self.device.download_as(&self.gains, self.light_model.lights as usize)?;
         let (positions, lobes) = (positions.download(&self.device)?, lobes.download(&self.device)?);

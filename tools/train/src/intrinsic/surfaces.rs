@@ -17,7 +17,7 @@ use sgs_passes::scene::Gaussians;
 pub(super) struct Surfaces {
     builder: SurfaceBuilder,
     /// Surfaces by training view; only one if each step recomputes it.
-    kept: Vec<Surface>,
+    stored: Vec<Surface>,
     all: bool,
     /// Memory for the surfaces of pseudo-views.
     others: Vec<Surface>,
@@ -54,16 +54,16 @@ impl Surfaces {
         others: &[Camera],
     ) -> Result<Surfaces> {
         let shape = builder.shape();
-        let mut kept = Vec::new();
+        let mut stored = Vec::new();
         for (camera, _) in data.views.iter().take(if all { data.views.len() } else { 1 }) {
             let surface = Surface::new(device, shape)?;
             builder.fill(gaussians, camera, &surface)?;
             builder.finish()?;
-            kept.push(surface);
+            stored.push(surface);
         }
         let room = if others.is_empty() { 0 } else { PSEUDO_VIEWS };
         let others = (0..room).map(|_| Surface::new(device, shape)).collect::<sgs_engine::Result<_>>()?;
-        Ok(Surfaces { builder, kept, all, others })
+        Ok(Surfaces { builder, stored, all, others })
     }
 
     pub fn shape(&self) -> SurfaceShape {
@@ -72,13 +72,13 @@ impl Surfaces {
 
     /// Returns the surface of a training view.
     /// A recomputed surface is valid until the next call.
-    pub fn kept(&mut self, gaussians: &Gaussians, camera: &Camera, view: usize) -> Result<&Surface> {
+    pub fn of_view(&mut self, gaussians: &Gaussians, camera: &Camera, view: usize) -> Result<&Surface> {
         if self.all {
-            return Ok(&self.kept[view]);
+            return Ok(&self.stored[view]);
         }
-        self.builder.fill(gaussians, camera, &self.kept[0])?;
+        self.builder.fill(gaussians, camera, &self.stored[0])?;
         self.builder.finish()?;
-        Ok(&self.kept[0])
+        Ok(&self.stored[0])
     }
 
     /// Returns the surface of the first or second pseudo-view of a step.
@@ -91,16 +91,16 @@ impl Surfaces {
 
     /// Returns the number of bytes of all stored surfaces.
     pub fn bytes(&self) -> u64 {
-        self.shape().bytes() * (self.kept.len() + self.others.len()) as u64
+        self.shape().bytes() * (self.stored.len() + self.others.len()) as u64
     }
 
     /// Returns the mean number of entries of the stored matrices.
     pub fn weights(&self, device: &Device) -> Result<f64> {
         let mut sum = 0;
-        for surface in &self.kept {
+        for surface in &self.stored {
             sum += surface.weights(device)?.weights.len();
         }
-        Ok(sum as f64 / self.kept.len().max(1) as f64)
+        Ok(sum as f64 / self.stored.len().max(1) as f64)
     }
 
     /// Returns whether a step requires that no work is in flight when it is submitted.
@@ -124,7 +124,7 @@ impl Surfaces {
             self.builder.fill(gaussians, camera, into)?;
             Ok(self.builder.finish()?)
         };
-        let mine = if self.all { &self.kept[view] } else { &self.kept[0] };
+        let mine = if self.all { &self.stored[view] } else { &self.stored[0] };
         if !self.all {
             fill(camera, mine)?;
         }

@@ -2,7 +2,7 @@
 
 use super::consistency::StepKind;
 use super::graphs::gone;
-use super::{Intrinsic, LOOK};
+use super::{Intrinsic, POLL_INTERVAL};
 use crate::error::Result;
 use sgs_passes::pipeline::IntrinsicReport;
 
@@ -43,7 +43,7 @@ impl Intrinsic {
             }
             // Each graph has its own replays in flight: only steps before a wait for all graphs are surely done.
             let decides = self.decides_after(step);
-            if step.is_multiple_of(LOOK) || decides {
+            if step.is_multiple_of(POLL_INTERVAL) || decides {
                 self.finish()?;
                 self.poll(step, &mut on_report)?;
             }

@@ -149,10 +149,7 @@ fn names_match_file_names() {
 }
 
 #[test]
-fn invalid_options_are_refused() {
-    let said = |o: PseudoOptions| o.check("pseudo.").unwrap_err().to_string();
-    assert_eq!(said(PseudoOptions { poses: 0, ..Default::default() }), "pseudo.poses is 0, but must be 1 to 10000.");
-    assert!(PseudoOptions::default().check("").is_ok());
+fn options_are_written_as_words() {
     let text = toml::to_string(&PseudoOptions { neighbors: Neighbors::Test, ..Default::default() }).unwrap();
     assert!(text.contains("neighbors = \"test\"") && text.contains("position = \"linear\""), "{text}");
 }

@@ -159,8 +159,8 @@ impl Trainer {
     fn check_budget(&self) -> Result<()> {
         // The first stage uses fewer of many points where memory does not suffice for all of them.
         let all = &self.scene.points;
-        let kept = if all.len() > MANY_POINTS { all.spread(all.len() / MOST_THINNED) } else { all.clone() };
-        let points = Splats::from_points(&kept, self.settings.geometry.sh_degree.start() as usize)?;
+        let cloud = if all.len() > MANY_POINTS { all.spread(all.len() / MOST_THINNED) } else { all.clone() };
+        let points = Splats::from_points(&cloud, self.settings.geometry.sh_degree.start() as usize)?;
         Intrinsic::planned(&self.device, &self.scene, &self.settings, &points).map(|_| ())
     }
 

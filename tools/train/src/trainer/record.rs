@@ -126,13 +126,13 @@ impl Record {
             0 => String::new(),
             n => format!(" It had gone back {n} times before."),
         };
-        let (kept, lower) = (stage.step(), stage.lower_rates());
+        let (last, lower) = (stage.step(), stage.lower_rates());
         let about = TrainError::diverged(step, reason.as_str()).to_string();
         let about =
-            json!({"stage": self.kind.name(), "step": step, "kept": kept, "reason": about, "roll_backs": before});
+            json!({"stage": self.kind.name(), "step": step, "kept": last, "reason": about, "roll_backs": before});
         self.run.set_diverged(&about)?;
         let advice = format!(
-            "{times} The state after step {kept} is kept: go on from it with --resume and lower learning rates (as {lower})."
+            "{times} The state after step {last} is kept: go on from it with --resume and lower learning rates (as {lower})."
         );
         Ok(TrainError::Diverged { step, reason, advice })
     }

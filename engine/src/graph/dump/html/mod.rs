@@ -11,13 +11,13 @@ mod map;
 use std::fmt::{self, Write};
 
 use super::causes::{Cause, causes};
-use crate::graph::exec::PassTime;
+use crate::graph::dump::PassTime;
 use crate::graph::plan::Plan;
 use crate::graph::resource::BufferKind;
 
 /// Returns the plan as an HTML page.
 ///
-/// `times`: the result of [`Executor::take_times`](crate::graph::exec::Executor::take_times) for this plan, or empty.
+/// `times`: the result of [`Executor::take_times`](crate::exec::Executor::take_times) for this plan, or empty.
 pub fn html(plan: &Plan, times: &[PassTime]) -> String {
     let mut out = String::new();
     // Writing to a string cannot fail.

@@ -14,9 +14,10 @@ use std::path::{Path, PathBuf};
 
 use super::downscaled;
 use super::frame::{find_image, missing_warning};
-use super::{Found, Frame, pose, stem_of};
+use super::{Found, Frame, pose};
 use crate::camera::Camera;
 use crate::error::{Result, SceneError};
+use crate::image::stem_of;
 use crate::points::{PointCloud, Tracks};
 
 pub(super) use model::Model;

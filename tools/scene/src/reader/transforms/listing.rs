@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use super::Listing;
 use crate::beside::Beside;
 use crate::error::{Result, SceneError};
-use crate::image::read_size;
+use crate::image::{read_size, stem_of};
 use crate::reader::frame::{find_image, missing_warning};
 use crate::reader::pose::Axes;
-use crate::reader::{Found, Frame, downscaled, stem_of};
+use crate::reader::{Found, Frame, downscaled};
 
 /// Function that finds the image of a frame from its index and `file_path`. Returns the path of the image, if it
 /// exists, and the name of the view.

@@ -14,12 +14,12 @@ use serde::Deserialize;
 
 use self::intrinsics::Entry;
 pub(super) use self::listing::{Source, collect};
+use super::Found;
 use super::frame::find_image;
 use super::pose::Axes;
-use super::{Found, stem_of};
 use crate::camera::Camera;
 use crate::error::{Result, SceneError};
-use crate::image::read_size;
+use crate::image::{read_size, stem_of};
 use crate::json::read_json;
 use crate::points::PointCloud;
 use crate::split::Split;

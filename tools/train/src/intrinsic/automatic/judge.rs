@@ -118,7 +118,7 @@ impl Intrinsic {
         // A measurement takes about the memory of a step; both may not fit at once.
         self.finish()?;
         self.forget_steps();
-        let (decided, changes) = match self.worthless(step) {
+        let (decided, changes) = match self.judge_contributions(step) {
             Err(e) if e.is_out_of_memory() => (vec![no_room(step)], Changes::default()),
             other => other?,
         };
@@ -139,9 +139,9 @@ impl Intrinsic {
 
     /// Finds the memory of a measurement by a trial before the first step.
     /// Records a decision if memory does not suffice.
-    pub(in super::super) fn expect_to_look(&mut self) -> Result<()> {
+    pub(in super::super) fn measure_poll(&mut self) -> Result<()> {
         let Some(mut watched) = self.automatic.take() else { return Ok(()) };
-        let (found, bytes) = self.device.memory_during(|| self.try_to_look(&mut watched));
+        let (found, bytes) = self.device.memory_during(|| self.try_poll(&mut watched));
         self.automatic = Some(watched);
         match found {
             Ok(()) => self.needs.poll(bytes),
@@ -151,13 +151,13 @@ impl Intrinsic {
         Ok(())
     }
 
-    fn try_to_look(&self, watched: &mut Automatic) -> Result<()> {
+    fn try_poll(&self, watched: &mut Automatic) -> Result<()> {
         watched.own = Some(self.own(&watched.views)?);
         self.images(&mut self.shading(&self.scaled_splats()?, &self.scaled_light()?)?, &watched.views)?;
         Ok(())
     }
 
-    fn worthless(&mut self, step: u32) -> Result<(Vec<Decision>, Changes)> {
+    fn judge_contributions(&mut self, step: u32) -> Result<(Vec<Decision>, Changes)> {
         let (requested, watched) = (*self.automatic_settings(), self.automatic.take());
         let Some(mut watched) = watched else { return Ok(Default::default()) };
         let found = match watched.own {
@@ -210,26 +210,27 @@ impl Intrinsic {
         seen.with = seen.error(&seen.all.direct, &seen.all.ambient);
         let gained = last.replace(seen.with).map(|last| loss(seen.with, last));
         let short = loss(own, seen.with);
-        if short > f64::from(a.ready) {
-            let (ready, setting) = (a.ready, "intrinsic.automatic.ready".to_owned());
+        let [ready, most] = a.limits;
+        let setting = || "intrinsic.automatic.limits".to_owned();
+        if short > f64::from(ready) {
             let reason = format!(
                 "shaded images are {short:.1} dB below those of the splats' own colors (limit: {ready}): nothing is measured yet"
             );
             let (what, requested) = ("all parts".to_owned(), Some(f64::from(ready)));
-            let waits = Decision { step, what, on: true, reason, measured: Some(short), requested, setting };
+            let waits = Decision { step, what, on: true, reason, measured: Some(short), requested, setting: setting() };
             return Ok((vec![waits], Changes::default()));
         }
         tracing::info!("after step {step} shaded images are {short:.2} dB short of the splats' own colors");
         // Images that have become worse are oscillating.
-        let settled = gained.is_some_and(|gained| gained.abs() <= f64::from(a.settled));
+        let settled = gained.is_some_and(|gained| gained.abs() <= f64::from(most));
         let waits = (a.parts.lobes || a.parts.levels || a.parts.update_interval) && self.judges(WHOLE, step);
         if let Some(gained) = gained.filter(|_| waits && !settled) {
-            let (settled, setting) = (a.settled, "intrinsic.automatic.settled".to_owned());
             let reason = format!(
-                "images gained {gained:.2} dB since the last measurement (limit: {settled} either way): these stay as they are"
+                "images gained {gained:.2} dB since the last measurement (limit: {most} either way): these stay as they are"
             );
-            let (what, requested) = ("lobes, levels and update interval".to_owned(), Some(f64::from(settled)));
-            seen.decisions.push(Decision { step, what, on: true, reason, measured: Some(gained), requested, setting });
+            let (what, requested) = ("lobes, levels and update interval".to_owned(), Some(f64::from(most)));
+            let measured = Some(gained);
+            seen.decisions.push(Decision { step, what, on: true, reason, measured, requested, setting: setting() });
         }
         let changes = self.judged(a, &mut seen, settled)?;
         Ok((seen.decisions, changes))
@@ -257,10 +258,10 @@ impl Intrinsic {
         if lobes && a.parts.lobes && lit && self.light_model.axes == Axes::Free {
             changes.lobes = self.judge_lobes(seen)?;
         }
-        let mut surrounded = self.has(Part::Environment);
-        if parts && a.parts.environment && surrounded && lit {
-            surrounded = seen.keeps(Part::Environment, loss(seen.with, seen.error(&seen.all.direct, &[])));
-            if !surrounded {
+        let mut has_environment = self.has(Part::Environment);
+        if parts && a.parts.environment && has_environment && lit {
+            has_environment = seen.keeps(Part::Environment, loss(seen.with, seen.error(&seen.all.direct, &[])));
+            if !has_environment {
                 changes.out.push(Part::Environment);
                 seen.light.environment = None;
                 seen.shine(None, Some(Light::new()));
@@ -280,10 +281,10 @@ impl Intrinsic {
             changes.levels = self.judge_levels(seen)?;
         }
         // Before the texels are reduced: the snapshots have the current number of texels.
-        if parts && settled && a.parts.update_interval && surrounded {
+        if parts && settled && a.parts.update_interval && has_environment {
             changes.update_interval = self.judge_update_interval(seen)?;
         }
-        if parts && a.parts.texels && surrounded {
+        if parts && a.parts.texels && has_environment {
             changes.texels = self.judge_texels(seen)?;
         }
         Ok(changes)
@@ -413,7 +414,7 @@ impl Intrinsic {
     fn judge_texels(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let Some(size) = self.environment_size() else { return Ok(None) };
         let gain = seen.gain;
-        let Some((few, contribution)) = self.enough_texels(gain, |few| self.surrounded(seen, few))? else {
+        let Some((few, contribution)) = self.enough_texels(gain, |few| self.environment_loss(seen, few))? else {
             return Ok(None);
         };
         if contribution > gain {
@@ -430,7 +431,7 @@ impl Intrinsic {
     /// Finds the longest acceptable update interval of the environment map.
     fn judge_update_interval(&self, seen: &mut Seen<'_>) -> Result<Option<u32>> {
         let gain = seen.gain;
-        let tried = self.update_interval(seen.before, gain, |old| self.surrounded(seen, old))?;
+        let tried = self.update_interval(seen.before, gain, |old| self.environment_loss(seen, old))?;
         let Some((every, contribution)) = tried else { return Ok(None) };
         let cost = format!("at an age of {every} steps it costs {contribution:.3} dB (limit: {gain})");
         let moves = format!(
@@ -453,7 +454,7 @@ impl Intrinsic {
     }
 
     /// Returns the PSNR loss in dB of images under another environment map.
-    fn surrounded(&self, seen: &Seen<'_>, other: &RunLight) -> Result<f64> {
+    fn environment_loss(&self, seen: &Seen<'_>, other: &RunLight) -> Result<f64> {
         let ambient = self.images(&mut self.shading(&seen.splats, other)?, seen.views)?.ambient;
         Ok(loss(seen.with, seen.error(&seen.all.direct, &ambient)))
     }

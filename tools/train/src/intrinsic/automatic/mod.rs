@@ -29,7 +29,7 @@ use sgs_passes::shade::visibility::{FieldConfig, VisibilityField};
 /// Shares of the steps after which components are measured.
 /// Lights can be judged at all of them. The environment map and the visibility must be learned first, and are judged
 /// from [`WHOLE`] on.
-const LOOKS: [f64; 3] = [0.25, 0.5, 0.75];
+const POLLS: [f64; 3] = [0.25, 0.5, 0.75];
 
 /// Share of the steps from which whole components are judged.
 const WHOLE: f64 = 0.5;
@@ -103,7 +103,7 @@ impl Automatic {
 
 /// Returns whether components are measured after this step.
 fn polls(step: u32, steps: u32) -> bool {
-    LOOKS.iter().any(|share| due(*share, steps) == step) && step < steps
+    POLLS.iter().any(|share| due(*share, steps) == step) && step < steps
 }
 
 /// Returns whether components that are judged from a share on are judged at a step.
@@ -176,11 +176,11 @@ impl Intrinsic {
     /// the number of merged lobes. This would last until the mean of about a thousand steps forgets it.
     fn merge_lobes(&mut self, most: u32) -> Result<()> {
         self.finish()?;
-        let (Some(mut file), Some([_, before])) = (self.scaled_lights()?, &self.parameters.lights) else {
+        let (Some(mut file), Some(before)) = (self.scaled_lights()?, &self.parameters.lights) else {
             return Ok(());
         };
         let (row, old) = (self.light_model.row() as usize, self.light_model.lobes as usize);
-        let moments = before.download_moments(&self.device)?;
+        let moments = before.lobes.download_moments(&self.device)?;
         file.lights.iter_mut().for_each(|l| *l = lobes::merged(l, most as usize));
         let (_, _, raw, _) = file.raw();
         self.set_lobes(most, &raw)?;
@@ -191,7 +191,7 @@ impl Intrinsic {
         };
         let moments: Vec<f32> = (0..raw.len()).flat_map(|i| [0.0, square(i)]).collect();
         match &self.parameters.lights {
-            Some([_, lobes]) => Ok(lobes.upload_moments(&self.device, &moments)?),
+            Some(lights) => Ok(lights.lobes.upload_moments(&self.device, &moments)?),
             None => Ok(()),
         }
     }
@@ -229,8 +229,8 @@ impl Intrinsic {
         self.light_model.lobes = lobes;
         self.required.intrinsic.lights.lobes = lobes;
         self.options.lights = self.options.lights.map(|(_, normalizer)| (self.light_model, normalizer));
-        if let Some([_, parameters]) = &mut self.parameters.lights {
-            *parameters = Trainable::new(&self.device, "light_lobes", raw, true)?;
+        if let Some(lights) = &mut self.parameters.lights {
+            lights.lobes = Trainable::new(&self.device, "light_lobes", raw, true)?;
         }
         Ok(())
     }

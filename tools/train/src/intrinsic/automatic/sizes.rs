@@ -42,7 +42,7 @@ pub(in super::super) fn required(found: &Found<'_>, s: &IntrinsicSettings) -> (I
         let reason = format!("priors call {:.3} % of the pixels metallic", 100.0 * share);
         decided("metallic", on, reason, Some([share, METALLIC_SHARE]));
     }
-    if a.parts.sizes && s.environment.enabled {
+    if a.parts.sizes && s.environment.enabled() {
         let most = s.environment.resolution;
         let (reason, figures) = match found.roughness {
             Some(maps) => {
@@ -59,7 +59,7 @@ pub(in super::super) fn required(found: &Found<'_>, s: &IntrinsicSettings) -> (I
         decided("environment size", true, reason, figures);
     }
     let v = &s.visibility;
-    if a.parts.sizes && s.lights.enabled && v.kind == VisibilityKind::Field && v.levels > 1 {
+    if a.parts.sizes && s.lights.enabled() && v.kind == VisibilityKind::Field && v.levels > 1 {
         let side = (0..3).map(|i| f64::from(found.bounds[1][i] - found.bounds[0][i])).fold(0.0, f64::max);
         if let Some(pixel) = footprint(found.splats, found.cameras).filter(|p| *p > 0.0 && side > 0.0) {
             let wanted = (side / pixel).ceil().min(f64::from(u32::MAX)) as u32;

@@ -5,7 +5,7 @@
 //! measured. Snapshots of the map are taken a few steps before each measurement; the cost is the PSNR loss of images
 //! with such a snapshot.
 
-use super::{LOOKS, WHOLE, due};
+use super::{POLLS, WHOLE, due};
 use crate::error::Result;
 use crate::intrinsic::Intrinsic;
 use crate::uniforms::uniform_bytes;
@@ -20,7 +20,7 @@ pub(in super::super) type Remembered = (u32, Vec<f32>);
 
 /// Returns whether a snapshot taken after step `taken` is needed later than `now`.
 fn wanted(taken: u32, now: u32, steps: u32) -> bool {
-    let polls = LOOKS.into_iter().filter(|share| *share >= WHOLE).map(|share| due(share, steps));
+    let polls = POLLS.into_iter().filter(|share| *share >= WHOLE).map(|share| due(share, steps));
     polls.filter(|poll| *poll > now && *poll < steps).any(|poll| AGES.iter().any(|age| taken + age == poll))
 }
 
@@ -78,7 +78,7 @@ impl Intrinsic {
         let options = IntrinsicOptions { environment_every: every, ..self.options };
         let plan = EnvironmentRefresh::plan(&self.tuning, e, &options)?;
         let bytes = StoredEnvironment::bytes_of(e) + plan.arena_bytes + uniform_bytes(&self.device, &plan, 1);
-        Ok(bytes + self.needs.given_up() <= self.device.budget().left())
+        Ok(bytes + self.needs.released() <= self.device.budget().left())
     }
 }
 

@@ -1,0 +1,19 @@
+//! Commands, files and reports: refusals, formats, measures.
+
+mod classes;
+mod cli;
+mod exchange;
+mod layouts;
+mod lpips;
+mod metrics;
+mod outputs;
+mod presets;
+mod priors;
+mod providers;
+mod relight;
+mod render;
+mod report;
+mod shell;
+mod splits;
+mod statuses;
+mod viewpoints;

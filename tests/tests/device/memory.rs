@@ -1,0 +1,581 @@
+//! Memory budget: training allocates what the estimate before the first step says. Plans that do not fit are refused
+//! with their sizes. Refused growth loses no result.
+
+use sgs_config::{Parts, Settings, ShDegree, VisibilityKind};
+use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Location};
+use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
+use sgs_tests::Gpu;
+use sgs_tests::cli::{sgs, signal, start, until, wait};
+use sgs_tests::meaning::Meaning;
+use sgs_tests::place::Place;
+use sgs_tests::priors::provider;
+use sgs_tests::rooms::Room;
+use sgs_train::{AlbedoComparisons, Geometry, Intrinsic, Progress, TrainError};
+
+fn settings(steps: u32) -> Settings {
+    let mut s = Settings::default();
+    s.geometry.steps = steps;
+    let d = &mut s.geometry.densify;
+    (d.from, d.interval, d.reset_interval, d.grad_threshold, d.max_gaussians) = (5, 5, 12, 5e-5, 3000);
+    s
+}
+
+#[test]
+fn plans_over_budget_are_refused_with_sizes() {
+    let select = std::env::var("SGS_TEST_DEVICE").ok();
+    let options = DeviceOptions { select, validation: true, memory_budget: Some(1 << 20), ..Default::default() };
+    let device = Device::open(&options).unwrap();
+    let b = device.budget();
+    assert_eq!((b.budget, b.used, b.source), (1 << 20, 0, BudgetSource::Configured));
+    assert!(b.heap >= b.budget);
+    let retained = device.buffer("kept", 1 << 19, Location::Device).unwrap();
+    let error = device.buffer("too much", (1 << 19) + 4, Location::Device).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "524292 bytes for \"too much\" exceed the memory budget: 524288 of 1048576 bytes are in use."
+    );
+    let image = device.image("image", [512, 512], ImageFormat::Rgba8Unorm).unwrap_err();
+    assert!(matches!(image, Error::OverBudget { used: 524_288, .. }), "{image}");
+    assert!(matches!(device.buffer("host", 1 << 20, Location::Upload), Err(Error::OverBudget { .. })));
+    // Buffers that fill the budget exactly fit, and refused buffers leave nothing allocated.
+    let rest = device.buffer("rest", 1 << 19, Location::Device).unwrap();
+    assert_eq!(device.budget().left(), 0);
+    drop(retained);
+    assert_eq!(device.budget().used, 1 << 19);
+    device.set_memory_budget(None);
+    assert_ne!(device.budget().source, BudgetSource::Configured);
+    drop((device.buffer("more", 4 << 20, Location::Device).unwrap(), rest));
+    assert_eq!(device.messages().take(), Vec::<String>::new());
+}
+
+#[test]
+fn training_memory_matches_estimate() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    for densify in [true, false] {
+        let mut s = settings(4);
+        s.geometry.densify.until = if densify { 0.8 } else { 0.0 };
+        s.geometry.entry_capacity = 1 << 15;
+        let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        let needs = *training.needs();
+        assert!(needs.priors > 0 && (needs.statistics > 4) == densify);
+        assert_eq!(gpu.device().memory_use().0, needs.total() - needs.staging - needs.densify_arena);
+        training.train(2, |_| {}, || true).unwrap();
+        // Staging aside, the prediction for the end of a training without growth equals its needs.
+        let count = training.gaussians().count(gpu.device()).unwrap();
+        let sight = training.sight().unwrap();
+        let entries = sight.most_entries;
+        let foretold = training.expected(count, count, entries).unwrap();
+        assert_eq!((foretold.total() - foretold.staging, foretold.bands), (needs.total() - needs.staging, 0));
+        assert!(entries > 0 && training.expected(4 * count, count, entries).unwrap().total() >= foretold.total());
+        // The estimated cost covers every pass, and more Gaussians cost more.
+        let (cost, unknown) = training.step_cost(&sight).unwrap();
+        let (more, _) = training.step_cost(&sight.with(4 * count)).unwrap();
+        assert!(unknown == 0 && cost.operations > 20.0 * sight.entries && cost.bytes > 100.0 * sight.visible);
+        assert!(more.operations > 2.0 * cost.operations && more.bytes > 2.0 * cost.bytes, "{cost:?} {more:?}");
+        drop(training);
+
+        // A budget equal to the needs allows steps. With a byte less, an error is returned and nothing stays allocated.
+        s.memory.budget = needs.total() - 1;
+        if densify {
+            // Capacity to grow is optional at first: a byte less does not cause a refusal.
+            let training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+            assert!(training.needs().total() <= s.memory.budget && training.needs().parameters < needs.parameters);
+            drop(training);
+            s.memory.budget = needs.staging + needs.photographs;
+        }
+        let error = Geometry::new(gpu.device(), &scene, &s, None).err().unwrap();
+        assert!(matches!(error, TrainError::Memory(_)), "{error}");
+        for word in ["The first step needs", "parameters", "moments", "arena", "--memory-budget"] {
+            assert!(error.to_string().contains(word), "{word}: {error}");
+        }
+        assert_eq!(gpu.device().memory_use().0, 0);
+        s.memory.budget = needs.total();
+        Geometry::new(gpu.device(), &scene, &s, None).unwrap().train(2, |_| {}, || true).unwrap();
+        gpu.device().set_memory_budget(None);
+    }
+}
+
+/// Tests the estimate of the intrinsic stage with all kinds of steps. Smaller budgets are refused with the sizes.
+#[test]
+fn intrinsic_memory_matches_estimate() {
+    let room = Room { priors: true, ..Room::default() };
+    let place = Place::new(room);
+    for kind in ["albedo", "masks"] {
+        std::fs::create_dir_all(place.path(&format!("scene/priors/{kind}"))).unwrap();
+    }
+    for camera in room.cameras() {
+        let (width, height) = (camera.width, camera.height);
+        let file = |kind: &str| place.path(&format!("scene/priors/{kind}/{}.png", camera.name));
+        let data = vec![0.5; (3 * width * height) as usize];
+        write_png(&file("albedo"), &Image { width, height, channels: 3, data }).unwrap();
+        write_ids(&file("masks"), width, height, &vec![3; (width * height) as usize]).unwrap();
+    }
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    let mut s = settings(10);
+    s.intrinsic.steps = 12;
+    (s.intrinsic.relight_from, s.intrinsic.environment.resolution, s.intrinsic.lights.grid) = (1, 16, 2);
+    (s.intrinsic.visibility.levels, s.intrinsic.visibility.log2_table) = (4, 10);
+    (s.intrinsic.visibility.coarsest, s.intrinsic.visibility.finest) = (4, 32);
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    let used = || gpu.device().memory_use().0;
+    let mut sizes = Vec::new();
+    for (field, requested, bits) in [(true, false, 16), (true, false, 32), (true, true, 32), (false, false, 32)] {
+        (s.accuracy.weight_bits, s.accuracy.table_bits) = (bits, bits);
+        if !field {
+            (s.intrinsic.visibility.kind, s.intrinsic.environment.every) = (VisibilityKind::None, 4);
+        }
+        s.intrinsic.relight.provider = if requested { provider("misbehave=nothing") } else { "own".into() };
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        training.train(12, |_| {}, || true).unwrap();
+        let needs = *training.needs();
+        let (cost, unknown) = training.step_cost().unwrap();
+        assert!(unknown == 0 && cost.operations > 1e5, "{unknown} passes are not known: {cost:?}");
+        sizes.push((needs.surfaces, needs.visibility));
+        assert_eq!(training.comparisons(), AlbedoComparisons { cross_view: true, relight: true });
+        assert!(needs.cross_view_arena > 0 && needs.relight_arena > 0 && (needs.visibility > 0) == field, "{needs:?}");
+        assert_eq!(needs.relit > 0 && needs.estimates > 0, requested, "{needs:?}");
+        let (taken, estimated) = (used(), needs.total() - needs.staging);
+        println!("{taken} bytes taken, {estimated} estimated");
+        assert!(taken == estimated, "{taken} bytes taken, {estimated} estimated: {needs:?}");
+        drop(training);
+        // The minimum stores surfaces of one view instead of all training views.
+        let least =
+            needs.total() - needs.surfaces / scene.split.train.len() as u64 * (scene.split.train.len() as u64 - 1);
+        s.memory.budget = least - 1;
+        let error = Intrinsic::new(gpu.device(), &scene, &s, &splats).err().unwrap();
+        assert!(matches!(error, TrainError::Memory(_)), "{error}");
+        for word in ["The intrinsic stage needs", "surfaces of views", "environment", "arena", "--memory-budget"] {
+            assert!(error.to_string().contains(word), "{word}: {error}");
+        }
+        assert_eq!(used(), 0);
+        // For freshly trained geometry, `Intrinsic::within` drops the faintest splats instead of failing.
+        let mut some = splats.clone();
+        let mut training = Intrinsic::within(gpu.device(), &scene, &s, &mut some).unwrap();
+        assert!(some.len() < splats.len() && some == splats.strongest(some.len()), "{} are left", some.len());
+        let output: Vec<_> = training.decisions().iter().map(ToString::to_string).collect();
+        assert!(
+            output
+                .iter()
+                .any(|d| d.starts_with("the faintest splats left out: materials and lights of all do not fit"))
+        );
+        training.train(12, |_| {}, || true).unwrap();
+        training.save(&place.path("state")).unwrap();
+        drop(training);
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &some).unwrap();
+        training.restore(&place.path("state")).unwrap();
+        assert!(
+            training.decisions().iter().map(ToString::to_string).eq(output),
+            "being stopped has changed what is said"
+        );
+        drop(training);
+        s.memory.budget = least;
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        assert!(!training.keeps_surfaces());
+        training.train(12, |_| {}, || true).unwrap();
+        training.save(&place.path("state")).unwrap();
+        drop(training);
+        gpu.device().set_memory_budget(None);
+        s.memory.budget = 0;
+    }
+    // Weights in 16 bits take less memory; a 16-bit copy of the tables takes more.
+    assert!(sizes[0].0 < sizes[1].0 && sizes[0].1 > sizes[1].1, "{sizes:?}");
+    let plan = |more: &[&str]| {
+        let scene = place.text("scene");
+        sgs(&[&["plan", &scene, "--set", "intrinsic.visibility.log2_table=12"][..], more].concat())
+    };
+    let found = plan(&["--stage", "intrinsic", "--json"]).ok().json();
+    let parts: u64 = found["needs"].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum();
+    assert!(
+        found["needs_bytes"] == parts && found["lights"] == 64 && found["lobes"] == 12 && found["environment"] == 256
+    );
+    assert!(found["step_operations"].as_f64().unwrap() > 1e6);
+    assert!(found["priors"]["albedo"] == true && found["priors"]["roughness"] == false && found["cross_view"] == true);
+    let short = plan(&["--stage", "intrinsic", "--json", "--set", "accuracy.weight_bits=16"]).ok().json();
+    let surfaces = |plan: &serde_json::Value| plan["needs"]["surfaces"].as_u64().unwrap();
+    assert!(surfaces(&short) < surfaces(&found), "{short}");
+    let both = plan(&["--stage", "all"]).ok().stdout;
+    for word in
+        ["densify", "lights      64 of 12 lobes", "visibility  a field of 16 levels", "own prior   every 3 steps"]
+    {
+        assert!(both.contains(word), "{word}: {both}");
+    }
+    let words = ["The intrinsic stage needs", "the budget leaves 8.0 of 8.0 MiB"];
+    plan(&["--stage", "intrinsic", "--memory-budget", "8M"]).refused(&words);
+    // A shortage of the intrinsic stage is reported before the geometry stage begins.
+    let all = ["train", &place.text("scene"), "-o", &place.text("all"), "--stage", "all", "--vram", "8M"];
+    sgs(&all).refused(&["The intrinsic stage needs", "MiB of device memory"]);
+    assert!(!place.path("all").exists());
+}
+
+/// Tests the same estimate with traced shadows.
+#[test]
+fn traced_shadow_memory_matches_estimate() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = Splats::from_points(&scene.points, 1).unwrap();
+    let gpu = Gpu::new();
+    let mut s = sgs_tests::intrinsic::settings(6);
+    s.intrinsic.visibility.kind = VisibilityKind::Traced;
+    let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+    training.train(6, |_| {}, || true).unwrap();
+    training.save(&place.path("state")).unwrap();
+    let (needs, (now, most)) = (*training.needs(), gpu.device().memory_use());
+    assert!(needs.visibility > 0 && now == needs.total() - needs.staging, "{now} bytes taken: {needs:?}");
+    let off = most as f64 / needs.total() as f64 - 1.0;
+    assert!(off.abs() < 0.05, "{most} bytes at most, {} estimated: {needs:?}", needs.total());
+}
+
+/// Tests that the peak of a growing training is within 5 % of the estimate. Semantics and pseudo-views are on. The
+/// estimate uses statistics of the first views. The number of Gaussians that fit a budget is tested as well.
+#[test]
+fn densification_memory_matches_estimate() {
+    let room = Room { views: 8, size: [64, 48], spacing: 1, priors: true, ..Room::default() };
+    let place = Place::new(room);
+    Meaning::default().write(&room, &place.path("scene"));
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = settings(40);
+    (s.geometry.densify.interval, s.geometry.densify.grad_threshold) = (10, 2e-5);
+    (s.geometry.densify.max_gaussians, s.geometry.pseudo.poses) = (40_000, 3);
+    s.geometry.correspondence_from = 5;
+    for auto in [false, true] {
+        if auto {
+            s.geometry.sh_degree = ShDegree::Auto;
+        }
+        let gpu = Gpu::new();
+        let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        let count = training.gaussians().count(gpu.device()).unwrap();
+        let entries = training.sight().unwrap().most_entries;
+        training.train(40, |_| {}, || true).unwrap();
+        let (n, peak) = (training.gaussians().count(gpu.device()).unwrap(), gpu.device().memory_use().1);
+        drop(training);
+        let training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        let most = training.expected(n, count, entries).unwrap().total();
+        let least = training.expected_without_bands(n, count, entries).unwrap().map_or(most, |n| n.total());
+        println!("{count} became {n}: {peak} bytes at most, {least} to {most} foretold");
+        assert!(n > 2 * count && (least < most) == auto, "{count} became {n}");
+        assert!(peak as f64 > 0.95 * least as f64 && (peak as f64) < 1.05 * most as f64, "{peak}: {least} to {most}");
+        drop(training);
+        // A step with pseudo-views costs more, and the cost of each of its passes is known.
+        let mut bound = s.clone();
+        bound.memory.budget = most;
+        let mut training = Geometry::new(gpu.device(), &scene, &bound, None).unwrap();
+        let sight = training.sight().unwrap();
+        let ((step, unknown), Some((pseudo, other))) =
+            (training.step_cost(&sight).unwrap(), training.pseudo_step_cost(&sight).unwrap())
+        else {
+            panic!("there are pseudo-views")
+        };
+        assert!((unknown, other) == (0, 0), "{unknown} and {other} passes are unknown");
+        assert!(pseudo.operations > 1.5 * step.operations, "{step:?} {pseudo:?}");
+        // That budget holds at least as many Gaussians, and less than half as many more.
+        let fit = training.most_within_budget(count, entries).unwrap();
+        assert!(fit >= n && u64::from(fit) < u64::from(n) * 3 / 2, "{fit} of {n}");
+        // Within a smaller budget, training completes with fewer Gaussians.
+        bound.memory.budget = training.needs().total() * 5 / 4;
+        drop((training, gpu));
+        let gpu = Gpu::new();
+        let mut training = Geometry::new(gpu.device(), &scene, &bound, None).unwrap();
+        training.train(40, |_| {}, || true).unwrap();
+        let (fewer, peak) = (training.gaussians().count(gpu.device()).unwrap(), gpu.device().memory_use().1);
+        println!("{fewer} within {} bytes: {peak}", bound.memory.budget);
+        assert!(peak <= bound.memory.budget && fewer < n && fewer > count, "{peak} bytes, {fewer} of {n}");
+    }
+}
+
+/// Tests that images for the provider are part of the estimate. Where they do not fit, training continues without them.
+#[test]
+fn provider_image_memory_matches_estimate() {
+    let room = Room { priors: true, ..Room::default() };
+    let place = Place::new(room);
+    Meaning::default().write(&room, &place.path("scene"));
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = settings(12);
+    s.geometry.densify.until = 0.0;
+    (s.geometry.correspondence_from, s.geometry.pseudo.poses) = (4, 3);
+    s.provider.command = provider("misbehave=nothing");
+    let gpu = Gpu::new();
+    let train = |s: &Settings| {
+        let mut training = Geometry::new(gpu.device(), &scene, s, None).unwrap();
+        let mut pairs = 0;
+        let on_progress = |p: &Progress| {
+            if let Progress::Step(r) = p {
+                pairs += r.losses.correspondence_pairs;
+            }
+        };
+        training.train(12, on_progress, || true).unwrap();
+        (*training.needs(), pairs, gpu.device().memory_use())
+    };
+    let (needs, pairs, (now, _)) = train(&s);
+    assert!(pairs > 0 && needs.requested > 0 && now == needs.total() - needs.staging, "{now} bytes taken: {needs:?}");
+    // With a budget of exactly the needs, the provider is still queried.
+    s.memory.budget = needs.total();
+    let (_, again, (_, peak)) = train(&s);
+    assert!(again == pairs && peak <= s.memory.budget, "{again} of {pairs}");
+    gpu.device().set_memory_budget(None);
+}
+
+/// Tests that memory of automatic model selection is part of the estimate. Steps release memory during an evaluation;
+/// the estimate counts what the evaluation takes beyond that.
+#[test]
+fn automatic_selection_memory_matches_estimate() {
+    let mut s = sgs_tests::intrinsic::settings(12);
+    // Many splats dominate the memory, because an evaluation copies them.
+    let room = Room { priors: true, spacing: 1, ..Room::default() };
+    for (compared, judged) in [(true, false), (false, false), (false, true)] {
+        let place = Place::new(room);
+        if compared {
+            room.write_materials(&place.path("scene"));
+        }
+        // Every evaluation takes place. Candidates are judged by images rendered without them.
+        let a = &mut s.intrinsic.automatic;
+        (a.enabled, a.gain, a.limits) = (true, 0.0, [1e3; 2]);
+        a.parts = if judged { Parts { sizes: false, metallic: false, ..Parts::ALL } } else { Parts::NONE };
+        let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+        let splats = Splats::from_points(&scene.points, 1).unwrap();
+        let gpu = Gpu::new();
+        let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
+        training.train(12, |_| {}, || true).unwrap();
+        training.save(&place.path("state")).unwrap();
+        let (needs, most) = (*training.needs(), gpu.device().memory_use().1);
+        let off = most as f64 / needs.total() as f64 - 1.0;
+        println!(
+            "{compared}, {judged}: {most} bytes at most, {} estimated, {} for looking",
+            needs.total(),
+            needs.looking
+        );
+        assert!(off.abs() < 0.05, "{most} bytes at most, {} estimated: {needs:?}", needs.total());
+        // Steps release less than an evaluation takes, so the evaluation sets the peak.
+        let steps = needs.total() - needs.looking;
+        assert!(needs.looking > 0 && most > steps + needs.looking / 2, "{most} bytes at most: {needs:?}");
+        if judged {
+            assert!(training.decisions().iter().any(|d| d.measured.is_some()), "{:?}", training.decisions());
+        }
+    }
+}
+
+/// Tests that training fails if the arena for tile entries may not grow. Training can continue later, with the same
+/// result.
+#[test]
+fn refused_growth_preserves_gaussians() {
+    let place = Place::new(Room::default());
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let gpu = Gpu::new();
+    let mut s = settings(30);
+    let straight = {
+        let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+        training.train(30, |_| {}, || true).unwrap();
+        training.splats().unwrap()
+    };
+    s.geometry.entry_capacity = 8;
+    let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+    training.train(4, |_| {}, || true).unwrap();
+    training.save(&place.path("state")).unwrap();
+    let state = place.read("state");
+    // Sufficient for everything but a larger arena.
+    gpu.device().set_memory_budget(Some(gpu.device().memory_use().0 + 4096));
+    let error = training.train(30, |_| {}, || true).unwrap_err();
+    assert!(
+        matches!(&error, TrainError::Engine(Error::OverBudget { what, .. }) if what == "arena of geometry_step"),
+        "{error}"
+    );
+    // A second attempt fails with the same error.
+    assert!(matches!(training.train(30, |_| {}, || true), Err(TrainError::Engine(Error::OverBudget { .. }))));
+    gpu.device().set_memory_budget(None);
+    training.train(30, |_| {}, || true).unwrap();
+    assert!(training.splats().unwrap() == straight, "the refusal changed the result");
+    // Training from the checkpoint gives the same result.
+    assert!(place.read("state") == state);
+    let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+    training.restore(&place.path("state")).unwrap();
+    training.train(30, |_| {}, || true).unwrap();
+    assert!(training.splats().unwrap() == straight);
+}
+
+#[test]
+fn densification_stops_where_memory_ends() {
+    let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = settings(16);
+    (s.geometry.densify.grad_threshold, s.geometry.densify.interval) = (0.0, 1);
+    (s.geometry.densify.max_gaussians, s.geometry.densify.prune_weight) = (100_000, 0.0);
+    let train = |s: &Settings| {
+        let mut after = Vec::new();
+        let gpu = Gpu::new();
+        let mut training = Geometry::new(gpu.device(), &scene, s, None).unwrap();
+        let on_progress = |p: &Progress| {
+            if let Progress::Densified { stats, .. } = p {
+                after.push(stats.after);
+            }
+        };
+        training.train(16, on_progress, || true).unwrap();
+        (after, gpu.device().memory_use().1, training.needs().total())
+    };
+    let (free, _, needs) = train(&s);
+    let most = *free.iter().max().unwrap();
+    assert!(most > 60_000, "{free:?}");
+    // Capacity for the first steps and some growth.
+    s.memory.budget = needs + needs / 2;
+    let (bound, peak, _) = train(&s);
+    assert!(*bound.iter().max().unwrap() < most, "{bound:?}");
+    assert!(bound.last() > bound.first(), "growth was to go on within the budget: {bound:?}");
+    assert_eq!(bound.len(), free.len());
+    assert!(peak <= s.memory.budget, "{peak} of {} bytes", s.memory.budget);
+}
+
+/// Tests that training completes within every budget that its start fits. This holds after a resume as well, with the
+/// same result.
+#[test]
+fn training_completes_within_a_budget_just_above_its_start() {
+    let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = settings(24);
+    (s.geometry.densify.grad_threshold, s.geometry.densify.max_gaussians) = (0.0, 100_000);
+    let most = scene.points.len() as u32;
+    let least = |s: &Settings| {
+        let starts = |budget: u64| {
+            let gpu = Gpu::new();
+            let s = Settings { memory: sgs_config::MemorySettings { budget }, ..s.clone() };
+            // With a smaller budget, training starts from fewer points.
+            Geometry::new(gpu.device(), &scene, &s, None)
+                .is_ok_and(|t| t.gaussians().count(gpu.device()).unwrap() == most)
+        };
+        let (mut low, mut high) = (1_u64 << 20, 64_u64 << 20);
+        assert!(!starts(low) && starts(high));
+        while high - low > 4096 {
+            let middle = low + (high - low) / 2;
+            *(if starts(middle) { &mut high } else { &mut low }) = middle;
+        }
+        high
+    };
+    // Without densification, the budget takes precedence over a constant number of Gaussians.
+    for (densify, more, pruned) in [(true, 0, true), (true, 1 << 22, false), (false, 0, true)] {
+        s.geometry.densify.until = if densify { 0.8 } else { 0.0 };
+        s.memory.budget = least(&Settings { memory: Default::default(), ..s.clone() }) + more;
+        let train = |at: Option<u32>| {
+            let gpu = Gpu::new();
+            let mut losses = Vec::new();
+            let mut on_progress = |p: &Progress| {
+                if let Progress::Step(r) = p {
+                    losses.push((r.losses.total, r.gaussians));
+                }
+            };
+            let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+            if let Some(at) = at {
+                training.train(at, &mut on_progress, || true).unwrap();
+                training.save(&place.path("state")).unwrap();
+                drop(training);
+                training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
+                training.restore(&place.path("state")).unwrap();
+            }
+            training.train(24, &mut on_progress, || true).unwrap();
+            let decisions: Vec<_> = training.decisions().iter().map(ToString::to_string).collect();
+            let peak = gpu.device().memory_use().1;
+            assert!(peak <= s.memory.budget, "{peak} of {} bytes", s.memory.budget);
+            assert_eq!(gpu.device().messages().take(), Vec::<String>::new());
+            (training.splats().unwrap(), losses, decisions)
+        };
+        let (splats, losses, decisions) = train(None);
+        println!("{} bytes: {} points, then {} Gaussians: {decisions:?}", s.memory.budget, most, splats.len());
+        assert!(splats.len() > most as usize / 4, "{} of {most} are left", splats.len());
+        // Until opacities are reset, losses stay below the first.
+        assert!(
+            losses.iter().all(|l| l.0.is_finite()) && losses[6..12].iter().all(|l| l.0 < losses[0].0),
+            "{losses:?}"
+        );
+        let output = |what: &str| decisions.iter().any(|d| d.starts_with(what));
+        assert_eq!(output("the faintest Gaussians left out"), pruned, "{decisions:?}");
+        for at in [3, 7, 15] {
+            let (again, _, reported) = train(Some(at));
+            assert_eq!(reported, decisions, "resumed at {at}");
+            assert!(again == splats, "resumed at {at}: the splats differ");
+        }
+    }
+}
+
+#[test]
+fn cli_reports_memory_shortage() {
+    let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
+    let (scene, run) = (place.text("scene"), place.text("run"));
+    let arguments = |more: &[&str]| -> Vec<String> {
+        let mut all: Vec<String> = ["train", &scene, "-o", &run, "--geometry-steps", "16"].map(String::from).to_vec();
+        for pair in [
+            "geometry.densify.from=5",
+            "geometry.densify.interval=1",
+            "geometry.densify.grad_threshold=0.0",
+            "geometry.densify.max_gaussians=100000",
+            "train.checkpoint_interval=4",
+        ] {
+            all.extend(["--set".into(), pair.into()]);
+        }
+        all.extend(more.iter().map(|s| (*s).to_owned()));
+        all
+    };
+    let refused = sgs(&arguments(&["--memory-budget", "2M"]));
+    refused.refused(&["The first step needs", "MiB of device memory", "the budget leaves 2.0 of 2.0 MiB"]);
+    sgs(&arguments(&["--memory-budget", "lots"])).assert_no_panic();
+
+    let plan = sgs(&["plan", &scene, "--memory-budget", "4G", "--json"]).ok().json();
+    let total = plan["needs_bytes"].as_u64().unwrap();
+    let parts: u64 = plan["needs"].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum();
+    assert_eq!(total, parts);
+    assert!(plan["budget"]["heap"].as_u64() >= plan["budget"]["budget"].as_u64());
+    let text = sgs(&["plan", &scene]).ok().stdout;
+    for word in ["photographs", "parameters", "moments", "staging", "in all", "of a budget of"] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+
+    // At 1.5 times the memory of the first step, densification stops and reports this once.
+    let budget = (total + total / 2).to_string();
+    let bound = sgs(&arguments(&["--vram", &budget])).ok();
+    assert_eq!(bound.stderr.matches("new Gaussians left out after step 12: ").count(), 1, "{}", bound.stderr);
+    assert!(bound.stderr.contains(" that gradients asked for did not fit into "), "{}", bound.stderr);
+    let summary = String::from_utf8(place.read("run/training.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
+    assert!(summary["peak_device_bytes"].as_u64().unwrap() <= total + total / 2, "{summary}");
+    // The log records the counts of each densification.
+    let log = String::from_utf8(place.read("run/log.jsonl")).unwrap();
+    let lines = log.lines().map(|l| serde_json::from_str::<serde_json::Value>(l).unwrap());
+    let densified: Vec<_> = lines.filter(|l| l["densified"].is_object()).collect();
+    let number = |l: &serde_json::Value, what: &str| l["densified"][what].as_u64().unwrap();
+    for l in &densified {
+        let [before, pruned, cloned, split, after] =
+            ["before", "pruned", "cloned", "split", "after"].map(|what| number(l, what));
+        assert!(before + cloned + split == pruned + after, "{l}");
+        assert!(number(l, "invalid") + number(l, "weightless") <= pruned, "{l}");
+    }
+    assert!(densified.len() >= 8 && densified.iter().any(|l| number(l, "refused") > 0), "{log}");
+}
+
+/// Tests that resident memory does not grow during training. A CPU driver may compile kernels again for each value of a
+/// uniform and retain them all, about a megabyte per step.
+#[test]
+fn resident_memory_does_not_grow_during_training() {
+    let place = Place::new(Room { priors: true, ..Room::default() });
+    let mut child = start(&[
+        "train",
+        &place.text("scene"),
+        "-o",
+        &place.text("run"),
+        "--geometry-steps",
+        "100000",
+        "--no-densify",
+        "--set",
+        "train.checkpoint_interval=0",
+    ]);
+    let resident = |id: u32| {
+        let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap();
+        let line = status.lines().find(|l| l.starts_with("RssAnon:")).unwrap().to_owned();
+        line.split_whitespace().nth(1).unwrap().parse::<u64>().unwrap()
+    };
+    let at = |step: u64| place.logged("run").last().is_some_and(|last| *last >= step);
+    assert!(until(&mut child, || at(40)), "training was to begin");
+    let before = resident(child.id());
+    assert!(until(&mut child, || at(160)), "training was to go on");
+    let after = resident(child.id());
+    signal(&child, "KILL");
+    wait(child);
+    assert!(after < before + 16_000, "120 steps took {before} to {after} kB");
+}
