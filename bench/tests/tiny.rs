@@ -357,3 +357,18 @@ fn savings_are_measured_with_and_without() {
     let alone = succeeds(&["savings", "--size", "20x10", "--repeats", "1", "--warmup", "1", "--steps", "0"]);
     assert_eq!(alone["values"].as_array().unwrap().len(), 14);
 }
+
+/// A driver that reports statistics of kernels has them in the report. Others are refused before anything is measured.
+#[test]
+fn statistics_of_kernels_are_reported_or_refused() {
+    let out = bench(&[&["step"][..], &TINY, &["--kernels", "--json"]].concat());
+    if out.status.success() {
+        let report: Value = serde_json::from_slice(&out.stdout).unwrap();
+        assert!(facts_of(&report, "kernel blend,").iter().any(|f| f.as_str().is_some_and(|text| !text.is_empty())));
+        return;
+    }
+    let error = String::from_utf8_lossy(&out.stderr);
+    assert_eq!(out.status.code(), Some(1), "{error}");
+    assert!(error.ends_with(" reports no statistics of kernels; leave --kernels out.\n"), "{error}");
+    assert!(out.stdout.is_empty());
+}

@@ -19,7 +19,7 @@ use std::time::Instant;
 /// # Errors
 /// If the device fails, or a result is wrong.
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let device = common.open_with_statistics(a.kernels)?;
+    let device = super::step::open(common, a)?;
     let mut report = common.report("step", &device);
     let steps = a.steps.unwrap_or(common.repeats);
     report.repeats = steps;

@@ -10,7 +10,6 @@ use crate::report::Report;
 use crate::stats::Summary;
 use crate::trainer::{Run, Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic};
-use anyhow::Context as _;
 use sgs_engine::Device;
 use sgs_engine::exec::PassTime;
 use sgs_engine::graph::Plan;
@@ -164,7 +163,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.stage == Stage::Intrinsic || a.run.is_some() {
         return super::intrinsic::run(common, a);
     }
-    let device = common.open_with_statistics(a.kernels)?;
+    let device = open(common, a)?;
     let mut report = common.report("step", &device);
     let steps = a.steps.unwrap_or(common.repeats);
     report.repeats = steps;
@@ -222,13 +221,24 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.finish(&report, &device)
 }
 
-/// Adds the driver's statistics of every kernel compiled so far. Zeros are left out.
+/// Opens the device. Refuses `--kernels` at once if the driver has no statistics.
 ///
 /// # Errors
-/// If the driver reports none.
+/// If there is no such device, or its driver reports no statistics of kernels.
+pub(super) fn open(common: &Common, a: &Args) -> anyhow::Result<Device> {
+    let device = common.open_with_statistics(a.kernels)?;
+    if a.kernels && device.kernel_statistics()?.is_none() {
+        anyhow::bail!("{} reports no statistics of kernels; leave --kernels out.", device.info().name);
+    }
+    Ok(device)
+}
+
+/// Adds the driver's statistics of all compiled kernels, except zeros.
+///
+/// # Errors
+/// If the driver fails.
 pub(super) fn kernels(device: &Device, report: &mut Report) -> anyhow::Result<()> {
-    let all = device.kernel_statistics()?.context("The driver reports no statistics of kernels.")?;
-    for kernel in all {
+    for kernel in device.kernel_statistics()?.unwrap_or_default() {
         let numbers = kernel.statistics.iter().filter(|s| s.value != 0.0);
         let text: Vec<String> = numbers.map(|s| format!("{} {}", s.name, s.value)).collect();
         let p = &kernel.pipeline;
