@@ -10,19 +10,20 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-lanes test-priors bench lint docs check deny fuzz setup setup-tests install
+.PHONY: help demo test test-lanes test-priors bench lint docs book check deny fuzz setup setup-tests install
 .NOTPARALLEL:
 
 help:
 	@echo "make demo    synthesize a room, train both stages, write a page with renders and a relit image to $(OUT)"
-	@echo "make test    everything that CI checks"
+	@echo "make test    formatting, lints and all tests"
 	@echo "make test-lanes    the device tests again where lavapipe has 16 lanes"
 	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"
 	@echo "make bench   time every pass and a whole step on this machine's device"
 	@echo "make fuzz    feed every reader damaged files, in turns, until each has had an hour of the processor; stop it and go on at will"
 	@echo "make lint    formatting, clippy, documentation and the crates' layers, without the other tests"
-	@echo "make deny    licenses, duplicates and sources of all packages; needs cargo-deny"
+	@echo "make deny    licenses, duplicates, sources and security advisories of all packages; builds cargo-deny once"
 	@echo "make docs    the API documentation, in target/doc"
+	@echo "make book    the book of docs/, in target/book; builds mdbook once"
 	@echo "make install put sgs with its manual and completions, libsgs, sgs.h and sgs.pc under PREFIX ($(PREFIX))"
 	@echo "make setup   install or name missing system packages"
 
@@ -58,14 +59,18 @@ check: setup
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --workspace --all-targets --locked -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --workspace --no-deps --locked
-	@if command -v cargo-deny >/dev/null; then $(MAKE) --no-print-directory deny; fi
+	tools/deny --quick
 
 # The test tests/tests/dependencies.rs checks the same lists on machines without cargo-deny.
-deny:
-	$(CARGO) deny --locked check bans licenses sources
+deny: setup
+	tools/deny
 
 docs: setup
 	$(CARGO) doc --workspace --no-deps --locked
+
+# Also checks that every page is written and every link resolves. FILES=URL: where the repository's host shows files.
+book: setup
+	tools/book $(if $(FILES),--files "$(FILES)")
 
 bench: setup
 	$(CARGO) run --release --locked -p sgs-bench --bin engine-bench -- passes

@@ -69,7 +69,6 @@ fn features_of_hard_splats_match_reference() {
         let off = largest(&image, &truth);
         println!("seed {seed}: largest {off:.2e}");
         assert!(off < 2e-3, "seed {seed}: largest difference {off}");
-        // The bound of `Accuracy` for features up to one.
         for (p, pixel) in image.chunks_exact(WIDE).enumerate() {
             let written = pixel.iter().any(|x| x.to_bits() != u32::MAX);
             assert_eq!(written, wants(p), "pixel {p}");
