@@ -5,7 +5,7 @@ use std::path::PathBuf;
 fn main() {
     let root = PathBuf::from(std::env::var_os("CARGO_MANIFEST_DIR").expect("set by cargo"));
     let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by cargo"));
-    for family in ["include", "prim", "splat", "shade", "loss", "optim"] {
+    for family in ["include", "prim", "splat", "shade", "loss", "optim", "transport"] {
         println!("cargo:rerun-if-changed={}", root.join(family).display());
     }
     println!("cargo:rerun-if-changed=build.rs");

@@ -10,6 +10,8 @@ fn main() {
     let root = PathBuf::from(std::env::var_os("CARGO_MANIFEST_DIR").expect("set by cargo")).join("kernels");
     let out = PathBuf::from(std::env::var_os("OUT_DIR").expect("set by cargo"));
     println!("cargo:rerun-if-changed={}", root.display());
+    // Kernels of tests may include what they test.
+    println!("cargo:rerun-if-changed={}", root.join("../../shaders-glsl/include").display());
     println!("cargo:rerun-if-changed=build.rs");
     let kernels = sgs_shader_compiler::compile_folder(&root).unwrap_or_else(|e| fail(&e.to_string())).kernels;
     let mut table = String::from("&[\n");

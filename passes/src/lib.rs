@@ -16,6 +16,7 @@ pub mod rng;
 pub mod scene;
 pub mod shade;
 pub mod splat;
+pub mod transport;
 mod tuning;
 
 pub use accuracy::Accuracy;

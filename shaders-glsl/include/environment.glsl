@@ -2,11 +2,10 @@
 // `split_sum`.
 
 #include "cube.glsl"
+#include "split_sum.glsl"
 
 // Pixels with less blended opacity are not shaded.
 const float ENVIRONMENT_COVERAGE_MIN = 1e-3;
-const float ENVIRONMENT_NV_MIN = 1e-4;
-const float ENVIRONMENT_TABLE = 64.0; // nodes along a side of the split-sum table
 
 // Where a roughness lies among the levels: 0.08 to 0.5 in even steps, then 1. `slope` is the derivative.
 float environment_level(float roughness, out float slope) {
@@ -30,19 +29,6 @@ vec3 environment_lookup(vec3 d, uvec2 level) {
     return sum;
 }
 
-// Factor of F0 and the bias, and their derivatives by roughness. Rows are roughness, columns n.v.
-vec2 environment_split_sum(float roughness, float nv, out vec2 slope) {
-    const float last = ENVIRONMENT_TABLE - 1.0;
-    vec2 x = clamp(vec2(nv, roughness), 0.0, 1.0) * last;
-    vec2 low = min(floor(x), vec2(last - 1.0)), t = x - low;
-    uint at = uint(low.y) * uint(ENVIRONMENT_TABLE) + uint(low.x);
-    vec2 upper = mix(split_sum[at], split_sum[at + 1u], t.x);
-    at += uint(ENVIRONMENT_TABLE);
-    vec2 lower = mix(split_sum[at], split_sum[at + 1u], t.x);
-    slope = roughness > 0.0 && roughness < 1.0 ? last * (lower - upper) : vec2(0.0);
-    return mix(upper, lower, t.y);
-}
-
 struct Seen {
     vec3 irradiance; // over pi: radiance of a white diffuse surface
     vec3 reflected;  // through the lobe of this roughness
@@ -59,7 +45,7 @@ Seen environment_seen(vec3 normal, vec3 view, float roughness) {
     Seen s;
     float facing = dot(normal, view);
     s.mirrored = 2.0 * max(facing, 0.0) * normal - view;
-    s.split = environment_split_sum(roughness, clamp(facing, ENVIRONMENT_NV_MIN, 1.0), s.by_roughness);
+    s.split = split_sum_at(roughness, clamp(facing, SPLIT_SUM_NV_MIN, 1.0), s.by_roughness);
     float level = environment_level(roughness, s.slope);
     uint first = min(uint(level), LEVELS - 2u);
     s.part = level - float(first);

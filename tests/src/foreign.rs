@@ -25,6 +25,7 @@ pub fn sample(n: usize) -> Splats {
         roughness: Some(many(n, -9.0, 9.0)),
         metallic: Some(many(n, -9.0, 9.0)),
         semantic: Some((3, many(n * 3, -1.0, 1.0))),
+        emitters: None,
     }
 }
 

@@ -3,6 +3,7 @@
 //! The device has validation on. Graphs run once with poisoned outputs. Gradients are tested against finite
 //! differences.
 
+pub mod area_lights;
 pub mod browser;
 pub mod busy;
 pub mod cli;
@@ -32,6 +33,7 @@ pub mod screen;
 pub mod semantics;
 pub mod splats;
 pub mod surfaces;
+pub mod transport;
 pub mod whole;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};

@@ -53,7 +53,6 @@ impl Place {
             "geometry.densify.reset_interval=12",
             "geometry.densify.grad_threshold=0.00005",
             "geometry.densify.max_gaussians=3000",
-            "geometry.entry_capacity=300",
             "train.checkpoint_interval=7",
         ] {
             all.extend(["--set".into(), pair.into()]);

@@ -4,6 +4,7 @@
 //! result satisfies. The check reads the results of the timed replays.
 
 mod adam;
+mod area_lights;
 mod blend;
 mod blend_bwd;
 pub mod densify;
@@ -15,6 +16,7 @@ mod photometric;
 mod primitives;
 mod semantic;
 mod traced;
+mod transport;
 pub mod view;
 mod visibility;
 
@@ -49,7 +51,7 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// Stages by the names that `--filter` matches.
-pub const STAGES: [(&str, Stage); 15] = [
+pub const STAGES: [(&str, Stage); 17] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
@@ -64,5 +66,7 @@ pub const STAGES: [(&str, Stage); 15] = [
     ("densify", densify::one),
     ("environment", environment::all),
     ("traced", traced::one),
+    ("area_lights", area_lights::all),
+    ("transport", transport::all),
     ("visibility", visibility::all),
 ];

@@ -6,12 +6,14 @@
 //! definition and the plan's specialization constants, not from the kernel's code. A kernel that does more than
 //! necessary shows a lower share.
 
+mod area_lights;
 mod environment;
 mod material;
 mod meaning;
 mod model;
 mod shade;
 mod surface;
+mod transport;
 mod visibility;
 
 use crate::scene::Group;

@@ -88,8 +88,10 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
                 .or_else(|| super::shade::kernel(s, c))
                 .or_else(|| super::surface::kernel(s, c))
                 .or_else(|| super::environment::kernel(s, c))
+                .or_else(|| super::area_lights::kernel(s, c))
                 .or_else(|| super::visibility::kernel(s, c))
-                .or_else(|| super::material::kernel(s, c));
+                .or_else(|| super::material::kernel(s, c))
+                .or_else(|| super::transport::kernel(s, c));
         }
     };
     Some(Cost { bytes, operations })

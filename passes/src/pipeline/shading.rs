@@ -2,6 +2,7 @@
 //!
 //! Light comes from point lights and an environment map.
 
+use super::transport::{ShadedTransport, Terms};
 use super::{EnvironmentMemory, Step, Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
 use crate::scene::{Gaussians, Trainable, TrainableHandles};
@@ -43,6 +44,8 @@ pub struct ShadedScene {
     pub environment: Option<ShadedEnvironment>,
     /// Visibility of the lights; without it nothing occludes them.
     pub visibility: Option<ShadedVisibility>,
+    /// Physical lights, light that bounces, and emission.
+    pub transport: Option<ShadedTransport>,
 }
 
 impl ShadedScene {
@@ -119,7 +122,7 @@ pub struct Shaded {
     pub materials: Vec<f32>,
     /// Metallic, 1 float per pixel; empty if the scene has none.
     pub metallic: Vec<f32>,
-    /// Light of the point lights, 3 floats per pixel.
+    /// Light of point lights and physical lights, 3 floats per pixel.
     pub direct: Vec<f32>,
     /// Diffuse term of `direct`, 3 floats per pixel.
     pub direct_diffuse: Vec<f32>,
@@ -131,6 +134,10 @@ pub struct Shaded {
     pub background: Vec<f32>,
     /// Visibility of the lights, mean over all lights, 1 float per pixel; empty without occlusion.
     pub visibility: Vec<f32>,
+    /// Light that bounced between surfaces, 3 floats per pixel; empty without transport.
+    pub indirect: Vec<f32>,
+    /// Light that the surfaces emit, 3 floats per pixel; empty without transport.
+    pub emission: Vec<f32>,
 }
 
 /// Reusable shader of views.
@@ -156,7 +163,14 @@ struct State {
     /// Whether visibility is requested and the scene has occlusion.
     hidden: bool,
     outputs: Vec<DeviceBuffer>,
+    /// Terms of physical lights and of bounced light, in the order of [`TERMS`].
+    terms: Vec<DeviceBuffer>,
 }
+
+/// Names of the terms of physical lights and of bounced light.
+///
+/// Each has 3 floats per pixel.
+const TERMS: [&str; 4] = ["light_diffuse", "light_specular", "indirect", "emission"];
 
 /// Name and floats per pixel of each output, in the order of the bindings.
 const OUTPUTS: [(&str, u64); 8] = [
@@ -394,6 +408,13 @@ impl State {
                 g.fill(name, *buffer, 0)?;
             }
         }
+        let mut transport = None;
+        if let Some(lit_by) = &scene.transport {
+            let declared = lit_by.declare(&mut g);
+            let terms = Terms { each: TERMS.map(|name| g.external(name, 12 * pixels)) };
+            lit_by.shade(&mut g, t, &declared, (&lit, (&surface.weights).into()), &terms)?;
+            transport = Some((lit_by, declared, terms));
+        }
         if metallic.is_none() {
             g.fill("no_metallic", out[1], 0)?;
         }
@@ -414,6 +435,15 @@ impl State {
         for (memory, handles) in bound {
             memory.bind(&mut exec, &handles)?;
         }
+        let mut term_memory = Vec::new();
+        if let Some((lit_by, declared, terms)) = &transport {
+            lit_by.bind(&mut exec, declared)?;
+            for (name, handle) in TERMS.iter().zip(terms.each) {
+                let buffer = device.buffer(name, 12 * pixels, Location::Device)?;
+                exec.bind(handle, &buffer)?;
+                term_memory.push(buffer);
+            }
+        }
         if let (Some(e), Some(tables)) = (&scene.environment, &tables) {
             e.memory.bind(&mut exec, &e.tables, tables)?;
         }
@@ -423,7 +453,8 @@ impl State {
         if let (Some(ShadedVisibility::Traced { memory, .. }), Some(handles)) = (&scene.visibility, &tree) {
             memory.bind(&mut exec, handles)?;
         }
-        Ok(State { shape, exec, step, surface, field: field.map(|f| f.field.step), hidden, outputs })
+        let field = field.map(|f| f.field.step);
+        Ok(State { shape, exec, step, surface, field, hidden, outputs, terms: term_memory })
     }
 
     /// Computes all outputs for a view of a surface.
@@ -463,6 +494,17 @@ impl State {
             values
         };
         let read = |i: usize| self.read(device, i, camera);
+        let all = camera.size[0] as usize * camera.size[1] as usize;
+        let terms: Vec<Vec<f32>> =
+            self.terms.iter().map(|buffer| device.download_as(buffer, 3 * all)).collect::<Result<_>>()?;
+        let [mut direct, mut direct_diffuse] = [read(DIRECT)?, read(3)?];
+        let add = |into: &mut Vec<f32>, term: &[f32]| into.iter_mut().zip(term).for_each(|(sum, v)| *sum += v);
+        if let [diffuse, specular, ..] = &terms[..] {
+            add(&mut direct, diffuse);
+            add(&mut direct, specular);
+            add(&mut direct_diffuse, diffuse);
+        }
+        let mut rest = terms.into_iter().skip(2);
         Ok(Shaded {
             size: camera.size,
             points: cut(points, 3).into_iter().map(|v| v * scene.unit).collect(),
@@ -470,12 +512,14 @@ impl State {
             coverage: cut(coverage, 1),
             materials: read(0)?,
             metallic: if scene.metallic.is_some() { read(1)? } else { Vec::new() },
-            direct: read(DIRECT)?,
-            direct_diffuse: read(3)?,
+            direct,
+            direct_diffuse,
             ambient: read(4)?,
             ambient_diffuse: read(5)?,
             background: read(6)?,
             visibility: if self.hidden { read(7)? } else { Vec::new() },
+            indirect: rest.next().unwrap_or_default(),
+            emission: rest.next().unwrap_or_default(),
         })
     }
 }

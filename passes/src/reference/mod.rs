@@ -1,6 +1,7 @@
 //! Reference of every stage: double precision on the CPU, under the same name. All are written from the definitions.
 
 pub mod adam;
+pub mod area_lights;
 pub mod blend;
 pub mod brdf;
 pub mod compose;
@@ -27,6 +28,8 @@ pub mod srgb;
 pub mod stored;
 pub mod taps;
 pub mod traced;
+pub mod transport;
+pub mod transport_shade;
 pub mod visibility;
 
 pub use crate::rng;

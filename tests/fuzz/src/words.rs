@@ -74,7 +74,7 @@ impl Words {
                 "element vertex " "element face 1\n" "element x 4294967295\n" "element vertex 18446744073709551615\n"
                 "property float x\n" "property double y\n" "property uchar red\n" "property char z\n" "property float nx\n"
                 "property list uchar int i\n" "property short f_rest_0\n" "property uchar roughness\n" "property float albedo_0\n"
-                "property float semantic_0\n" "property float metallic\n" "property float roughnessFactor\n"
+                "property float semantic_0\n" "property float metallic\n" "property float emitter\n" "property float roughnessFactor\n"
                 "property float base_color_0\n" "property float normal_0\n" "property float semantic_feature_0\n" "end_header\n"
                 "obj_info\n" "\r\n" "nan " "inf " "1e39 " "f_rest_44" "opacity" "rot_0" "scale_2"
             ),
@@ -143,6 +143,9 @@ impl Words {
                 "\"where\"" "\"box\"" "\"gaussians\"" "\"class\"" "\"region\"" "\"view\"" "\"id\"" "\"set\"" "\"scale\"" "\"albedo\"" "\"roughness\""
                 "\"metallic\"" "\"insert\"" "\"source\"" "\"rotation\"" "\"translation\"" "[0,0,0]" "[0,0,0,0]" "[1,1,1]" "[1e38,1e38,1e38]"
                 "\"training\"" "\"relight\"" "\"point_light_intensity_equivalent\"" "\"instance_id\"" "\"new_base_color_linear\""
+                "\"sgs-emitters-1\"" "\"enclosure\"" "\"low\"" "\"high\"" "\"surfels\"" "\"rays\"" "\"emitters\"" "\"name\"" "\"shape\"" "\"type\""
+                "\"point\"" "\"sphere\"" "\"rectangle\"" "\"disk\"" "\"spot\"" "\"directional\"" "\"center\"" "\"radius\"" "\"corner\""
+                "\"edge_u\"" "\"edge_v\"" "\"normal\"" "\"inner_angle\"" "\"outer_angle\"" "\"direction\"" "\"angular_radius\""
             ),
             Words::Provider => words!(
                 "SGSP" "\\\"kind\\\":\\\"hello\\\"" "\\\"kind\\\":\\\"answer\\\"" "\\\"kind\\\":\\\"error\\\"" "\\\"version\\\":1" "\\\"offers\\\":{}" "\\\"to\\\":1"

@@ -23,3 +23,4 @@ mod traced_train;
 mod train;
 mod train_faults;
 mod trainer;
+mod transport_stage;

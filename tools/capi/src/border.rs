@@ -101,7 +101,9 @@ impl From<sgs_relight::RelightError> for Failure {
             E::Train(error) => error.into(),
             E::Edit(text) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text },
             E::File { .. } => Failure { code: SgsResult::SGS_ERROR_FILE, text: error.to_string() },
-            E::Evaluate(_) | E::Metric(_) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text: error.to_string() },
+            E::Evaluate(_) | E::Metric(_) | E::Transport(_) => {
+                Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text: error.to_string() }
+            }
         }
     }
 }

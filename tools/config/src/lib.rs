@@ -14,6 +14,7 @@ mod presets;
 mod provider;
 mod pseudo;
 mod train;
+mod transport;
 
 pub use accuracy::accuracy_named;
 pub use automatic::{AutomaticSettings, Parts};
@@ -32,6 +33,7 @@ pub use presets::{PRESETS, Preset, overlay};
 pub use provider::ProviderSettings;
 pub use pseudo::{Neighbors, Position, PseudoOptions};
 pub use train::{OnDivergence, TrainSettings};
+pub use transport::TransportSettings;
 
 use serde::{Deserialize, Serialize};
 use sgs_passes::Accuracy;
@@ -66,12 +68,14 @@ pub struct Settings {
     pub noise: NoiseSettings,
     /// Provider of region masks during training.
     pub provider: ProviderSettings,
-    /// Settings of both stages.
+    /// Settings of all stages.
     pub train: TrainSettings,
     /// The geometry stage.
     pub geometry: GeometrySettings,
     /// The intrinsic stage.
     pub intrinsic: IntrinsicSettings,
+    /// The transport stage.
+    pub transport: TransportSettings,
 }
 
 impl Default for Settings {
@@ -92,6 +96,7 @@ impl Default for Settings {
             train: TrainSettings::default(),
             geometry: GeometrySettings::default(),
             intrinsic: IntrinsicSettings::default(),
+            transport: TransportSettings::default(),
         }
     }
 }
@@ -116,7 +121,8 @@ pub struct GeometrySettings {
     pub semantics: bool,
     /// Lets semantic losses move opacities, positions and shapes.
     pub semantic_geometry: bool,
-    /// Temperature of the softmax over class cosines.
+    /// Temperature of the softmax over class cosines. Not a setting.
+    #[serde(skip)]
     pub temperature: f32,
     /// First step that compares regions with pseudo-views.
     pub correspondence_from: u32,
@@ -132,7 +138,9 @@ pub struct GeometrySettings {
     pub densify: DensifyOptions,
     /// Kernel of the gradients of blending: `auto`, `pixel`, `splat`, or `atomic`, which is not deterministic.
     pub backward: Backward,
-    /// Initial capacity of tile entries; 0 estimates it. The capacity grows as needed, with the same results.
+    /// Initial capacity of tile entries; 0 estimates it. The capacity grows as needed, with the same results. Not a
+    /// setting.
+    #[serde(skip)]
     pub entry_capacity: u32,
 }
 
@@ -341,6 +349,7 @@ impl Settings {
         }
         accuracy::check(&self.accuracy)?;
         self.train.check()?;
+        self.transport.check()?;
         self.provider.check()?;
         self.noise.check()?;
         if g.sh_degree.most() > MOST_BANDS {
@@ -371,9 +380,6 @@ impl Settings {
                 let setting = format_args!("geometry.{name}");
                 return Err(ConfigError::range(setting, value, "a finite number of at least 0"));
             }
-        }
-        if !(g.temperature > 0.0 && g.temperature.is_finite()) {
-            return Err(ConfigError::range("geometry.temperature", g.temperature, "a finite number above 0"));
         }
         d.check()?;
         let table = toml::Table::try_from(&self.intrinsic).unwrap_or_default();

@@ -87,10 +87,12 @@ fn words_of(list: &[toml::Value]) -> Vec<String> {
 /// Expected names that are no settings, and whose nearest name would mislead.
 ///
 /// Each has the setting that expresses it, or none if its value is fixed.
-const EXPECTED: [(&str, Option<&str>); 12] = [
+const EXPECTED: [(&str, Option<&str>); 14] = [
     ("geometry.densify.enabled", Some("geometry.densify.until")),
+    ("geometry.entry_capacity", None),
     ("geometry.pseudo.poses", None),
     ("geometry.rates.semantics", None),
+    ("geometry.temperature", None),
     ("intrinsic.automatic.ready", Some("intrinsic.automatic.limits")),
     ("intrinsic.automatic.settled", Some("intrinsic.automatic.limits")),
     ("intrinsic.environment.enabled", Some("intrinsic.environment.resolution")),

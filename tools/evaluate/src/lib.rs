@@ -10,7 +10,8 @@ mod speed;
 pub use error::{EvaluateError, Result};
 pub use evaluate::{EvaluateOptions, Rendered, evaluate, evaluate_classes, normals_from_depth};
 pub use measures::{
-    AlbedoMetrics, Evaluation, Means, Nvs, RELIT_MEAN, RelitMetrics, RelitSet, Semantic, ShadedMetrics, ViewMetrics,
+    AlbedoMetrics, BouncesPsnr, Evaluation, Means, Nvs, RELIT_MEAN, RelitMetrics, RelitSet, Semantic, ShadedMetrics,
+    ViewMetrics,
 };
 pub use shaded::{evaluate_shaded, mean, measure_relit};
 pub use speed::{Fps, render_fps, shade_fps};

@@ -120,6 +120,23 @@ pub struct ShadedMetrics {
     /// Metrics under other lights, by name of the relit set. Means also have the entry [`RELIT_MEAN`].
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub relit: BTreeMap<String, RelitSet>,
+    /// PSNR by how often light bounces, by name of the relit set. Means of runs with emitters alone.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub relit_bounces: BTreeMap<String, BouncesPsnr>,
+}
+
+/// PSNR in dB of a relit set under parts of the light. Mean over the views.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct BouncesPsnr {
+    /// Direct light of the true lights.
+    pub direct: f64,
+    /// With one bounce.
+    pub one_bounce: f64,
+    /// With all bounces.
+    pub all_bounces: f64,
+    /// Learned emitters with all bounces; those nearest to changed true lights change as these do.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub learned_emitters: Option<f64>,
 }
 
 /// Metrics of albedo, compared as it is displayed (sRGB).

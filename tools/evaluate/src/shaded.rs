@@ -165,6 +165,7 @@ pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
         roughness_mse: some(&|m| m.roughness_mse),
         metallic_mse: some(&|m| m.metallic_mse),
         relit,
+        relit_bounces: BTreeMap::new(),
     }
 }
 

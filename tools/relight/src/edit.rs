@@ -3,6 +3,7 @@
 //! Every field is optional; unknown fields are rejected. Lengths are in scene units, colors are linear.
 //! `docs/guide/relight.md` describes the file for users.
 
+use crate::emitters::EmitterEdit;
 use crate::error::{RelightError, Result};
 use serde::{Deserialize, Serialize};
 use sgs_run::LobeRow;
@@ -13,8 +14,10 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Edit {
-    /// Lights.
+    /// Lights of the published model.
     pub lights: LightEdit,
+    /// Emitters of a run with `emitters.json`.
+    pub emitters: EmitterEdit,
     /// Environment map.
     pub environment: EnvironmentEdit,
     /// Material edits, applied in order.
@@ -214,6 +217,11 @@ impl Edit {
         Ok(edit)
     }
 
+    /// Returns whether the edit changes the light of the published model.
+    pub fn changes_published_light(&self) -> bool {
+        self.lights != LightEdit::default() || self.environment != EnvironmentEdit::default()
+    }
+
     /// Checks the edit without reference to a scene.
     pub(super) fn check(&self) -> std::result::Result<(), String> {
         for (i, c) in self.lights.change.iter().enumerate() {
@@ -228,6 +236,7 @@ impl Edit {
         for (i, light) in self.lights.add.iter().enumerate() {
             light.check(&format!("lights.add[{i}]"))?;
         }
+        self.emitters.check()?;
         let e = &self.environment;
         if e.off && (e.file.is_some() || e.scale.is_some() || e.color.is_some() || e.rotate.is_some()) {
             return Err("environment is off and changed at once".into());
@@ -346,6 +355,7 @@ mod tests {
             (r#"{"lights": {"change": [{"light": 1, "intensity": -1}]}}"#, "holds -1"),
             (r#"{"lights": {"add": [{"position": [0,0,0]}]}}"#, "lights.add[0] must have either"),
             (r#"{"lights": {"add": [{"position": [0,0,0], "lobes": []}]}}"#, "1 to 32 lobes"),
+            (r#"{"emitters": {"change": [{"on": true}]}}"#, "emitters.change[0] has no \"emitter\""),
             (r#"{"environment": {"off": true, "scale": 2}}"#, "off and changed"),
             (r#"{"environment": {"rotate": {"axis": [0,0,0], "degrees": 1}}}"#, "axis that is not zero"),
             (r#"{"materials": [{"where": {}, "set": {"roughness": 0.5}}]}"#, "materials[0].where is empty"),

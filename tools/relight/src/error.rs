@@ -1,5 +1,6 @@
 //! Errors of relighting. Each is one sentence that says what to do.
 
+use sgs_transport::TransportError;
 use std::path::PathBuf;
 
 /// Errors of this crate.
@@ -26,6 +27,9 @@ pub enum RelightError {
     /// Error of training colors.
     #[error(transparent)]
     Train(#[from] sgs_train::TrainError),
+    /// Error of light that bounces.
+    #[error(transparent)]
+    Transport(TransportError),
     /// File that cannot be used.
     #[error("\"{path}\": {reason}.", path = path.display())]
     File {
@@ -41,3 +45,14 @@ pub enum RelightError {
 
 /// Result with [`RelightError`] as its error.
 pub type Result<T> = std::result::Result<T, RelightError>;
+
+impl From<TransportError> for RelightError {
+    fn from(error: TransportError) -> RelightError {
+        match error {
+            TransportError::Engine(error) => error.into(),
+            TransportError::Scene(error) => error.into(),
+            TransportError::Run(error) => error.into(),
+            other => RelightError::Transport(other),
+        }
+    }
+}

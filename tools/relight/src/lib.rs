@@ -4,7 +4,10 @@
 //! and write files.
 
 mod bake;
+mod bounced;
 mod edit;
+mod emitters;
+mod emitting;
 mod environment;
 mod error;
 #[doc(hidden)]
@@ -13,18 +16,22 @@ mod light_table;
 mod lights;
 mod live;
 mod materials;
+mod painted;
 mod select;
+mod true_light;
 mod truth;
 
 pub use bake::{BakeOptions, Baked, bake, bake_cameras, baked_psnr};
 pub use edit::{
     Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
 };
+pub use emitters::{EmitterChange, EmitterEdit, NewEmitter};
+pub use emitting::Emitting;
 pub use error::{RelightError, Result};
 pub use light_table::LightParameters;
 pub use live::{Relighter, source_of};
 pub use select::Selector;
-pub use truth::{evaluate_relit, skip_relit};
+pub use truth::{LightOfRun, evaluate_relit, skip_relit};
 
 use sgs_engine::Device;
 use sgs_passes::pipeline::ShadedScene;

@@ -1,56 +1,26 @@
 //! Evaluation of relit images against ground truth.
 //!
-//! The true lights replace the learned ones, without environment map and without occlusion. A learned visibility field
-//! is valid only for the learned lights at their positions. Where traced rays find shadow, the ground truth still has
-//! indirect light, which is not modeled.
+//! In a run with emitters, the true lights replace the learned ones, with shadows and all bounces ([`super::bounced`]). In a
+//! run of the published model, they replace them without environment map and without occlusion. A learned visibility
+//! field is valid only for the learned lights at their positions. Where traced rays find shadow, the ground truth still
+//! has indirect light, which that model lacks.
 //!
 //! A set that changes the materials of an instance is measured under the true lights of the photographs. With the
 //! suffix [`LEARNED`], it is also measured under all learned light. A set that cannot be rendered has a reason in place
 //! of metrics.
 
+use super::bounced::evaluate_bounced;
+use super::emitting::Emitting;
 use super::lights::edit_lights;
-use super::select::of_region_everywhere;
-use super::{Edit, EnvironmentEdit, LightEdit, MaterialEdit, MaterialValues, NewLight, Relit, Selector, Where};
+use super::painted::{Known, LEARNED, Painted, key_of, painted_of, read};
+use super::true_light::{TrueLight, TrueLights};
+use super::{Edit, EnvironmentEdit, LightEdit, MaterialEdit, Relit, Selector};
 use crate::error::{RelightError, Result};
-use serde::Deserialize;
 use sgs_engine::Device;
-use sgs_evaluate::{Evaluation, RELIT_MEAN, RelitSet, ShadedMetrics, mean, measure_relit};
+use sgs_evaluate::{Evaluation, RelitSet, ShadedMetrics, mean, measure_relit};
 use sgs_run::{LightFile, RunError, RunLight, Shading, Visibility};
 use sgs_scene::{GroundTruth, Image, Scene, Splats};
-use std::collections::BTreeMap;
 use std::path::Path;
-
-/// Suffix of the name of a material set that is measured under the learned light.
-const LEARNED: &str = "_learned_light";
-
-/// Fields of `gt/lights.json` that are read.
-#[derive(Default, Deserialize)]
-struct TrueLights {
-    #[serde(default)]
-    training: Vec<TrueLight>,
-    #[serde(default)]
-    relight: BTreeMap<String, Vec<TrueLight>>,
-}
-
-#[derive(Deserialize)]
-struct TrueLight {
-    on: bool,
-    position: Option<[f32; 3]>,
-    point_light_intensity_equivalent: Option<[f32; 3]>,
-    corners: Option<[[f32; 3]; 4]>,
-    radiance: Option<[f32; 3]>,
-}
-
-impl TrueLight {
-    /// Returns the light as a new light; `None` if its brightness is unknown.
-    fn as_new(&self) -> Option<NewLight> {
-        if let (Some(corners), Some(radiance)) = (self.corners, self.radiance) {
-            return Some(NewLight { corners: Some(corners), radiance: Some(radiance), ..Default::default() });
-        }
-        let (position, intensity) = (self.position?, self.point_light_intensity_equivalent?);
-        Some(NewLight { position: Some(position), intensity: Some(intensity), ..Default::default() })
-    }
-}
 
 /// Returns the edit that replaces the learned lights by the true lights of a set.
 ///
@@ -61,36 +31,6 @@ fn edit_of(lights: &[TrueLight]) -> Option<Edit> {
     let environment = EnvironmentEdit { off: true, ..Default::default() };
     Some(Edit { lights, environment, ..Default::default() })
 }
-
-/// Fields of `gt/relit/NAME.json` that are read.
-///
-/// For a set that changes the materials of an instance.
-#[derive(Deserialize)]
-struct Painted {
-    /// Id of the instance's region in `priors/masks`.
-    instance_id: u16,
-    new_base_color_linear: [f32; 3],
-    new_roughness: Option<f32>,
-    new_metallic: Option<f32>,
-}
-
-impl Painted {
-    /// Returns the material edit, or the reason that it is impossible.
-    fn edit(&self, device: &Device, scene: &Scene, splats: &Splats) -> Result<Known<MaterialEdit>> {
-        let gaussians = of_region_everywhere(device, scene, splats, self.instance_id)?;
-        if gaussians.is_empty() {
-            return Ok(Err(format!("No Gaussian belongs to instance {} of priors/masks.", self.instance_id)));
-        }
-        // Without metallic, the value of every Gaussian is already 0.
-        let metallic = self.new_metallic.filter(|m| *m > 0.0 || splats.metallic.is_some());
-        let set = MaterialValues { albedo: Some(self.new_base_color_linear), roughness: self.new_roughness, metallic };
-        let place = Where { gaussians: Some(gaussians), ..Default::default() };
-        Ok(Ok(MaterialEdit { place, set, scale: MaterialValues::default() }))
-    }
-}
-
-/// Value, or the sentence that explains its absence.
-type Known<T> = std::result::Result<T, String>;
 
 /// Inputs for rendering one measurement of a set.
 struct Rendering {
@@ -131,12 +71,6 @@ fn renderings_of(
     ])
 }
 
-fn read<T: serde::de::DeserializeOwned>(path: &Path, what: &str) -> Result<T> {
-    let wrong = |reason: String| RelightError::File { path: path.to_owned(), reason };
-    let text = std::fs::read_to_string(path).map_err(|e| wrong(e.to_string()))?;
-    serde_json::from_str(&text).map_err(|e| wrong(format!("not {what}: {e}")))
-}
-
 /// Reads the true lights of a scene as lights of a run.
 ///
 /// Includes those of the photographs and of all relit sets. Skips sets with lights of unknown brightness.
@@ -156,31 +90,12 @@ pub(crate) fn true_edit_of(path: &Path) -> Result<bool> {
     Ok(serde_json::from_value::<Painted>(value).is_ok())
 }
 
-/// Returns the key of a set in `relit`.
-///
-/// The key is the name, unless that is the key of the mean over all sets.
-fn key_of(name: &str) -> String {
-    if name == RELIT_MEAN { format!("{name}_set") } else { name.to_owned() }
-}
-
-/// Returns the material edit in the file of a set, or the reason for its absence.
-fn painted_of(
-    device: &Device,
-    scene: &Scene,
-    splats: &Splats,
-    truth: &GroundTruth<'_>,
-    name: &str,
-) -> Result<Known<MaterialEdit>> {
-    let Some(path) = truth.relit_edit(name) else {
-        return Ok(Err(format!("Neither gt/lights.json nor gt/relit/{name}.json describes the lights of the set.")));
-    };
-    let value: serde_json::Value = read(&path, "an edit")?;
-    match serde_json::from_value::<Painted>(value) {
-        Ok(painted) => painted.edit(device, scene, splats),
-        Err(_) => Ok(Err(format!(
-            "gt/lights.json does not list the set, and gt/relit/{name}.json describes no edit of an instance's material."
-        ))),
-    }
+/// Light of a run: that of the published model, or emitters whose light bounces.
+pub enum LightOfRun<'a> {
+    /// Lights, environment map and visibility.
+    Published(&'a RunLight),
+    /// Emitters, and the seed of the run.
+    Emitting(&'a Emitting, u64),
 }
 
 /// Measures a run under the true lights of each relit set.
@@ -194,7 +109,7 @@ pub fn evaluate_relit(
     device: &Device,
     scene: &Scene,
     splats: &Splats,
-    light: &RunLight,
+    light: &LightOfRun<'_>,
     views: &[usize],
     into: &mut Evaluation,
 ) -> Result<()> {
@@ -202,6 +117,12 @@ pub fn evaluate_relit(
     let known = match truth.lights() {
         Some(path) => read(&path, "lights")?,
         None => TrueLights::default(),
+    };
+    let light = match light {
+        LightOfRun::Published(light) => *light,
+        LightOfRun::Emitting(emitting, seed) => {
+            return evaluate_bounced(device, scene, splats, (*emitting, *seed), &known, views, into);
+        }
     };
     let mut skipped = Vec::new();
     for name in truth.relit_names() {
@@ -265,6 +186,7 @@ pub fn skip_relit(scene: &Scene, reason: &str, into: &mut Evaluation) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{MaterialValues, Where};
 
     #[test]
     fn true_lights_convert_to_an_edit() {

@@ -27,6 +27,8 @@ pub struct RunContents {
     pub geometry: bool,
     /// Intrinsic stage with a checkpoint, or its lights.
     pub materials: bool,
+    /// Transport stage with a checkpoint, or its emitters.
+    pub transport: bool,
 }
 
 impl Contents {
@@ -54,13 +56,15 @@ impl RunContents {
         let run = RunDirectory::open(root).ok()?;
         let geometry = run.checkpoint(StageKind::Geometry).is_file() || run.path("scene.ply").is_file();
         let materials = run.checkpoint(StageKind::Intrinsic).is_file() || run.path("lights.json").is_file();
+        let transport = run.checkpoint(StageKind::Transport).is_file() || run.emitters().is_file();
         // `config.toml` alone is no evidence: other programs have files of this name.
-        (geometry || materials || run.path("checkpoint").is_dir()).then_some(RunContents { geometry, materials })
+        let found = RunContents { geometry, materials, transport };
+        (found.is_trained() || run.path("checkpoint").is_dir()).then_some(found)
     }
 
     /// Returns whether replacing the run would lose trained data.
     pub fn is_trained(self) -> bool {
-        self.geometry || self.materials
+        self.geometry || self.materials || self.transport
     }
 }
 
@@ -97,14 +101,19 @@ mod tests {
         assert_eq!(Contents::of(root), Contents::Other("notes.txt".into()));
         assert_eq!(Contents::of(&root.join("notes.txt")), Contents::File);
         put("config.toml");
-        let run = |geometry, materials| Contents::Run(RunContents { geometry, materials });
-        assert_eq!(Contents::of(root), run(false, false));
+        let run =
+            |[geometry, materials, transport]: [bool; 3]| Contents::Run(RunContents { geometry, materials, transport });
+        assert_eq!(Contents::of(root), run([false; 3]));
         put("checkpoint/geometry.safetensors");
-        assert_eq!(Contents::of(root), run(true, false));
+        assert_eq!(Contents::of(root), run([true, false, false]));
         put("lights.json");
-        assert_eq!(Contents::of(root), run(true, true));
+        assert_eq!(Contents::of(root), run([true, true, false]));
+        put("emitters.json");
+        assert_eq!(Contents::of(root), run([true; 3]));
         std::fs::remove_dir_all(root.join("checkpoint")).unwrap();
         std::fs::remove_file(root.join("lights.json")).unwrap();
+        assert_eq!(Contents::of(root), run([false, false, true]));
+        std::fs::remove_file(root.join("emitters.json")).unwrap();
         assert_eq!(Contents::of(root), Contents::Other("config.toml".into()), "a file of another program");
         put("sparse/0/cameras.txt");
         assert_eq!(Contents::of(root), Contents::Scene(Layout::Colmap));

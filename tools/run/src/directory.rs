@@ -13,6 +13,9 @@ use std::path::{Path, PathBuf};
 /// Name of the file with the semantic head.
 const SEMANTICS: &str = "semantics.safetensors";
 
+/// Name of the file with the emitters.
+const EMITTERS: &str = "emitters.json";
+
 /// Name of the file that marks a diverged stage.
 const DIVERGED: &str = "diverged.json";
 
@@ -70,6 +73,7 @@ impl RunDirectory {
         self.path(match stage {
             StageKind::Geometry => "profile.json",
             StageKind::Intrinsic => "profile-intrinsic.json",
+            StageKind::Transport => "profile-transport.json",
         })
     }
 
@@ -78,6 +82,7 @@ impl RunDirectory {
         self.path(match stage {
             StageKind::Geometry => "graph.html",
             StageKind::Intrinsic => "graph-intrinsic.html",
+            StageKind::Transport => "graph-transport.html",
         })
     }
 
@@ -92,6 +97,7 @@ impl RunDirectory {
         let wanted = [
             (StageKind::Geometry, &summary, settings.geometry.steps),
             (StageKind::Intrinsic, &summary["intrinsic"], settings.intrinsic.steps),
+            (StageKind::Transport, &summary["transport"], 1),
         ];
         let whole = wanted.into_iter().filter(|(_, of, steps)| of["steps"].as_u64() == Some(u64::from(*steps)));
         whole.map(|(stage, ..)| stage).collect()
@@ -158,6 +164,13 @@ impl RunDirectory {
         self.path(SEMANTICS)
     }
 
+    /// Returns the path of the emitters ([`crate::EmitterFile`]).
+    ///
+    /// Only the transport stage writes this file.
+    pub fn emitters(&self) -> PathBuf {
+        self.path(EMITTERS)
+    }
+
     /// Removes all results of an earlier training.
     ///
     /// No stale file can be mistaken for a result of the new training.
@@ -174,18 +187,32 @@ impl RunDirectory {
         self.remove(names.map(|n| self.path(n)))
     }
 
-    /// Removes the results of an earlier intrinsic stage.
+    /// Removes the results of the intrinsic stage and of the stage after it.
     ///
     /// # Errors
     /// If a file cannot be removed, or `training.json` is damaged.
     pub fn forget_intrinsic(&self) -> Result<()> {
         let results = ["lights.json", "environment.exr", "visibility.safetensors", "metrics.json"];
-        let names = results.into_iter().chain(["profile-intrinsic.json", "graph-intrinsic.html"]);
-        self.remove(std::iter::once(self.checkpoint(StageKind::Intrinsic)).chain(names.map(|n| self.path(n))))?;
-        self.rollback_files(StageKind::Intrinsic).remove()?;
-        // The summary of the geometry stage remains.
+        self.forget_stage(StageKind::Intrinsic, &results)?;
+        self.forget_transport()
+    }
+
+    /// Removes the results of an earlier transport stage. `scene.ply` keeps its emitters.
+    ///
+    /// # Errors
+    /// If a file cannot be removed, or `training.json` is damaged.
+    pub fn forget_transport(&self) -> Result<()> {
+        self.forget_stage(StageKind::Transport, &[EMITTERS, "metrics.json"])
+    }
+
+    /// Removes files of a stage after the first, and its part of `training.json`.
+    fn forget_stage(&self, stage: StageKind, results: &[&str]) -> Result<()> {
+        let own = [self.checkpoint(stage), self.profile(stage), self.graph(stage)];
+        self.remove(own.into_iter().chain(results.iter().map(|n| self.path(n))))?;
+        self.rollback_files(stage).remove()?;
+        // The summaries of the other stages remain.
         let serde_json::Value::Object(mut all) = self.training_summary()? else { return Ok(()) };
-        if all.remove("intrinsic").is_none() {
+        if all.remove(stage.name()).is_none() {
             return Ok(());
         }
         if all.is_empty() { self.remove([self.path("training.json")]) } else { self.write_json("training.json", &all) }
@@ -243,8 +270,8 @@ impl RunDirectory {
 
     /// Writes the summary of a stage into `training.json`.
     ///
-    /// The summary of the intrinsic stage is added to that of the geometry stage. A new summary of the geometry stage
-    /// replaces both.
+    /// Summaries of later stages are added to that of the geometry stage. A new summary of the geometry stage replaces
+    /// all.
     ///
     /// # Errors
     /// If the file is damaged or cannot be written.
@@ -274,13 +301,11 @@ impl RunDirectory {
     /// If the file cannot be written.
     pub fn open_log(&self, stage: StageKind, step: u32) -> Result<File> {
         let until = u64::from(step);
-        match stage {
-            StageKind::Geometry => self.log_of(|line, s| line.is_none() && s <= until),
-            StageKind::Intrinsic => self.log_of(|line, s| line.is_none() || s <= until),
-        }
-    }
-
-    fn log_of(&self, keep: impl Fn(Option<&str>, u64) -> bool) -> Result<File> {
+        // Lines of the geometry stage name no stage.
+        let keep = |name: Option<&str>, at: u64| {
+            let of = name.map_or(Some(StageKind::Geometry), StageKind::find);
+            of.is_some_and(|of| of < stage || of == stage && at <= until)
+        };
         let path = self.path("log.jsonl");
         let lines: String = std::fs::read_to_string(&path)
             .unwrap_or_default()

@@ -8,12 +8,13 @@ use sgs_scene::{Placement, Splats, srgb_to_linear};
 /// Roughness of inserted splats that have none.
 const ROUGHNESS: f32 = 0.5;
 
-/// Scales, rotates and translates splats.
+/// Scales, rotates and translates splats. Emitters belong to another scene and are dropped.
 pub fn placed(mut guest: Splats, how: &Placement) -> Splats {
     let [w, x, y, z] = how.rotation;
     let q = DQuat::from_xyzw(x, y, z, w).normalize();
     let (scale, to) = (how.scale, DVec3::from(how.translation));
     let turn = |v: [f32; 3]| q * DVec3::from(v.map(f64::from));
+    guest.emitters = None;
     guest.means.iter_mut().for_each(|m| *m = (turn(*m) * scale + to).as_vec3().to_array());
     guest.log_scales.iter_mut().flatten().for_each(|s| *s += (how.scale as f32).ln());
     for r in &mut guest.rotations {
@@ -30,7 +31,7 @@ pub fn placed(mut guest: Splats, how: &Placement) -> Splats {
 /// Appends the splats of a guest to a host.
 ///
 /// Missing guest data is derived: normals are the shortest axes, albedo is the color. Guest data that the host lacks
-/// is dropped, except for metallic.
+/// is dropped, except for metallic. Guests emit nothing.
 pub fn join(host: &mut Splats, mut guest: Splats) {
     let (old, new) = (host.len(), guest.len());
     let degree = host.sh_degree().max(guest.sh_degree());
@@ -64,6 +65,9 @@ pub fn join(host: &mut Splats, mut guest: Splats) {
             Some((_, own)) => values.extend(own),
             None => values.resize((old + new) * *channels, 0.0),
         }
+    }
+    if let Some(emitters) = &mut host.emitters {
+        emitters.resize(old + new, 0);
     }
     host.means.append(&mut guest.means);
     host.log_scales.append(&mut guest.log_scales);
@@ -125,13 +129,20 @@ mod tests {
             albedo: Some(vec![[0.0; 3]]),
             roughness: Some(vec![0.0]),
             semantic: Some((2, vec![1.0, 2.0])),
+            emitters: Some(vec![3]),
             ..one()
         };
-        let guest =
-            Splats { normals: None, metallic: Some(vec![3.0]), sh: [vec![0.0; 3], vec![], vec![], vec![]], ..one() };
+        let guest = Splats {
+            normals: None,
+            metallic: Some(vec![3.0]),
+            sh: [vec![0.0; 3], vec![], vec![], vec![]],
+            emitters: Some(vec![1]),
+            ..one()
+        };
         join(&mut host, guest);
         assert!(host.check().is_ok());
         assert_eq!((host.len(), host.sh[1].len()), (2, 18));
+        assert_eq!(host.emitters, Some(vec![3, 0]), "guests emit nothing");
         assert_eq!(host.normals.unwrap()[1], [0.0, 1.0, 0.0]);
         assert!((value(host.albedo.unwrap()[1][0]) - srgb_to_linear(0.5)).abs() < 1e-5);
         assert!((roughness_value(host.roughness.unwrap()[1]) - 0.5).abs() < 1e-5);

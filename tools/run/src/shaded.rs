@@ -108,6 +108,7 @@ pub fn shaded_scene(
         lights,
         environment,
         visibility,
+        transport: None,
     })
 }
 
@@ -347,7 +348,7 @@ impl ShadedView {
         let pixel = |p: usize| {
             let c = if self.0.coverage[p] >= LEAST_COVERAGE { self.0.coverage[p] } else { 0.0 };
             [0, 1, 2].map(|k| {
-                let light: f32 = parts.iter().map(|part| part[3 * p + k]).sum();
+                let light: f32 = parts.iter().filter_map(|part| part.get(3 * p + k)).sum();
                 light * c + (1.0 - c) * behind[k]
             })
         };
@@ -356,7 +357,7 @@ impl ShadedView {
 
     /// Returns all linear light over a display-referred background.
     pub fn radiance(&self, background: [f32; 3]) -> Image {
-        self.over(&[&self.0.direct, &self.0.ambient], background)
+        self.over(&[&self.0.direct, &self.0.ambient, &self.0.indirect, &self.0.emission], background)
     }
 
     /// Returns the linear light from point lights over black.

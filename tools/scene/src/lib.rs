@@ -52,7 +52,7 @@ pub use points::{Pcg, PointCloud, RandomBox};
 pub use priors::{TextEmbeddings, UnknownClass};
 pub use reader::Layout;
 pub use scene::{Scene, SceneOptions};
-pub use splats::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats};
+pub use splats::{ALBEDO_RANGE, MOST_EMITTERS, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats};
 pub use split::Split;
 pub use split_rule::SplitRule;
 pub use unit::Unit;

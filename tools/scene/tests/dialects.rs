@@ -21,6 +21,7 @@ fn sample(n: usize) -> Splats {
         roughness: Some(many(n)),
         metallic: Some(many(n)),
         semantic: Some((4, many(n * 4))),
+        emitters: Some((0..n as u32).map(|i| i % 3).collect()),
     }
 }
 
@@ -59,6 +60,8 @@ fn splats_round_trip_through_every_dialect() {
         assert_eq!(back.sh == splats.sh, !mesh, "{dialect:?}");
         assert_eq!(back.semantic.is_some(), matches!(dialect, PlyDialect::Own | PlyDialect::Sgs), "{dialect:?}");
         assert_eq!(dialect.leaves_out(&splats).contains(&"semantic features"), back.semantic.is_none());
+        assert_eq!(back.emitters.is_some(), dialect == PlyDialect::Own, "{dialect:?}");
+        assert_eq!(dialect.leaves_out(&splats).contains(&"emitters"), back.emitters.is_none());
         if dialect == PlyDialect::ThreeDgs {
             assert_eq!((&back.albedo, &back.roughness, &back.metallic), (&None, &None, &None));
             assert!(dialect.leaves_out(&splats).contains(&"materials"));

@@ -128,7 +128,7 @@ fn of_relight(error: &RelightError) -> Option<Kind> {
         RelightError::Evaluate(error) => of_evaluate(error),
         RelightError::Train(error) => of_train(error),
         RelightError::Config(_) | RelightError::Edit(_) => Some(Kind::Usage),
-        RelightError::Metric(_) | RelightError::File { .. } => None,
+        RelightError::Transport(_) | RelightError::Metric(_) | RelightError::File { .. } => None,
     }
 }
 

@@ -13,6 +13,8 @@ pub enum Begin {
     Materials,
     /// Materials on geometry from a file.
     MaterialsFrom,
+    /// Emitters on the materials stored in the run.
+    Emitters,
 }
 
 /// Values of `--force` and `--resume`.
@@ -29,11 +31,22 @@ pub fn check_run(root: &Path, begin: Begin, permission: Permission) -> anyhow::R
     let name = root.display();
     let run = match check_kind(root, "a run")? {
         Contents::Run(run) => run,
-        _ => return Ok(()),
+        _ => RunContents::default(),
     };
-    let RunContents { materials, .. } = run;
-    if permission.resume || permission.force || !run.is_trained() || (begin == Begin::Materials && !materials) {
+    let RunContents { materials, transport, .. } = run;
+    if begin == Begin::Emitters && !materials {
+        refuse_usage!("\"{name}\" has no materials for the transport stage: train them first with --stage all.");
+    }
+    let adds = match begin {
+        Begin::Materials => !materials,
+        Begin::Emitters => !transport,
+        Begin::Geometry | Begin::MaterialsFrom => false,
+    };
+    if permission.resume || permission.force || !run.is_trained() || adds {
         return Ok(());
+    }
+    if begin == Begin::Emitters {
+        refuse_usage!("\"{name}\" has emitters: find them again on the same materials with --force.");
     }
     if begin == Begin::Materials {
         refuse_usage!(

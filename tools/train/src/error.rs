@@ -1,6 +1,7 @@
 //! Errors of training: one sentence each, naming what to do.
 
 use sgs_run::StageKind;
+use sgs_transport::TransportError;
 use std::path::{Path, PathBuf};
 
 /// Errors of this crate.
@@ -21,6 +22,9 @@ pub enum TrainError {
     /// The run directory cannot be used.
     #[error(transparent)]
     Run(#[from] sgs_run::RunError),
+    /// The room cannot be fitted.
+    #[error(transparent)]
+    Transport(TransportError),
     /// Something that the settings require is missing.
     #[error(transparent)]
     Requirement(#[from] Requirement),
@@ -65,6 +69,12 @@ pub enum Requirement {
         path = .0.display()
     )]
     GeometryIn(PathBuf),
+    /// A run directory holds no materials.
+    #[error("\"{path}\": no materials; train them first with --stage all.", path = .0.display())]
+    MaterialsIn(PathBuf),
+    /// The transport stage has no materials.
+    #[error("The transport stage requires normals, albedo and roughness; train materials first with --stage all.")]
+    Materials,
     /// Neither a stage nor a result holds Gaussians.
     #[error("The training holds no Gaussians; start a stage first.")]
     Gaussians,
@@ -146,6 +156,17 @@ pub enum Requirement {
         /// What is wrong.
         reason: String,
     },
+}
+
+impl From<TransportError> for TrainError {
+    fn from(error: TransportError) -> TrainError {
+        match error {
+            TransportError::Engine(error) => error.into(),
+            TransportError::Scene(error) => error.into(),
+            TransportError::Run(error) => error.into(),
+            other => TrainError::Transport(other),
+        }
+    }
 }
 
 impl TrainError {

@@ -7,6 +7,7 @@ use crate::error::Result;
 use crate::error::error;
 use crate::geometry::checkpoint;
 use crate::intrinsic::Saved;
+use crate::transport;
 use sgs_passes::scene::Model;
 use std::path::Path;
 
@@ -20,6 +21,16 @@ pub fn checkpoint(path: &Path, sh_degree: u32, semantics: bool, any_degree: bool
     let state = checkpoint::load(path, Model { sh_degree, normals: false, semantics }, any_degree)?;
     let known = goes_on(&state.course, state.step);
     Ok(format!("{} {known} {}", state.parameters.len().min(3), state.course.roll_backs.len().min(3)))
+}
+
+/// Reads a transport checkpoint of two splats. Returns a short summary of the contents.
+///
+/// # Errors
+/// If the checkpoint is damaged or belongs to other splats.
+pub fn transport_checkpoint(path: &Path) -> Result<String> {
+    let fitted = transport::Saved::read(path, 2)?.fitted;
+    let emitters = fitted.map(|room| room.emitters.lights().len().min(3));
+    Ok(format!("{emitters:?}"))
 }
 
 /// Reads an intrinsic checkpoint and continues the divergence check from its state.

@@ -24,6 +24,7 @@ mod schedule;
 mod semantics;
 mod stage;
 mod trainer;
+mod transport;
 mod uniforms;
 
 pub use correspondence::Correspondence;
@@ -43,5 +44,6 @@ pub use region_provider::FrameRendering;
 pub use regions::{LEAST_PIXELS, PseudoMaps, RegionMaps, RegionSource, RegionView};
 pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
-pub use stage::{Stage, StageEvent, StepFigures};
+pub use stage::{RoomFit, Stage, StageEvent, StepFigures};
 pub use trainer::{Event, Observer, Outcome, StageSummary, StartGeometry, Trainer, TrainerOptions};
+pub use transport::Transport;

@@ -4,6 +4,7 @@ use crate::decision::Decision;
 use crate::divergence::RollBack;
 use crate::error::Result;
 use crate::idle::IdleLoss;
+use serde::Serialize;
 use sgs_config::Settings;
 use sgs_engine::exec::PassTime;
 use sgs_engine::graph::Plan;
@@ -30,6 +31,15 @@ pub trait StepFigures: fmt::Display {
     /// # Errors
     /// If JSON cannot represent a value.
     fn log_line(&self, rates: f64) -> serde_json::Result<String>;
+}
+
+/// Figures of a fitted room, for the summary.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RoomFit {
+    /// PSNR of the shaded training views, in dB.
+    pub psnr: f64,
+    /// Number of emitters.
+    pub emitters: u32,
 }
 
 /// Event that a stage reports while it trains.
@@ -137,6 +147,11 @@ pub trait Stage: Send {
     /// If the device fails.
     fn light(&self) -> Result<Option<RunLight>>;
 
+    /// Returns the figures of the fitted room, if the stage has fitted one.
+    fn room(&self) -> Option<RoomFit> {
+        None
+    }
+
     /// Renders the current state, display-referred, one image per camera.
     ///
     /// # Errors
@@ -158,9 +173,9 @@ pub trait Stage: Send {
     /// Takes the times of passes since the last call.
     fn take_times(&mut self) -> Vec<PassTime>;
 
-    /// Returns the plan of a step.
+    /// Returns the plan of a step, where all steps replay one graph.
     ///
     /// # Errors
     /// If the plan has to be made again and memory runs out.
-    fn plan(&mut self) -> Result<&Plan>;
+    fn plan(&mut self) -> Result<Option<&Plan>>;
 }

@@ -35,6 +35,10 @@ pub fn write_seeds(folder: &Path) -> std::io::Result<()> {
 }
 
 fn texts() -> Files {
+    let emitting = SPLATS_ASCII
+        .replace("property float roughness\n", "property float roughness\nproperty float emitter\n")
+        .replace(" 0 0 0 0\n1 0 1", " 0 0 0 0 3\n1 0 1")
+        .replace(" 0.5 0 -1 2\n", " 0.5 0 -1 2 0\n");
     let all: &[(&str, &str, &str)] = &[
         ("transforms", "two.json", TRANSFORMS),
         ("transforms", "held_out.json", HELD_OUT),
@@ -55,8 +59,10 @@ fn texts() -> Files {
         ("colmap_images_txt", "two.txt", COLMAP_IMAGES),
         ("colmap_points_txt", "three.txt", COLMAP_POINTS),
         ("splats_ply", "ascii.ply", SPLATS_ASCII),
+        ("splats_ply", "emitters.ply", &emitting),
         ("points_ply", "ascii.ply", POINTS_ASCII),
         ("lights", "three.json", LIGHTS),
+        ("emitters", "six.json", EMITTERS),
         ("lights_beside", "three.json", LIGHTS),
         ("edit", "add.json", EDITS[0]),
         ("edit", "change.json", EDITS[1]),
@@ -258,6 +264,15 @@ fn tensors() -> Files {
             "intrinsic_checkpoint",
             "automatic.safetensors",
             tensor_file(&materials, &[("relit_queried_at", 2), ("relit_estimates0", 4)], &meta),
+        ),
+        (
+            "transport_checkpoint",
+            "room.safetensors",
+            tensor_file(
+                &[],
+                &[("emitters", 2)],
+                &[("format", "sgs-transport-1"), ("step", "1"), ("psnr", "27.25"), ("file", EMITTERS)],
+            ),
         ),
     ]
 }

@@ -75,6 +75,19 @@ pub(crate) const LIGHTS: &str = r#"{"format": "sgs-lights-1", "normalizer": 0.06
 {"position": [-1, 0.5, 2], "gain": 2.5, "lobes": [{"axis": [0.6, 0, 0.8], "sharpness": 9.5, "amplitude": [3, 2, 1]}]}]}
 "#;
 
+pub(crate) const EMITTERS: &str = r#"{"format": "sgs-emitters-1", "surfels": 8192, "rays": 64,
+"enclosure": {"low": [-2, -1.5, 0], "high": [2, 1.5, 3], "albedo": [[0.5, 0.5, 0.5], [0.5, 0.5, 0.5], [0.6, 0.5, 0.4],
+[0.5, 0.5, 0.5], [0, 0, 0], [1, 1, 1]]}, "emitters": [
+{"name": "bulb", "on": true, "color": [3, 2, 1], "shape": {"type": "point", "position": [0, 0, 2]}},
+{"name": "globe", "on": false, "color": [1, 1, 1], "shape": {"type": "sphere", "center": [1, 0, 2], "radius": 0.1}},
+{"name": "window", "on": true, "color": [1, 2, 3], "shape": {"type": "rectangle", "corner": [0, 0, 1], "edge_u": [1, 0, 0],
+"edge_v": [0, 0, 1]}},
+{"name": "panel", "on": true, "color": [0, 0, 0], "shape": {"type": "disk", "center": [0, 0, 3], "normal": [0, 0, -1], "radius": 0.5}},
+{"name": "spot", "on": true, "color": [5, 5, 5], "shape": {"type": "spot", "position": [0, 1, 2], "axis": [0, 0, -1],
+"inner_angle": 20, "outer_angle": 35}},
+{"name": "sun", "on": true, "color": [9, 9, 8], "shape": {"type": "directional", "direction": [1, 1, -1], "angular_radius": 0.27}}]}
+"#;
+
 pub(crate) const EDITS: [&str; 3] = [
     r#"{"lights": {"off": true, "add": [{"position": [0, 1, 0], "intensity": [1, 2, 3]},
 {"corners": [[0, 2, 0], [1, 2, 0], [1, 2, 1], [0, 2, 1]], "radiance": [5, 5, 5], "patches": 3},

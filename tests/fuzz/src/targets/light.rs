@@ -4,7 +4,7 @@ use super::text_of;
 use crate::place::Place;
 use crate::seeds;
 use sgs_relight::{Edit, fuzzed};
-use sgs_run::{LightFile, read_exchange, read_light, read_lights};
+use sgs_run::{LightFile, read_emitters, read_exchange, read_light, read_lights, write_emitters};
 use sgs_scene::read_environment;
 
 /// Checks the invariants of all lights that are read.
@@ -18,6 +18,19 @@ fn sound(lights: &LightFile) -> String {
 pub(crate) fn lights(bytes: &[u8]) -> String {
     let place = Place::of("lights", |_| ());
     text_of(read_lights(&place.put("lights.json", bytes)), |lights| sound(&lights))
+}
+
+/// Reads emitters and writes them again.
+pub(crate) fn emitters(bytes: &[u8]) -> String {
+    let place = Place::of("emitters", |_| ());
+    text_of(read_emitters(&place.put("emitters.json", bytes)), |file| {
+        let lights = file.lights();
+        assert!(lights.iter().all(|l| l.check().is_ok()), "lights are valid");
+        let again = place.path("again.json");
+        let back = write_emitters(&again, &file).and_then(|()| read_emitters(&again));
+        assert_eq!(back.ok(), Some(file), "emitters come back");
+        format!("{} emitters", lights.len().min(4))
+    })
 }
 
 /// Reads lights next to a PLY file.

@@ -43,6 +43,12 @@ pub(crate) fn checkpoint(bytes: &[u8]) -> String {
     words(0, false, false) + &words(0, false, true) + &words(1, true, false)
 }
 
+/// Reads a fitted room.
+pub(crate) fn transport_checkpoint(bytes: &[u8]) -> String {
+    let place = Place::of("transport_checkpoint", |_| ());
+    text_of(fuzzed::transport_checkpoint(&place.put("transport.safetensors", bytes)), |text| text)
+}
+
 /// Reads the state of intrinsic training, without the steps that need a device.
 pub(crate) fn intrinsic_checkpoint(bytes: &[u8]) -> String {
     let place = Place::of("intrinsic_checkpoint", |_| ());

@@ -199,6 +199,7 @@ impl Attributes<'_> {
             roughness: self.material("ROUGHNESS", 1, ROUGHNESS_RANGE)?,
             metallic: self.material("METALLIC", 1, METALLIC_RANGE)?,
             semantic: (!semantic.is_empty()).then_some((semantic.len(), semantic_rows)),
+            emitters: None,
             means,
         })
     }

@@ -14,7 +14,7 @@ const MARGIN: f64 = 1e-6;
 /// Program whose PLY files are read and written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlyDialect {
-    /// This project: 3DGS with `albedo_0..2 roughness [metallic] [semantic_*]`.
+    /// This project: 3DGS with `albedo_0..2 roughness [metallic] [semantic_*] [emitter]`.
     Own,
     /// The original 3DGS program and most viewers, without materials.
     ThreeDgs,
@@ -79,6 +79,7 @@ pub(super) struct Names {
     pub(super) roughness: (&'static str, Code),
     pub(super) metallic: Option<(&'static str, Code)>,
     pub(super) semantic: Option<&'static str>,
+    pub(super) emitter: Option<&'static str>,
 }
 
 impl PlyDialect {
@@ -116,7 +117,7 @@ impl PlyDialect {
             PlyDialect::GsIr
         } else if has("roughnessFactor") || byte("roughness") {
             PlyDialect::Mesh2Splat
-        } else if has("albedo_0") || has("roughness") || has("metallic") || has("semantic_0") {
+        } else if has("albedo_0") || has("roughness") || has("metallic") || has("semantic_0") || has("emitter") {
             PlyDialect::Own
         } else {
             PlyDialect::ThreeDgs
@@ -131,6 +132,7 @@ impl PlyDialect {
             roughness: ("roughness", OWN_ROUGHNESS),
             metallic: Some(("metallic", OWN_METALLIC)),
             semantic: Some("semantic_"),
+            emitter: Some("emitter"),
         };
         let unit = Code::Logistic { low: 0.0, span: 1.0 };
         let base_color = Some((["base_color_0", "base_color_1", "base_color_2"], PUBLISHED));
@@ -142,12 +144,14 @@ impl PlyDialect {
                 roughness: ("roughness", unit),
                 metallic: Some(("metallic", unit)),
                 semantic: None,
+                emitter: None,
             },
             PlyDialect::R3dg | PlyDialect::Sgs => Names {
                 albedo: base_color,
                 roughness: ("roughness", PUBLISHED),
                 metallic: None,
                 semantic: (self == PlyDialect::Sgs).then_some("semantic_feature_"),
+                emitter: None,
                 ..own
             },
             PlyDialect::Mesh2Splat if bytes => Names {
@@ -155,6 +159,7 @@ impl PlyDialect {
                 roughness: ("roughness", Code::Plain(255.0)),
                 metallic: Some(("metallic", Code::Plain(255.0))),
                 semantic: None,
+                emitter: None,
                 ..own
             },
             PlyDialect::Mesh2Splat => Names {
@@ -162,6 +167,7 @@ impl PlyDialect {
                 roughness: ("roughnessFactor", Code::Plain(1.0)),
                 metallic: Some(("metallicFactor", Code::Plain(1.0))),
                 semantic: None,
+                emitter: None,
                 ..own
             },
         }
@@ -185,6 +191,9 @@ impl PlyDialect {
         }
         if splats.semantic.is_some() && (plain || names.semantic.is_none()) {
             out.push("semantic features");
+        }
+        if splats.emitters.is_some() && (plain || names.emitter.is_none()) {
+            out.push("emitters");
         }
         if self == PlyDialect::Mesh2Splat {
             out.push("colors, in whose place albedo stands");

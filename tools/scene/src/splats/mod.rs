@@ -17,6 +17,9 @@ use crate::error::{Result, SceneError};
 /// Constant of spherical-harmonics band 0: `rgb = 0.5 + SH_C0 · dc`.
 pub const SH_C0: f32 = 0.282_094_8;
 
+/// Maximum number of emitters of a scene.
+pub const MOST_EMITTERS: u32 = 4096;
+
 /// Set of splats as a structure of arrays.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Splats {
@@ -41,6 +44,9 @@ pub struct Splats {
     pub metallic: Option<Vec<f32>>,
     /// Semantic features: number of channels, and values ordered by splat.
     pub semantic: Option<(usize, Vec<f32>)>,
+    /// Emitter that each splat belongs to: 0 emits nothing, `i + 1` belongs to emitter `i` of `emitters.json`.
+    /// At most [`MOST_EMITTERS`].
+    pub emitters: Option<Vec<u32>>,
 }
 
 impl Splats {
@@ -82,10 +88,13 @@ impl Splats {
             roughness: one(&self.roughness),
             metallic: one(&self.metallic),
             semantic: self.semantic.as_ref().map(|(channels, v)| (*channels, of(&order, v, *channels))),
+            emitters: self.emitters.as_ref().map(|v| of(&order, v, 1)),
         }
     }
 
-    /// Checks the lengths of all arrays against the number of splats and the degree.
+    /// Checks the lengths of all arrays, and the emitters.
+    ///
+    /// Lengths must match the number of splats and the degree.
     pub fn check(&self) -> Result<()> {
         let n = self.len();
         let degree = self.sh_degree();
@@ -105,6 +114,11 @@ impl Splats {
         lengths.push(("metallic", one(&self.metallic), n));
         if let Some((channels, values)) = &self.semantic {
             lengths.push(("semantic", values.len(), n.saturating_mul(*channels)));
+        }
+        lengths.push(("emitters", self.emitters.as_ref().map_or(n, Vec::len), n));
+        if let Some(bad) = self.emitters.iter().flatten().find(|e| **e > MOST_EMITTERS) {
+            let problem = format!("a splat belongs to emitter {bad}, but there are {MOST_EMITTERS} at most");
+            return Err(SceneError::Data { what: "the splats", problem });
         }
         match lengths.iter().find(|(_, found, expected)| found != expected) {
             None => Ok(()),
@@ -136,9 +150,11 @@ mod tests {
             roughness: Some(numbers(1)),
             metallic: None,
             semantic: Some((2, numbers(2))),
+            emitters: Some(vec![0, 7, 0, 2, 4096]),
         };
         let some = all.strongest(3);
         some.check().unwrap();
+        assert_eq!(some.emitters, Some(vec![0, 7, 2]));
         assert_eq!(some.opacity_logits, [0.5, 3.0, 3.0]);
         assert_eq!(some.means, [all.means[0], all.means[1], all.means[3]]);
         assert_eq!(some.sh[1], [&all.sh[1][..18], &all.sh[1][27..36]].concat());

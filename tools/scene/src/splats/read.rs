@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::dialect::{Names, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, albedo_of_color};
 use super::layout::{degree_of_rest, place_of_rest};
-use super::{PlyDialect, Splats};
+use super::{MOST_EMITTERS, PlyDialect, Splats};
 use crate::error::Result;
 use crate::ply::{Scalar, VertexTable};
 
@@ -18,13 +18,14 @@ struct Groups {
     roughness: Option<usize>,
     metallic: Option<usize>,
     semantic: Option<(usize, usize)>,
+    emitter: Option<usize>,
 }
 
 impl Splats {
     /// Reads a 3DGS PLY file with the extensions of any [`PlyDialect`].
     ///
     /// Properties may have any order and type. All-zero normals count as absent, because 3DGS files store zeros there.
-    /// Non-finite values and zero quaternions are errors.
+    /// Non-finite values, zero quaternions and emitters that are not whole numbers from 0 to [`MOST_EMITTERS`] are errors.
     pub fn read_ply(path: &Path) -> Result<Self> {
         Ok(Self::read_ply_dialect(path)?.0)
     }
@@ -71,6 +72,7 @@ impl Splats {
             roughness: groups.roughness.map(|_| Vec::with_capacity(n)),
             metallic: groups.metallic.map(|_| Vec::with_capacity(n)),
             semantic: groups.semantic.map(|(_, channels)| (channels, Vec::with_capacity(n * channels))),
+            emitters: groups.emitter.map(|_| Vec::with_capacity(n)),
         };
         let places: Vec<_> = (0..rest).map(|i| place_of_rest(degree, i)).collect();
         table.read(&wanted, |i, v| {
@@ -104,6 +106,9 @@ impl Splats {
             if let (Some((channels, target)), Some((at, _))) = (&mut splats.semantic, groups.semantic) {
                 target.extend_from_slice(&v[at..at + *channels]);
             }
+            if let (Some(target), Some(at)) = (&mut splats.emitters, groups.emitter) {
+                target.push(emitter(v[at])?);
+            }
             Ok(())
         })?;
         if splats.normals.as_ref().is_some_and(|n| n.iter().flatten().all(|&v| v == 0.0)) {
@@ -111,6 +116,13 @@ impl Splats {
         }
         Ok((splats, dialect))
     }
+}
+
+/// Returns the emitter that a stored number means.
+fn emitter(stored: f32) -> std::result::Result<u32, String> {
+    let whole = (0.0..=MOST_EMITTERS as f32).contains(&stored) && stored.fract() == 0.0;
+    let wrong = || format!("emitter is {stored}; use a whole number from 0 to {MOST_EMITTERS}");
+    whole.then_some(stored as u32).ok_or_else(wrong)
 }
 
 fn optional_groups(table: &VertexTable, names: &Names, wanted: &mut Vec<usize>) -> Groups {
@@ -123,11 +135,12 @@ fn optional_groups(table: &VertexTable, names: &Names, wanted: &mut Vec<usize>) 
     let albedo = names.albedo.as_ref().and_then(|(names, _)| group(names));
     let roughness = group(&[names.roughness.0]);
     let metallic = names.metallic.and_then(|(name, _)| group(&[name]));
+    let emitter = names.emitter.and_then(|name| group(&[name]));
     let prefix = names.semantic.unwrap_or("semantic_");
     let channels = table.count_numbered(prefix);
     let names: Vec<String> = (0..channels).map(|i| format!("{prefix}{i}")).collect();
     let semantic = if channels == 0 { None } else { group(&names.iter().map(String::as_str).collect::<Vec<_>>()) };
-    Groups { normals, albedo, roughness, metallic, semantic: semantic.map(|at| (at, channels)) }
+    Groups { normals, albedo, roughness, metallic, semantic: semantic.map(|at| (at, channels)), emitter }
 }
 
 #[cfg(test)]
@@ -159,6 +172,27 @@ mod tests {
             Splats::read_ply(&path).unwrap_err().to_string()
         };
         assert!(fail("\n4 1 2 3", "\n0 0 0 0").contains("vertex 0 (line 20): the rotation is a zero quaternion"));
+    }
+
+    #[test]
+    fn emitters_are_whole_numbers() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.ply");
+        let read = |stored: f32| {
+            let splats = Splats { emitters: Some(vec![1, 4096]), ..sample(2, 0) };
+            splats.write_ply(&path).unwrap();
+            let mut bytes = std::fs::read(&path).unwrap();
+            let at = bytes.len() - 4;
+            bytes[at..].copy_from_slice(&stored.to_le_bytes());
+            std::fs::write(&path, bytes).unwrap();
+            Splats::read_ply(&path).map(|s| s.emitters).map_err(|e| e.to_string())
+        };
+        assert_eq!(read(0.0), Ok(Some(vec![1, 0])));
+        assert_eq!(read(4096.0), Ok(Some(vec![1, 4096])));
+        for wrong in [0.5, -1.0, 4097.0, 1e30] {
+            let error = read(wrong).unwrap_err();
+            assert!(error.contains("vertex 1") && error.contains("use a whole number from 0 to 4096"), "{error}");
+        }
     }
 
     #[test]

@@ -23,6 +23,7 @@ enum Source {
     Roughness(Code),
     Metallic(Code),
     Semantic(usize),
+    Emitter,
 }
 
 impl Source {
@@ -43,14 +44,15 @@ impl Source {
                 None => Code::Plain(1.0).to(code, 0.0),
             },
             Source::Semantic(k) => s.semantic.as_ref().map_or(0.0, |(channels, v)| v[i * channels + k]),
+            Source::Emitter => s.emitters.as_ref().map_or(0.0, |e| e[i] as f32),
         }
     }
 }
 
 impl Splats {
     /// Writes a binary PLY file in this project's dialect. The properties are `x y z nx ny nz f_dc_* f_rest_* opacity
-    /// scale_* rot_*`, as in 3DGS programs. `albedo_0..2 roughness metallic semantic_*` follow if present. Absent
-    /// normals are written as zeros.
+    /// scale_* rot_*`, as in 3DGS programs. `albedo_0..2 roughness metallic semantic_* emitter` follow if present.
+    /// Absent normals are written as zeros.
     pub fn write_ply(&self, path: &Path) -> Result<()> {
         self.write_ply_as(path, PlyDialect::Own)
     }
@@ -129,6 +131,9 @@ impl Splats {
         if own {
             semantic.for_each(|k| put(&format!("{prefix}{k}"), Source::Semantic(k)));
         }
+        if let Some(name) = names.emitter.filter(|_| self.emitters.is_some()) {
+            put(name, Source::Emitter);
+        }
         columns
     }
 }
@@ -157,6 +162,7 @@ pub(super) mod tests {
             roughness: Some(many(n)),
             metallic: Some(many(n)),
             semantic: Some((2, many(n * 2))),
+            emitters: None,
         }
     }
 
@@ -169,7 +175,9 @@ pub(super) mod tests {
             let bare =
                 Splats { normals: None, albedo: None, roughness: None, metallic: None, semantic: None, ..full.clone() };
             let no_metal = Splats { metallic: None, ..full.clone() };
-            for splats in [full, bare, no_metal] {
+            let emitting = Splats { emitters: Some(vec![0, 3, 0, 4096, 1]), ..full.clone() };
+            let only_emitting = Splats { emitters: emitting.emitters.clone(), ..bare.clone() };
+            for splats in [full, bare, no_metal, emitting, only_emitting] {
                 assert_eq!(splats.sh_degree(), degree);
                 splats.write_ply(&path).unwrap();
                 assert_eq!(Splats::read_ply(&path).unwrap(), splats);
@@ -216,6 +224,8 @@ pub(super) mod tests {
         assert_eq!(fail(|s| s.rotations.truncate(1)), "the splats: rotations has the length 1, but 2 splats need 2");
         assert!(fail(|s| s.sh[1].truncate(17)).contains("sh[1] has the length 17, but 2 splats need 18"));
         assert!(fail(|s| s.sh[0].clear()).contains("sh[0] has the length 0"));
+        assert!(fail(|s| s.emitters = Some(vec![1])).contains("emitters has the length 1, but 2 splats need 2"));
+        assert!(fail(|s| s.emitters = Some(vec![0, 4097])).contains("belongs to emitter 4097"));
         assert!(fail(|s| s.semantic = Some((3, vec![0.0]))).contains("semantic has the length 1"));
         assert!(!path.exists());
     }

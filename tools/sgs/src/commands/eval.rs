@@ -14,7 +14,7 @@ use sgs_evaluate::{
     EvaluateOptions, Evaluation, Fps, Nvs, RELIT_MEAN, RelitSet, ShadedMetrics, evaluate_classes, evaluate_shaded,
     render_fps, shade_fps,
 };
-use sgs_relight::{evaluate_relit, skip_relit};
+use sgs_relight::{Emitting, LightOfRun, evaluate_relit, skip_relit};
 use sgs_run::{RunDirectory, Shading, displayed, light_of, shaded_scene};
 use sgs_scene::{Image, Scene, Splats, write_png};
 use std::path::{Path, PathBuf};
@@ -129,7 +129,11 @@ pub fn measure(
     if splats.albedo.is_some() && splats.roughness.is_some() {
         let light = light_of(run, settings)?;
         let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
-        let shaded = shaded_scene(device, splats, lights, environment, &light.visibility)?;
+        let emitting = Emitting::open(device, run, scene, splats, settings.seed)?;
+        let shaded = match &emitting {
+            Some(emitting) => emitting.own(device, splats)?,
+            None => shaded_scene(device, splats, lights, environment, &light.visibility)?,
+        };
         // Mean visibility doubles the cost of shading and appears in images only.
         let shading = Shading::new(device, shaded)?;
         let mut shading = if images.is_some() { shading } else { shading.without_visibility() };
@@ -147,7 +151,11 @@ pub fn measure(
             Ok(())
         })?;
         pbr = Some(shade_fps(&mut shading.without_visibility(), scene, views)?);
-        evaluate_relit(device, scene, splats, &light, views, &mut result)?;
+        let of_run = match &emitting {
+            Some(emitting) => LightOfRun::Emitting(emitting, settings.seed),
+            None => LightOfRun::Published(&light),
+        };
+        evaluate_relit(device, scene, splats, &of_run, views, &mut result)?;
     } else {
         let reason = "The run has no materials; train its intrinsic stage to render the set.";
         skip_relit(scene, reason, &mut result);
@@ -249,5 +257,12 @@ fn print_shaded(m: &ShadedMetrics) {
             ),
             RelitSet::Skipped { reason } => println!("{name:<20} not measured: {reason}"),
         }
+    }
+    if !m.relit_bounces.is_empty() {
+        println!("\n{:<20} {:>8} {:>8} {:>8} {:>8}", "bounces, dB", "direct", "one", "all", "learned");
+    }
+    for (name, v) in &m.relit_bounces {
+        let learned = v.learned_emitters.map_or_else(|| "-".to_owned(), |v| format!("{v:.2}"));
+        println!("{name:<20} {:>8.2} {:>8.2} {:>8.2} {learned:>8}", v.direct, v.one_bounce, v.all_bounces);
     }
 }

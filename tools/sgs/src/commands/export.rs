@@ -100,6 +100,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let dialect = format.dialect();
     let mut left_out = dialect.map_or(Vec::new(), |dialect| dialect.leaves_out(&splats));
+    if dialect.is_none() && splats.emitters.is_some() {
+        left_out.push("emitters");
+    }
     // Light needs materials, which plain 3DGS files lack.
     let lit = dialect != Some(PlyDialect::ThreeDgs);
     if !lit && (lights.is_some() || environment.is_some()) {

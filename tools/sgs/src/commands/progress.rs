@@ -4,7 +4,7 @@ use crate::common::Common;
 use crate::ui::Bar;
 use crate::watch::Watch;
 use sgs_run::StageKind;
-use sgs_train::{Event, IdleLoss, Observer, RollBack, Stage, TrainError};
+use sgs_train::{Event, IdleLoss, Observer, RollBack, RoomFit, Stage, TrainError};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -84,12 +84,16 @@ impl Observer for Progress<'_> {
             Event::Finished { stage, summary } => {
                 self.finish_bar();
                 if let Some(output) = self.output.as_ref().filter(|_| !self.common.quiet) {
-                    let what = match (stage, summary.gaussians) {
-                        (StageKind::Geometry, Some(count)) => format!("{count} Gaussians"),
-                        _ => "materials and lights".to_owned(),
-                    };
-                    let (steps, seconds) = (summary.steps, summary.seconds);
-                    eprintln!("{what} after {steps} steps in {seconds:.0} s; wrote {}", output.display());
+                    let (steps, seconds, to) = (summary.steps, summary.seconds, output.display());
+                    match (stage, summary.gaussians, summary.room) {
+                        (StageKind::Geometry, Some(count), _) => {
+                            eprintln!("{count} Gaussians after {steps} steps in {seconds:.0} s; wrote {to}");
+                        }
+                        (StageKind::Transport, _, Some(RoomFit { psnr, emitters })) => {
+                            eprintln!("{emitters} emitters, PSNR {psnr:.2} dB, in {seconds:.0} s; wrote {to}");
+                        }
+                        _ => eprintln!("materials and lights after {steps} steps in {seconds:.0} s; wrote {to}"),
+                    }
                 }
             }
             Event::Densified { .. } => {}

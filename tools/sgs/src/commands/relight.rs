@@ -12,8 +12,10 @@ use crate::video::VideoArgs;
 use crate::viewpoints::ViewpointArgs;
 use sgs_config::Settings;
 use sgs_engine::Device;
-use sgs_relight::{BakeOptions, Edit, Insert, RelightError, Relit, Selector, bake, bake_cameras, baked_psnr};
-use sgs_run::{Rays, Shading, Visibility};
+use sgs_relight::{
+    BakeOptions, Edit, EmitterEdit, Emitting, Insert, RelightError, Relit, Selector, bake, bake_cameras, baked_psnr,
+};
+use sgs_run::{Rays, RunDirectory, Shading, Visibility};
 use sgs_scene::{Camera, Scene, Splats};
 use std::path::{Path, PathBuf};
 
@@ -121,7 +123,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         true => Some(head_of(&a.source, &splats)?),
         false => None,
     };
-    let scene = scene_of(a, &edit, settings.as_ref())?;
+    let bounces = bounces(a, &edit)?;
+    let scene = scene_of(a, &edit, settings.as_ref(), bounces)?;
     let cameras = match a.output.is_some() || video.is_some() || a.viewpoints.choose_cameras() {
         true => a.viewpoints.cameras(&a.source, settings.as_ref(), &splats, scene.as_ref())?,
         false => Vec::new(),
@@ -150,7 +153,19 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if a.channels.contains(&Channel::Metallic) && relit.splats.metallic.is_none() {
         refuse_usage!("\"{}\" has no metallic; leave \"metallic\" out of --channels.", a.source.display());
     }
-    let mut shading = Shading::new(&device, relit.upload(&device)?)?;
+    let emitting = match (&scene, &settings, bounces) {
+        (Some(scene), Some(settings), true) => {
+            let run = RunDirectory::open(&a.source)?;
+            let emitting = Emitting::open(&device, &run, scene, &relit.splats, settings.seed)?;
+            emitting.map(|emitting| emitting.edited(&edit.emitters)).transpose()?
+        }
+        _ => None,
+    };
+    let shaded = match &emitting {
+        Some(emitting) => emitting.own(&device, &relit.splats)?,
+        None => relit.upload(&device)?,
+    };
+    let mut shading = Shading::new(&device, shaded)?;
     let mut written = Vec::new();
     if let Some(output) = &a.output {
         output::make(output)?;
@@ -177,7 +192,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if let Some(video) = video {
         written.push(video.finish()?);
     }
-    let lights = relit.light.lights.as_ref().map_or(0, |l| l.lights.iter().filter(|l| l.gain > 0.0).count());
+    let lights = match &emitting {
+        Some(emitting) => emitting.file.emitters.iter().filter(|e| e.on).count(),
+        None => relit.light.lights.as_ref().map_or(0, |l| l.lights.iter().filter(|l| l.gain > 0.0).count()),
+    };
     let mut answer = serde_json::json!({"gaussians": relit.splats.len(), "lights": lights, "files": written});
     if let Some(file) = &a.bake {
         let target = BakeTarget { from: &from, others: &cameras, background, file };
@@ -185,6 +203,24 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     common.answer(&answer)?;
     validated(&device)
+}
+
+/// Returns whether the emitters of the run light the images, with bounces.
+///
+/// Refuses edits that mix them with the light of the published model.
+fn bounces(a: &Args, edit: &Edit) -> anyhow::Result<bool> {
+    let published = edit.changes_published_light() || a.visibility.is_some();
+    let has = a.source.is_dir() && RunDirectory::open(&a.source)?.emitters().is_file();
+    if edit.emitters == EmitterEdit::default() {
+        return Ok(has && !published);
+    }
+    if !has {
+        refuse_usage!("\"{}\" has no emitters; train them with --stage transport.", a.source.display());
+    }
+    if published {
+        refuse_usage!("An edit of \"emitters\" takes no \"lights\", \"environment\" or --visibility; leave these out.");
+    }
+    Ok(true)
 }
 
 /// Refuses impossible bakes before any work is done.
@@ -248,11 +284,11 @@ fn baked(
     Ok(answer)
 }
 
-/// Opens the scene if the edit or the bake needs it.
+/// Opens the scene if the edit, the bake or bounces of light need it.
 ///
-/// Edits that select regions need its views, bakes of a run its cameras.
-fn scene_of(a: &Args, edit: &Edit, settings: Option<&Settings>) -> anyhow::Result<Option<Scene>> {
-    let cameras = a.bake.is_some() && settings.is_some();
+/// Edits that select regions need its views, bakes of a run and bounces its cameras.
+fn scene_of(a: &Args, edit: &Edit, settings: Option<&Settings>, bounces: bool) -> anyhow::Result<Option<Scene>> {
+    let cameras = a.bake.is_some() && settings.is_some() || bounces;
     if edit.materials.iter().all(|m| m.place.region.is_none()) && !cameras {
         return Ok(None);
     }

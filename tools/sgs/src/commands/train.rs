@@ -88,9 +88,10 @@ pub struct Args {
     /// Run directory to create.
     #[arg(short, long, value_name = "RUN")]
     output: PathBuf,
-    /// Stage: geometry, intrinsic (materials, lights and shadows on the run's geometry), or all.
+    /// Stage: geometry, intrinsic (materials, lights and shadows on the run's geometry), all (both of them), or transport
+    /// (emitters and bounced light on the run's materials).
     #[arg(long, value_enum, default_value = "geometry")]
-    stage: Stage,
+    stage: TrainedStage,
     /// Geometry of the intrinsic stage: a 3DGS PLY or a glTF file.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
@@ -115,13 +116,42 @@ pub enum Stage {
     All,
 }
 
-impl Stage {
+/// Stages that `sgs train` trains.
+#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum TrainedStage {
+    Geometry,
+    Intrinsic,
+    All,
+    Transport,
+}
+
+impl TrainedStage {
     /// Returns the selected stages.
-    pub fn kinds(self) -> Vec<StageKind> {
+    fn kinds(self) -> Vec<StageKind> {
         match self {
-            Stage::Geometry => vec![StageKind::Geometry],
-            Stage::Intrinsic => vec![StageKind::Intrinsic],
-            Stage::All => vec![StageKind::Geometry, StageKind::Intrinsic],
+            TrainedStage::Geometry => vec![StageKind::Geometry],
+            TrainedStage::Intrinsic => vec![StageKind::Intrinsic],
+            TrainedStage::All => vec![StageKind::Geometry, StageKind::Intrinsic],
+            TrainedStage::Transport => vec![StageKind::Transport],
+        }
+    }
+
+    /// Returns the option of the command line that selects the stage, after a space.
+    fn option(self) -> &'static str {
+        match self {
+            TrainedStage::Geometry => "",
+            TrainedStage::Intrinsic => " --stage intrinsic",
+            TrainedStage::All => " --stage all",
+            TrainedStage::Transport => " --stage transport",
+        }
+    }
+
+    /// Returns the stage if it starts from the run's Gaussians.
+    fn on_run(self) -> Option<StageKind> {
+        match self {
+            TrainedStage::Geometry | TrainedStage::All => None,
+            TrainedStage::Intrinsic => Some(StageKind::Intrinsic),
+            TrainedStage::Transport => Some(StageKind::Transport),
         }
     }
 }
@@ -160,20 +190,22 @@ fn file_of(o: &Options) -> anyhow::Result<toml::Table> {
     text.parse().map_err(|e| usage(format!("\"{}\": {}.", path.display(), wrong(e))))
 }
 
-/// Returns settings of the intrinsic stage on the geometry of a run.
+/// Returns settings of a stage on the Gaussians of a run.
 ///
-/// The base is the settings of the run, which produced the geometry. Preset, accuracy level and file override
-/// settings of the intrinsic stage, in this order.
-fn settings_of_stage(run: &Settings, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
+/// The base is the settings of the run, which produced the Gaussians. Preset, accuracy level and file override
+/// settings of the stage, in this order.
+fn settings_of_stage(stage: StageKind, run: &Settings, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
     let mut table = run.to_table()?;
     let of_stage = |mut over: toml::Table| -> anyhow::Result<toml::Table> {
         // Checks the names of the other settings, too, before dropping them.
         Settings::from_table(over.clone())?;
-        over.retain(|key, _| key == "intrinsic");
+        over.retain(|key, _| key == stage.name());
         Ok(over)
     };
     overlay(&mut table, of_stage(preset_of(o)?)?);
-    overlay(&mut table, accuracy_of(o)?);
+    if stage == StageKind::Intrinsic {
+        overlay(&mut table, accuracy_of(o)?);
+    }
     overlay(&mut table, of_stage(file_of(o)?)?);
     settings_over(table, scene, o)
 }
@@ -250,13 +282,13 @@ fn set(table: &mut toml::Table, key: &str, value: &str) -> anyhow::Result<()> {
 /// Changed settings would produce neither the old run nor a new one.
 fn resumed(a: &Args) -> anyhow::Result<Settings> {
     let began = RunDirectory::open(&a.output)?.settings()?;
-    let mut requested = match (&a.options.config, &a.options.preset) {
-        (None, None) => {
+    let mut requested = match (&a.options.config, &a.options.preset, a.stage.on_run()) {
+        (None, None, _) => {
             let mut table = began.to_table()?;
             overlay(&mut table, accuracy_of(&a.options)?);
             settings_over(table, &a.scene, &a.options)?
         }
-        _ if a.stage == Stage::Intrinsic => settings_of_stage(&began, &a.scene, &a.options)?,
+        (_, _, Some(stage)) => settings_of_stage(stage, &began, &a.scene, &a.options)?,
         _ => settings(&a.scene, &a.options)?,
     };
     // Automatic values were decided when the run began.
@@ -293,12 +325,13 @@ fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String,
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    if a.start.is_some() && a.stage != Stage::Intrinsic {
+    if a.start.is_some() && a.stage != TrainedStage::Intrinsic {
         refuse_usage!("--start gives geometry to the intrinsic stage; add --stage intrinsic.");
     }
     let begin = match (a.stage, &a.start) {
-        (Stage::Intrinsic, None) => Begin::Materials,
-        (Stage::Intrinsic, Some(_)) => Begin::MaterialsFrom,
+        (TrainedStage::Intrinsic, None) => Begin::Materials,
+        (TrainedStage::Intrinsic, Some(_)) => Begin::MaterialsFrom,
+        (TrainedStage::Transport, _) => Begin::Emitters,
         _ => Begin::Geometry,
     };
     let permission = Permission { force: a.force, resume: a.resume };
@@ -306,16 +339,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let port = a.watch.map(Port::take).transpose()?;
     let there = a.output.join("config.toml").is_file();
     let resuming = a.resume && there;
-    if resuming && a.stage == Stage::Geometry {
+    if resuming && a.stage == TrainedStage::Geometry {
         RunDirectory::open(&a.output)?.check_without_materials()?;
     }
-    let settings = if resuming {
-        resumed(a)?
-    } else if begin == Begin::Materials && there {
-        // The geometry and its settings belong to the run.
-        settings_of_stage(&RunDirectory::open(&a.output)?.settings()?, &a.scene, &a.options)?
-    } else {
-        settings(&a.scene, &a.options)?
+    let settings = match a.stage.on_run().filter(|_| there && begin != Begin::MaterialsFrom) {
+        _ if resuming => resumed(a)?,
+        // The Gaussians and their settings belong to the run.
+        Some(stage) => settings_of_stage(stage, &RunDirectory::open(&a.output)?.settings()?, &a.scene, &a.options)?,
+        None => settings(&a.scene, &a.options)?,
     };
     let kinds = a.stage.kinds();
     if resuming {
@@ -333,7 +364,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if begin == Begin::Geometry && !resuming {
         check_start(&scene)?;
     }
-    if a.stage != Stage::Geometry && !resuming {
+    if a.stage.kinds().contains(&StageKind::Intrinsic) && !resuming {
         warn_without_priors(&scene)?;
     }
     let _lock = output::lock(&a.output)?;
@@ -342,12 +373,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let stop = Stop::on_signals()?;
     let stopped = |step: u32| {
-        let stage = match a.stage {
-            Stage::Geometry => "",
-            Stage::Intrinsic => " --stage intrinsic",
-            Stage::All => " --stage all",
-        };
-        let (scene, output) = (a.scene.display(), a.output.display());
+        let (scene, output, stage) = (a.scene.display(), a.output.display(), a.stage.option());
         stop.failure(format!("stopped after step {step}; go on with: sgs train {scene} -o {output}{stage} --resume"))
     };
     let mut watch = match port {

@@ -138,7 +138,7 @@ impl Stage for Geometry {
         Geometry::take_times(self)
     }
 
-    fn plan(&mut self) -> Result<&Plan> {
-        Ok(self.executor()?.plan())
+    fn plan(&mut self) -> Result<Option<&Plan>> {
+        Ok(Some(self.executor()?.plan()))
     }
 }

@@ -135,7 +135,7 @@ impl Stage for Intrinsic {
         Intrinsic::take_times(self)
     }
 
-    fn plan(&mut self) -> Result<&Plan> {
-        Ok(self.executor()?.executor().plan())
+    fn plan(&mut self) -> Result<Option<&Plan>> {
+        Ok(Some(self.executor()?.executor().plan()))
     }
 }

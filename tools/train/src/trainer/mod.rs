@@ -10,19 +10,20 @@
 
 mod observer;
 mod record;
+mod start;
 mod summary;
 
 pub use observer::{Event, Observer, Outcome};
 pub use summary::StageSummary;
 
 use crate::error::{Requirement, Result, TrainError};
-use crate::geometry::{Geometry, MANY_POINTS, MOST_THINNED};
+use crate::geometry::{MANY_POINTS, MOST_THINNED};
 use crate::intrinsic::Intrinsic;
 use crate::stage::{Stage, StageEvent};
 use record::Record;
 use sgs_config::{OnDivergence, Settings};
 use sgs_engine::Device;
-use sgs_run::{RunDirectory, StageKind, read_splats};
+use sgs_run::{RunDirectory, StageKind};
 use sgs_scene::{Scene, Splats};
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -43,12 +44,11 @@ pub struct TrainerOptions {
     pub run: Option<PathBuf>,
     /// Continues the training in the run directory.
     pub resume: bool,
-    /// Geometry that an intrinsic stage starts from. Default: the geometry of the run, or of the geometry stage before
-    /// it.
+    /// Gaussians that a stage after the geometry stage starts from. Default: those of the run, or of the stage before it.
     pub start: Option<StartGeometry>,
 }
 
-/// Geometry that the intrinsic stage starts from.
+/// Gaussians that a stage after the geometry stage starts from. The transport stage needs their materials.
 #[derive(Clone, Debug)]
 pub enum StartGeometry {
     /// A PLY or glTF file.
@@ -93,7 +93,7 @@ pub struct Trainer {
     settings: Settings,
     options: TrainerOptions,
     next: VecDeque<Next>,
-    /// Geometry of the intrinsic stage.
+    /// Gaussians that the active stage started from, if it did not create them.
     splats: Option<Splats>,
     active: Option<Active>,
     /// Whether an error ended the training.
@@ -123,7 +123,9 @@ impl Trainer {
         let mut next = VecDeque::new();
         for &kind in &options.stages {
             let there = resumed.as_ref().is_some_and(|run| run.checkpoint(kind).is_file());
-            let complete = complete.contains(&kind);
+            // A stage whose predecessor trains again is trained again.
+            let after_another = next.iter().any(|n: &Next| !n.complete);
+            let complete = complete.contains(&kind) && !after_another;
             match kind {
                 // A run that has a checkpoint of its second stage has finished its first stage.
                 StageKind::Geometry if wants_materials && (second || complete) => {}
@@ -133,6 +135,7 @@ impl Trainer {
                     next.push_back(Next { kind, resume: resumed.is_some(), complete });
                 }
                 StageKind::Intrinsic => next.push_back(Next { kind, resume: second, complete }),
+                StageKind::Transport => next.push_back(Next { kind, resume: there && !after_another, complete }),
             }
         }
         let trainer = Trainer {
@@ -221,93 +224,6 @@ impl Trainer {
         let result = self.start(next, observer).map(|_| ());
         self.failed = result.is_err();
         result
-    }
-
-    /// Creates the next stage. Returns false if the observer stopped it before anything was written.
-    fn start(&mut self, next: Next, observer: &mut dyn Observer) -> Result<bool> {
-        let Next { kind, resume, complete } = next;
-        let mut shrunk = false;
-        let mut stage: Box<dyn Stage> = match kind {
-            StageKind::Geometry => self.build(kind, &self.settings)?,
-            StageKind::Intrinsic => {
-                let both = self.trains_both();
-                let mut splats = self.take_geometry(resume)?;
-                let all = splats.len();
-                let (device, scene, settings) = (&self.device, &self.scene, &self.settings);
-                // Only a training that made the geometry itself may remove Gaussians.
-                let stage = match both && !resume {
-                    true => Intrinsic::within(device, scene, settings, &mut splats),
-                    false => Intrinsic::new(device, scene, settings, &splats),
-                };
-                shrunk = splats.len() < all;
-                // Geometry that was trained in memory stays even if the stage cannot start.
-                self.splats = Some(splats);
-                Box::new(stage?)
-            }
-        };
-        if observer.should_stop() {
-            return Ok(false);
-        }
-        // A training that was refused or stopped before this point writes no file.
-        let record = match &self.options.run {
-            None => None,
-            Some(root) if complete => {
-                stage.restore(&RunDirectory::open(root)?.checkpoint(kind))?;
-                None
-            }
-            Some(root) => {
-                let run = RunDirectory::create(root)?;
-                let checkpoint = run.checkpoint(kind);
-                match (kind, resume) {
-                    (StageKind::Geometry, false) => run.forget()?,
-                    (StageKind::Geometry, true) if !checkpoint.is_file() => {}
-                    (_, true) => stage.restore(&checkpoint)?,
-                    (StageKind::Intrinsic, false) => {
-                        run.forget_intrinsic()?;
-                        // The run has to be sufficient for resuming.
-                        if let Some(splats) = self.splats.as_ref().filter(|_| shrunk || self.options.start.is_some()) {
-                            splats.write_ply(&run.path("scene.ply"))?;
-                        }
-                    }
-                }
-                check_steps(&*stage, &checkpoint)?;
-                Some(Record::open(run, &*stage, self.rolls_back())?)
-            }
-        };
-        self.next.pop_front();
-        let (step, steps) = (stage.step(), stage.steps());
-        if !complete {
-            observer.notify(&Event::Started { stage: kind, step, steps, idle: stage.idle_losses() });
-        }
-        self.active = Some(Active { stage, record, first: step, seconds: 0.0, timed: false, finished: complete });
-        Ok(true)
-    }
-
-    /// Returns the geometry of the intrinsic stage. Drops its materials: the stage initializes them or restores its
-    /// checkpoint.
-    fn take_geometry(&mut self, resume: bool) -> Result<Splats> {
-        let before = self.active.take();
-        let file = |path: &Path| if path.is_file() { Ok(read_splats(path)?) } else { Err(no_geometry(path)) };
-        let mut splats = match (&self.options.start, &self.options.run, before) {
-            (Some(StartGeometry::File(path)), ..) if !resume => file(path)?,
-            (Some(StartGeometry::Splats(splats)), ..) if !resume => (**splats).clone(),
-            (_, Some(root), _) => file(&root.join("scene.ply"))?,
-            (_, None, Some(before)) => before.stage.splats()?,
-            (_, None, None) if self.splats.is_some() => self.splats.take().unwrap_or_default(),
-            (_, None, None) => {
-                return Err(Requirement::Geometry.into());
-            }
-        };
-        (splats.albedo, splats.roughness, splats.metallic) = (None, None, None);
-        Ok(splats)
-    }
-
-    fn build(&self, kind: StageKind, settings: &Settings) -> Result<Box<dyn Stage>> {
-        let (device, scene) = (&self.device, &self.scene);
-        Ok(match (kind, &self.splats) {
-            (StageKind::Intrinsic, Some(splats)) => Box::new(Intrinsic::new(device, scene, settings, splats)?),
-            _ => Box::new(Geometry::new(device, scene, settings, None)?),
-        })
     }
 
     /// Returns whether divergence leads to a rollback, or at least to a saved state.
@@ -428,6 +344,7 @@ impl Trainer {
             device: self.device.info().name.clone(),
             roll_backs: stage.roll_backs().to_vec(),
             sh_degree: stage.sh_degree(),
+            room: stage.room(),
             decisions: stage.decisions().to_vec(),
             warnings: stage.idle_losses().to_vec(),
         };
@@ -481,23 +398,12 @@ impl Trainer {
             // Files of an earlier run: resuming would read them as part of this run.
             sgs_run::remove(&run.path("training.json"))?;
             run.forget_diverged()?;
-            if stage.kind() == StageKind::Geometry {
-                run.forget_intrinsic()?;
+            match stage.kind() {
+                StageKind::Geometry => run.forget_intrinsic()?,
+                StageKind::Intrinsic => run.forget_transport()?,
+                StageKind::Transport => {}
             }
         }
         stage.write_results(&run)
     }
-}
-
-/// Refuses a checkpoint that is beyond the last step of the settings.
-fn check_steps(stage: &dyn Stage, checkpoint: &Path) -> Result<()> {
-    let (step, steps, kind) = (stage.step(), stage.steps(), stage.kind());
-    if step > steps {
-        return Err(Requirement::MoreSteps { path: checkpoint.to_owned(), kind, step, steps }.into());
-    }
-    Ok(())
-}
-
-fn no_geometry(path: &Path) -> TrainError {
-    Requirement::GeometryIn(path.to_owned()).into()
 }

@@ -144,11 +144,11 @@ impl Record {
         }
         stage.write_results(&self.run)?;
         let times = stage.take_times();
-        if !times.is_empty() {
+        if let (false, Some(plan)) = (times.is_empty(), stage.plan()?) {
             let name = format!("{} step", self.kind);
             let replay = times.iter().map(|t| t.start.len()).min().unwrap_or(0).saturating_sub(1);
             let profile = trace(&[Track { name: &name, times: &times, replay }]);
-            let page = html(stage.plan()?, &times);
+            let page = html(plan, &times);
             for (path, text) in [(self.run.profile(self.kind), profile), (self.run.graph(self.kind), page)] {
                 sgs_scene::atomic_write(&path, |f| f.write_all(text.as_bytes()))?;
             }

@@ -3,6 +3,7 @@
 use crate::decision::Decision;
 use crate::divergence::RollBack;
 use crate::idle::IdleLoss;
+use crate::stage::RoomFit;
 use serde::Serialize;
 use sgs_passes::pipeline::DensifyStats;
 use sgs_run::StageKind;
@@ -31,6 +32,9 @@ pub struct StageSummary {
     /// Highest band of spherical harmonics, where the stage trains them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sh_degree: Option<u32>,
+    /// PSNR and emitters, where the stage fits a room.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub room: Option<RoomFit>,
     /// Decisions of automatic model selection.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub decisions: Vec<Decision>,

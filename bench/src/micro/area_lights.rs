@@ -1,0 +1,196 @@
+//! Benchmark of physical lights: `transport_lights` at surfels and at pixels, `transport_shade` and its gradient.
+//!
+//! The room of `lights` with its walls cut into surfels, discs in it, and eight lights of all shapes. Some pairs and pixels
+//! are checked against the reference.
+
+use super::Context;
+use super::lights::{CAMERA, Lit, bind};
+use crate::harness::{Rig, add_passes, bytes};
+use crate::report::Report;
+use sgs_engine::graph::Graph;
+use sgs_passes::cost::Counts;
+use sgs_passes::reference::area_lights::{self as reference, Light, Ray, Receiver, Sampling};
+use sgs_passes::reference::brdf::{V3, along, dot, unit};
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::reference::transport_shade::{Incoming, View, shade};
+use sgs_passes::shade::environment::split_sum;
+use sgs_passes::shade::lights::LightModel;
+use sgs_passes::transport::{
+    AreaLight, AreaLights, LIGHT_SAMPLES, LightReceivers, LightShape, ShadeGradients, ShadowRays, SurfelTree, Surfels,
+    TransportShading, split_sum_table, transport_lights, transport_shade, transport_shade_bwd,
+};
+
+/// Number of surfels on the walls, about.
+const WALLS: u32 = 6000;
+/// Number of discs in the room.
+const DISCS: usize = 2000;
+/// Distance of ray origins above surfaces, and of their ends before lights.
+const OFFSET: f32 = 0.01;
+const SEED: u32 = 3;
+/// Approximate number of pairs and of pixels that the reference evaluates.
+const CHECKED: usize = 64;
+
+/// Returns eight lights in the room.
+fn lights() -> Vec<AreaLight> {
+    let shapes = [
+        LightShape::Point { position: [0.5, -0.6, 0.4] },
+        LightShape::Sphere { center: [-0.7, -0.3, 0.8], radius: 0.1 },
+        LightShape::Sphere { center: [0.9, 0.9, 1.0], radius: 0.05 },
+        LightShape::Rectangle { corner: [-0.5, -1.45, 0.1], edge_u: [0.0, 0.0, 0.8], edge_v: [1.0, 0.0, 0.0] },
+        LightShape::Rectangle { corner: [1.45, -0.5, 0.3], edge_u: [0.0, 1.0, 0.0], edge_v: [0.0, 0.0, -0.8] },
+        LightShape::Disk { center: [0.0, 1.4, 0.5], normal: [0.0, -1.0, 0.0], radius: 0.2 },
+        LightShape::Spot { position: [-1.0, -1.0, 0.0], axis: [0.6, 0.5, 0.8], inner_angle: 0.3, outer_angle: 0.8 },
+        LightShape::Directional { direction: [0.3, 0.8, 0.5], angular_radius: 0.1 },
+    ];
+    shapes.map(|shape| AreaLight { shape, color: [1.0, 0.8, 0.6] }).to_vec()
+}
+
+/// Returns surfels on the walls of the room and in it.
+fn surfels() -> Surfels {
+    let mut s = Surfels::default();
+    let each = f64::from(WALLS / 6).sqrt() as u32;
+    let size = 3.0 / f64::from(each);
+    let place = |i: u32| (f64::from(i) + 0.5) * size - 1.5;
+    for i in 0..6 * each * each {
+        let (face, x, y) = (i / (each * each), place(i % each), place(i / each % each));
+        let (axis, sign) = (face as usize / 2, if face % 2 == 0 { 1.0 } else { -1.0 });
+        let (mut point, mut normal) = ([0.0; 3], [0.0; 3]);
+        (point[axis], point[(axis + 1) % 3], point[(axis + 2) % 3]) = (1.5 * sign, x, y);
+        normal[axis] = -sign;
+        s.points.push(point.map(|x| x as f32));
+        s.normals.push(normal.map(|x| x as f32));
+        s.radii.push((0.6 * size) as f32);
+    }
+    let mut rng = Pcg::new(29);
+    for _ in 0..DISCS {
+        s.points.push([0; 3].map(|_| rng.range(-1.2, 1.2) as f32));
+        s.normals.push(unit([rng.normal(), rng.normal(), rng.normal()]).map(|x| x as f32));
+        s.radii.push(rng.range(0.02, 0.06) as f32);
+    }
+    s
+}
+
+fn three(v: &[f32], i: usize) -> V3 {
+    [v[3 * i], v[3 * i + 1], v[3 * i + 2]].map(f64::from)
+}
+
+/// Returns 1 unless a ray meets a disc.
+fn visible(surfels: &Surfels, ray: &Ray) -> f64 {
+    let meets = (0..surfels.points.len()).any(|i| {
+        let normal = unit(surfels.normals[i].map(f64::from));
+        let to = along(surfels.points[i].map(f64::from), -1.0, ray.from);
+        let (facing, radius) = (dot(normal, ray.along), f64::from(surfels.radii[i]));
+        let t = dot(normal, to) / facing;
+        let beside = along(ray.along.map(|x| t * x), -1.0, to);
+        facing < 0.0 && t > 0.0 && t < ray.reach && dot(beside, beside) <= radius * radius
+    });
+    f64::from(u8::from(!meets))
+}
+
+/// Checks pairs of light and receiver; rays at the edge of a disc may differ.
+fn check(what: &str, found: &[f32], receivers: &[Receiver], surfels: &Surfels) -> anyhow::Result<()> {
+    let sampling = Sampling { offset: OFFSET.into(), clearance: OFFSET.into(), samples: LIGHT_SAMPLES, seed: SEED };
+    let (lights, mut rng, mut off) = (lights(), Pcg::new(31), 0);
+    for k in 0..CHECKED {
+        let (l, i) = (k % lights.len(), rng.next_u32() as usize % receivers.len());
+        let light = Light::new(&lights[l].record());
+        let index = (i as u32, l as u32);
+        let right = reference::shadowed(&light, &receivers[i], index, &sampling, |ray| visible(surfels, ray));
+        let is = f64::from(found[l * receivers.len() + i]);
+        off += usize::from((right - is).abs() > 1e-3 * right + 1e-5);
+    }
+    anyhow::ensure!(off <= CHECKED / 10, "{off} of {CHECKED} irradiances of {what} differ from the reference's.");
+    Ok(())
+}
+
+/// Measures all.
+pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+    let (size, model, surfels, lights) = (c.workload.largest, LightModel::default(), surfels(), lights());
+    let lit = Lit::room(size, model);
+    let n = lit.points.len();
+    let tree = SurfelTree::new(&surfels)?;
+    let mut g = Graph::new("area_lights");
+    let mut b = bind(&mut g, &lit, size, model);
+    let handles = tree.declare(&mut g);
+    b.inputs.extend(tree.contents(&handles));
+    let declared = AreaLights::declare(&mut g, lights.len() as u32);
+    b.inputs.extend(declared.contents(&lights));
+    let rays = ShadowRays { tree: handles, offset: OFFSET, clearance: OFFSET, samples: LIGHT_SAMPLES, seed: SEED };
+
+    let count = surfels.points.len();
+    let rows: Vec<f32> = (0..count)
+        .flat_map(|i| {
+            let (p, n) = (surfels.points[i], surfels.normals[i]);
+            [p[0], p[1], p[2], surfels.radii[i], n[0], n[1], n[2], 0.0]
+        })
+        .collect();
+    let buffer = g.input("receivers", 32 * count as u64);
+    b.inputs.push((buffer, bytes(&rows)));
+    let by_surfel = g.external("surfels_unit", 4 * (lights.len() * count) as u64);
+    let receivers = LightReceivers::Surfels { receivers: buffer, count: count as u32 };
+    transport_lights(&mut g, c.tuning, &receivers, &declared, &rays, None, by_surfel)?;
+
+    let unit = g.external("unit", 4 * (lights.len() * n) as u64);
+    let receivers = LightReceivers::Pixels { screen: b.pixels.screen, surfaces: b.pixels.surfaces };
+    transport_lights(&mut g, c.tuning, &receivers, &declared, &rays, None, unit)?;
+
+    let irradiance = g.input("irradiance", 16 * n as u64);
+    b.inputs.push((irradiance, bytes(&vec![0.5_f32; 4 * n])));
+    let (split_sum, table) = split_sum_table(&mut g);
+    b.inputs.push((split_sum, table));
+    let what = TransportShading { pixels: b.pixels, lights: declared, unit, irradiance, emission: None, split_sum };
+    let radiance = g.external("radiance", 12 * n as u64);
+    transport_shade(&mut g, c.tuning, &what, radiance, None)?;
+    let into = ShadeGradients {
+        materials: g.external("materials_gradient", 16 * n as u64),
+        metallic: None,
+        irradiance: g.external("irradiance_gradient", 16 * n as u64),
+        emission: None,
+        colors: g.external("colors_gradient", 12 * lights.len() as u64),
+    };
+    transport_shade_bwd(&mut g, c.tuning, &what, b.gradient, &into)?;
+
+    let mut rig = Rig::new(c.device, g, b.inputs, true)?;
+    let (times, _) = rig.measure(c.warmup, c.repeats)?;
+    let discs = tree.discs() as f64;
+    let counts = |pixels: usize| Counts {
+        pixels: pixels as f64,
+        lights: lights.len() as f64,
+        gaussians: discs,
+        ..Default::default()
+    };
+    let (of_surfels, of_pixels): (Vec<_>, Vec<_>) = times.into_iter().partition(|t| t.name == "transport_lights");
+    add_passes(report, rig.plan(), &of_surfels, &counts(count), &c.ceiling);
+    add_passes(report, rig.plan(), &of_pixels, &counts(n), &c.ceiling);
+
+    let wide = |v: [f32; 3]| v.map(f64::from);
+    let at = |points: &[[f32; 3]], normals: &[[f32; 3]]| -> Vec<Receiver> {
+        points.iter().zip(normals).map(|(p, n)| Receiver { point: wide(*p), normal: wide(*n) }).collect()
+    };
+    check("surfels", &rig.get::<f32>(by_surfel)?, &at(&surfels.points, &surfels.normals), &surfels)?;
+    let found_unit: Vec<f32> = rig.get(unit)?;
+    check("pixels", &found_unit, &at(&lit.points, &lit.normals), &surfels)?;
+    let (found, materials): (Vec<f32>, Vec<f32>) = (rig.get(radiance)?, rig.get(into.irradiance)?);
+    let table = split_sum::table();
+    let (records, colors): (Vec<Light>, Vec<V3>) =
+        lights.iter().map(|l| (Light::new(&l.record()), l.color.map(f64::from))).unzip();
+    let view = View { camera: CAMERA.map(f64::from), lights: &records, colors: &colors, split_sum: &table };
+    for i in (0..n).step_by((n / CHECKED).max(1)) {
+        let unit = (0..lights.len()).map(|l| f64::from(found_unit[l * n + i])).collect();
+        let incoming = Incoming { unit, irradiance: [0.5; 3], emission: [0.0; 3] };
+        let terms = shade(&view, &lit.pixel(i), &incoming);
+        let gradient = lit.gradient[i].map(f64::from);
+        for k in 0..3 {
+            let (right, is) = (terms.radiance()[k], three(&found, i)[k]);
+            anyhow::ensure!(
+                (right - is).abs() <= 1e-3 * right,
+                "Radiance of pixel {i} is {is}, but should be {right}."
+            );
+            let (right, is) = (gradient[k] * terms.indirect[k] / 0.5, f64::from(materials[4 * i + k]));
+            let off = (right - is).abs() > 1e-3 * right.abs() + 1e-7;
+            anyhow::ensure!(!off, "The gradient of irradiance of pixel {i} is {is}, but should be {right}.");
+        }
+    }
+    report.check(format!("area lights: {CHECKED} irradiances and {CHECKED} pixels are those of the reference"));
+    Ok(())
+}

@@ -1,0 +1,12 @@
+//! Radiosity of a room on the device: the transport matrix, light of emitters on surfels, the solve, and what shading
+//! needs of them.
+//!
+//! [`TransportScene`] traces the matrix once per geometry. Its functions wait for the device: they run once per change of
+//! light. [`ShadedTransport`] holds the lights of a scene and the irradiance that bounces; [`super::Shader`] adds both to a view.
+
+mod scene;
+mod shaded;
+
+pub use scene::{TransportOptions, TransportScene};
+pub use shaded::ShadedTransport;
+pub(super) use shaded::Terms;

@@ -1,0 +1,261 @@
+//! Transport matrix of surfels in an enclosure, and radiosity with it.
+
+use crate::Tuning;
+use crate::transport::{
+    AreaLight, AreaLights, Enclosure, LightReceivers, MatrixRows, MatrixShape, ShadowRays, Solution, SolveInputs,
+    SolveOptions, SurfelHandles, SurfelMemory, SurfelTree, SurfelTreeShape, Surfels, TransportRays, receivers,
+    transport_lights, transport_rays, transport_rows, transport_solve,
+};
+use sgs_engine::exec::{ExecOptions, Executor};
+use sgs_engine::graph::{Buffer, CompileOptions, Graph};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use std::sync::Arc;
+
+/// Options of a [`TransportScene`]. Lengths are in the unit of the surfels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TransportOptions {
+    /// Number of rays of a receiver.
+    pub rays: u32,
+    /// Number of sample points of a light with an extent.
+    pub samples: u32,
+    /// Seed of rays and sample points.
+    pub seed: u32,
+    /// Distance above a receiver at which rays begin.
+    pub offset: f32,
+    /// Distance before a light at which shadow rays end.
+    pub clearance: f32,
+}
+
+/// Surfels of a room in device memory, with their transport matrix.
+pub struct TransportScene {
+    device: Device,
+    tuning: Tuning,
+    options: TransportOptions,
+    tree_shape: SurfelTreeShape,
+    tree: SurfelMemory,
+    receivers: DeviceBuffer,
+    shape: MatrixShape,
+    rows: DeviceBuffer,
+    targets: DeviceBuffer,
+}
+
+impl std::fmt::Debug for TransportScene {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("TransportScene")
+            .field("shape", &self.shape)
+            .field("options", &self.options)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Graph whose inputs are uploaded before its only run.
+struct Once<'a> {
+    device: &'a Device,
+    g: Graph,
+    memory: Vec<(Buffer, DeviceBuffer)>,
+}
+
+impl<'a> Once<'a> {
+    fn new(device: &'a Device, name: &str) -> Once<'a> {
+        Once { device, g: Graph::new(name), memory: Vec::new() }
+    }
+
+    /// Uploads the contents of a declared input.
+    fn upload(&mut self, handle: Buffer, name: &str, bytes: &[u8]) -> Result<()> {
+        let buffer = self.device.buffer(name, bytes.len().max(4) as u64, Location::Device)?;
+        if !bytes.is_empty() {
+            self.device.upload(&buffer, 0, bytes)?;
+        }
+        self.memory.push((handle, buffer));
+        Ok(())
+    }
+
+    /// Declares an input with these contents.
+    fn input(&mut self, name: &str, bytes: &[u8]) -> Result<Buffer> {
+        let handle = self.g.input(name, bytes.len().max(4) as u64);
+        self.upload(handle, name, bytes)?;
+        Ok(handle)
+    }
+
+    /// Declares an output and allocates it.
+    fn output(&mut self, name: &str, bytes: u64) -> Result<(Buffer, DeviceBuffer)> {
+        let handle = self.g.external(name, bytes.max(4));
+        let buffer = self.device.buffer(name, bytes.max(4), Location::Device)?;
+        self.memory.push((handle, buffer.clone()));
+        Ok((handle, buffer))
+    }
+
+    /// Runs the graph and waits for it. `bind` binds buffers that live elsewhere.
+    fn run(self, bind: impl FnOnce(&mut Executor) -> Result<()>) -> Result<()> {
+        let plan = Arc::new(self.g.compile(&CompileOptions::default())?);
+        let mut exec = Executor::new(self.device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
+        for (handle, buffer) in &self.memory {
+            exec.bind(*handle, buffer)?;
+        }
+        bind(&mut exec)?;
+        exec.submit(&[])?;
+        exec.finish()
+    }
+}
+
+impl TransportScene {
+    /// Uploads the surfels and traces the transport matrix.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn new(
+        device: &Device,
+        tuning: Tuning,
+        (surfels, tree): (&Surfels, &SurfelTree),
+        enclosure: &Enclosure,
+        options: TransportOptions,
+    ) -> Result<TransportScene> {
+        let memory = SurfelMemory::new(device, tree)?;
+        let records = receivers(surfels, enclosure);
+        let of_receivers = device.buffer("receivers", 4 * records.len() as u64, Location::Device)?;
+        device.upload(&of_receivers, 0, bytemuck::cast_slice(&records))?;
+        let count = (records.len() / 8) as u32;
+        let shape = MatrixShape { receivers: count, rays: options.rays };
+        let mut once = Once::new(device, "transport_matrix");
+        let handles = SurfelHandles::declare(&mut once.g, &tree.shape());
+        let all = once.g.input("receivers", of_receivers.bytes());
+        let rays = TransportRays {
+            tree: handles,
+            receivers: all,
+            enclosure: *enclosure,
+            surfels: surfels.len() as u32,
+            rays: options.rays,
+            seed: options.seed,
+            offset: options.offset,
+        };
+        let (targets, of_targets) = once.output("targets", rays.target_bytes())?;
+        let (rows, of_rows) = once.output("matrix_rows", shape.bytes())?;
+        transport_rays(&mut once.g, &tuning, &rays, targets)?;
+        transport_rows(&mut once.g, &tuning, targets, &MatrixRows { shape, rows })?;
+        once.run(|exec| {
+            memory.bind(exec, &handles)?;
+            exec.bind(all, &of_receivers)
+        })?;
+        Ok(TransportScene {
+            device: device.clone(),
+            tuning,
+            options,
+            tree_shape: tree.shape(),
+            tree: memory,
+            receivers: of_receivers,
+            shape,
+            rows: of_rows,
+            targets: of_targets,
+        })
+    }
+
+    /// Returns the number of receivers: surfels, then patches.
+    pub fn receivers(&self) -> u32 {
+        self.shape.receivers
+    }
+
+    /// Returns the options.
+    pub fn options(&self) -> &TransportOptions {
+        &self.options
+    }
+
+    /// Downloads the receiver that each ray meets, `[receivers * rays]`.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn targets(&self) -> Result<Vec<u32>> {
+        self.device.download_as(&self.targets, self.shape.receivers as usize * self.shape.rays as usize)
+    }
+
+    /// Returns the rays of lights as passes take them.
+    pub(super) fn shadow_rays(&self, tree: SurfelHandles) -> ShadowRays {
+        let TransportOptions { samples, seed, offset, clearance, .. } = self.options;
+        ShadowRays { tree, offset, clearance, samples, seed }
+    }
+
+    /// Returns the shape of the tree.
+    pub(super) fn tree_shape(&self) -> &SurfelTreeShape {
+        &self.tree_shape
+    }
+
+    /// Returns the tree.
+    pub(super) fn tree(&self) -> &SurfelMemory {
+        &self.tree
+    }
+
+    /// Returns the irradiance of each receiver from each light of color 1.
+    ///
+    /// The result holds `[lights * receivers]` floats.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn unit_light(&self, lights: &[AreaLight]) -> Result<Vec<f32>> {
+        self.unit(lights, &self.receivers, self.shape.receivers)
+    }
+
+    /// Returns the irradiance of each point from each light of color 1.
+    ///
+    /// The result holds `[lights * points]` floats. Normals are unit vectors.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn unit_light_at(&self, lights: &[AreaLight], points: &[[f32; 3]], normals: &[[f32; 3]]) -> Result<Vec<f32>> {
+        let record = |(p, n): (&[f32; 3], &[f32; 3])| [p[0], p[1], p[2], 0.0, n[0], n[1], n[2], 0.0];
+        let records: Vec<f32> = points.iter().zip(normals).flat_map(record).collect();
+        if records.is_empty() {
+            return Ok(Vec::new());
+        }
+        let buffer = self.device.buffer("points", 4 * records.len() as u64, Location::Device)?;
+        self.device.upload(&buffer, 0, bytemuck::cast_slice(&records))?;
+        self.unit(lights, &buffer, (records.len() / 8) as u32)
+    }
+
+    fn unit(&self, lights: &[AreaLight], receivers: &DeviceBuffer, count: u32) -> Result<Vec<f32>> {
+        if lights.is_empty() {
+            return Ok(Vec::new());
+        }
+        let mut once = Once::new(&self.device, "unit_light");
+        let tree = SurfelHandles::declare(&mut once.g, &self.tree_shape);
+        let of_lights = AreaLights::declare(&mut once.g, lights.len() as u32);
+        for (handle, bytes) in of_lights.contents(lights) {
+            once.upload(handle, "lights", &bytes)?;
+        }
+        let all = once.g.input("receivers", receivers.bytes());
+        let values = lights.len() * count as usize;
+        let (unit, of_unit) = once.output("unit", 4 * values as u64)?;
+        let to = LightReceivers::Surfels { receivers: all, count };
+        transport_lights(&mut once.g, self.tuning, &to, &of_lights, &self.shadow_rays(tree), None, unit)?;
+        once.run(|exec| {
+            self.tree.bind(exec, &tree)?;
+            exec.bind(all, receivers)
+        })?;
+        self.device.download_as(&of_unit, values)
+    }
+
+    /// Returns the irradiance that arrives by bounces, `[receivers * 3]` floats.
+    ///
+    /// `reflectance` and `source` hold `[receivers * 3]` floats. `source` is the radiosity without bounces: reflectance / pi
+    /// times direct irradiance, plus emitted radiance.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn solve(&self, reflectance: &[f32], source: &[f32], options: &SolveOptions) -> Result<Vec<f32>> {
+        let mut once = Once::new(&self.device, "transport_solve");
+        let rows = once.g.input("matrix_rows", self.rows.bytes());
+        let inputs = SolveInputs {
+            matrix: MatrixRows { shape: self.shape, rows },
+            lights: 1,
+            reflectance: once.input("reflectance", bytemuck::cast_slice(reflectance))?,
+            source: once.input("source", bytemuck::cast_slice(source))?,
+            initial: None,
+        };
+        let values = 3 * self.shape.receivers as usize;
+        let (irradiance, of_irradiance) = once.output("irradiance", 4 * values as u64)?;
+        let radiosity = once.g.transient("radiosity", 4 * values as u64);
+        let convergence = once.g.transient("convergence", 8);
+        let into = Solution { radiosity, irradiance, convergence };
+        transport_solve(&mut once.g, &self.tuning, &inputs, options, &into)?;
+        once.run(|exec| exec.bind(rows, &self.rows))?;
+        self.device.download_as(&of_irradiance, values)
+    }
+}

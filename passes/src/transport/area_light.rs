@@ -1,0 +1,422 @@
+//! Physical lights: shapes, units and records of the device.
+//!
+//! Colors are radiance of spheres, rectangles and disks, radiant intensity of points and spots, and irradiance at normal
+//! incidence of directional lights. They are linear RGB.
+
+use glam::Vec3;
+use sgs_engine::graph::{Buffer, Graph};
+use sgs_shaders::structs::LightRecord;
+use std::f32::consts::{FRAC_PI_2, PI};
+
+/// Shape and place of a light, in world space. Lengths are in the unit of the caller, angles in radians.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LightShape {
+    /// Point that emits equally in all directions.
+    Point {
+        /// Position.
+        position: [f32; 3],
+    },
+    /// Sphere of constant radiance.
+    Sphere {
+        /// Center.
+        center: [f32; 3],
+        /// Radius.
+        radius: f32,
+    },
+    /// Rectangle of constant radiance. Emits on the side of `edge_u` x `edge_v`.
+    Rectangle {
+        /// Corner where both edges begin.
+        corner: [f32; 3],
+        /// First edge.
+        edge_u: [f32; 3],
+        /// Second edge, perpendicular to the first.
+        edge_v: [f32; 3],
+    },
+    /// Disk of constant radiance. Emits on the side of its normal.
+    Disk {
+        /// Center.
+        center: [f32; 3],
+        /// Normal of any length.
+        normal: [f32; 3],
+        /// Radius.
+        radius: f32,
+    },
+    /// Point with a cone of light. Its edge is smooth as `KHR_lights_punctual` defines it.
+    Spot {
+        /// Position.
+        position: [f32; 3],
+        /// Axis of the cone, of any length.
+        axis: [f32; 3],
+        /// Angle from the axis at which the light begins to fall off, at least 0.
+        inner_angle: f32,
+        /// Angle from the axis at which the light ends. Not below the inner one, at most pi / 2.
+        outer_angle: f32,
+    },
+    /// Light from a distant disk, such as the sun.
+    Directional {
+        /// Direction in which the light travels, of any length.
+        direction: [f32; 3],
+        /// Angular radius, from 0 to below pi / 2.
+        angular_radius: f32,
+    },
+}
+
+/// Light of one shape and color.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AreaLight {
+    /// Shape and place.
+    pub shape: LightShape,
+    /// Linear RGB: radiance, intensity or irradiance, as the module says. Not negative.
+    pub color: [f32; 3],
+}
+
+/// Reason why a light is invalid. `property` names a field of the light.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum AreaLightError {
+    /// A number is infinite or NaN.
+    #[error("{property}: {value} is not finite; use finite numbers")]
+    NotFinite {
+        /// Name of the field.
+        property: &'static str,
+        /// First number that is not finite.
+        value: f32,
+    },
+    /// A color is negative.
+    #[error("color: {value} is negative; use 0 or more")]
+    NegativeColor {
+        /// Most negative number.
+        value: f32,
+    },
+    /// A length is zero, negative, or too small or large for single precision.
+    #[error("{property}: length {value} is outside of {MIN_LENGTH:e} to {MAX_LENGTH:e}; use a length in this range")]
+    Length {
+        /// Name of the field.
+        property: &'static str,
+        /// Length.
+        value: f32,
+    },
+    /// The edges of a rectangle are not perpendicular.
+    #[error("edge_v: the cosine of its angle to edge_u is {cosine}; use perpendicular edges (at most {MAX_COSINE})")]
+    Skewed {
+        /// Cosine of the angle between the edges.
+        cosine: f32,
+    },
+    /// An angle is outside of its range.
+    #[error("{property}: {value} rad is outside of its range; use {low} to {high}")]
+    Angle {
+        /// Name of the field.
+        property: &'static str,
+        /// Angle.
+        value: f32,
+        /// Lower bound.
+        low: f32,
+        /// Upper bound.
+        high: f32,
+    },
+}
+
+/// Minimum length of radii, edges and directions.
+const MIN_LENGTH: f32 = 1e-9;
+/// Maximum length of radii, edges and directions.
+const MAX_LENGTH: f32 = 1e9;
+/// Maximum cosine of the angle between a rectangle's edges.
+const MAX_COSINE: f32 = 1e-3;
+/// Maximum angular radius of directional lights.
+const MAX_ANGULAR_RADIUS: f32 = 1.57;
+/// Minimum difference of a spot's cosines, as in `KHR_lights_punctual`.
+const MIN_EDGE: f32 = 1e-3;
+
+const POINT: u32 = 0;
+const SPHERE: u32 = 1;
+const RECTANGLE: u32 = 2;
+const DISK: u32 = 3;
+const SPOT: u32 = 4;
+const DIRECTIONAL: u32 = 5;
+
+impl AreaLight {
+    /// Checks that the light is valid.
+    ///
+    /// # Errors
+    /// If a number is not finite, a color is negative, or a length or an angle is out of range.
+    pub fn check(&self) -> Result<(), AreaLightError> {
+        finite("color", &self.color)?;
+        let least = self.color.iter().copied().fold(f32::INFINITY, f32::min);
+        if least < 0.0 {
+            return Err(AreaLightError::NegativeColor { value: least });
+        }
+        match self.shape {
+            LightShape::Point { position } => finite("position", &position),
+            LightShape::Sphere { center, radius } => {
+                finite("center", &center)?;
+                length("radius", radius)
+            }
+            LightShape::Rectangle { corner, edge_u, edge_v } => {
+                finite("corner", &corner)?;
+                direction("edge_u", edge_u)?;
+                direction("edge_v", edge_v)?;
+                let cosine = Vec3::from(edge_u).normalize().dot(Vec3::from(edge_v).normalize());
+                if cosine.abs() > MAX_COSINE { Err(AreaLightError::Skewed { cosine }) } else { Ok(()) }
+            }
+            LightShape::Disk { center, normal, radius } => {
+                finite("center", &center)?;
+                direction("normal", normal)?;
+                length("radius", radius)
+            }
+            LightShape::Spot { position, axis, inner_angle, outer_angle } => {
+                finite("position", &position)?;
+                direction("axis", axis)?;
+                angle("outer_angle", outer_angle, 0.0, FRAC_PI_2)?;
+                angle("inner_angle", inner_angle, 0.0, outer_angle)
+            }
+            LightShape::Directional { direction: along, angular_radius } => {
+                direction("direction", along)?;
+                angle("angular_radius", angular_radius, 0.0, MAX_ANGULAR_RADIUS)
+            }
+        }
+    }
+
+    /// Returns the radiant power, RGB. Directional lights have none.
+    pub fn power(&self) -> Option<[f32; 3]> {
+        let factor = match self.shape {
+            LightShape::Point { .. } => 4.0 * PI,
+            LightShape::Sphere { radius, .. } => PI * 4.0 * PI * radius * radius,
+            LightShape::Rectangle { edge_u, edge_v, .. } => PI * Vec3::from(edge_u).cross(Vec3::from(edge_v)).length(),
+            LightShape::Disk { radius, .. } => PI * PI * radius * radius,
+            LightShape::Spot { inner_angle, outer_angle, .. } => {
+                // The falloff is the square of a ramp of the cosine.
+                let (low, width) = spot_ramp(inner_angle, outer_angle);
+                let end = (low + width).min(1.0);
+                2.0 * PI * ((1.0 - end) + (end - low).powi(3) / (3.0 * width * width))
+            }
+            LightShape::Directional { .. } => return None,
+        };
+        Some(self.color.map(|c| factor * c))
+    }
+
+    /// Returns the light in another unit of length: lengths are multiplied by `factor`, irradiance is unchanged.
+    #[must_use]
+    pub fn scaled(&self, factor: f32) -> AreaLight {
+        let by = |v: [f32; 3]| v.map(|x| factor * x);
+        let mut light = *self;
+        match &mut light.shape {
+            LightShape::Point { position } | LightShape::Spot { position, .. } => {
+                *position = by(*position);
+                light.color = light.color.map(|c| factor * factor * c);
+            }
+            LightShape::Sphere { center, radius } | LightShape::Disk { center, radius, .. } => {
+                (*center, *radius) = (by(*center), factor * *radius);
+            }
+            LightShape::Rectangle { corner, edge_u, edge_v } => {
+                (*corner, *edge_u, *edge_v) = (by(*corner), by(*edge_u), by(*edge_v));
+            }
+            LightShape::Directional { .. } => {}
+        }
+        light
+    }
+
+    /// Returns the record of the device, without the color. The light must be valid ([`AreaLight::check`]).
+    pub fn record(&self) -> LightRecord {
+        let zero = LightRecord {
+            origin: [0.0; 3],
+            kind: POINT,
+            axis: [0.0; 3],
+            radius: 0.0,
+            side: [0.0; 3],
+            bias: 0.0,
+            normal: [0.0; 3],
+            area: 0.0,
+        };
+        let unit = |v: [f32; 3]| Vec3::from(v).as_dvec3().normalize_or_zero().as_vec3();
+        match self.shape {
+            LightShape::Point { position } => LightRecord { origin: position, ..zero },
+            LightShape::Sphere { center, radius } => LightRecord { origin: center, kind: SPHERE, radius, ..zero },
+            LightShape::Rectangle { corner, edge_u, edge_v } => {
+                let across = Vec3::from(edge_u).as_dvec3().cross(Vec3::from(edge_v).as_dvec3());
+                LightRecord {
+                    origin: corner,
+                    kind: RECTANGLE,
+                    axis: edge_u,
+                    side: edge_v,
+                    normal: across.normalize_or_zero().as_vec3().into(),
+                    area: across.length() as f32,
+                    ..zero
+                }
+            }
+            LightShape::Disk { center, normal, radius } => {
+                let (axis, side) = unit(normal).any_orthonormal_pair();
+                LightRecord {
+                    origin: center,
+                    kind: DISK,
+                    axis: axis.into(),
+                    radius,
+                    side: side.into(),
+                    normal: unit(normal).into(),
+                    area: PI * radius * radius,
+                    ..zero
+                }
+            }
+            LightShape::Spot { position, axis, inner_angle, outer_angle } => {
+                let (low, width) = spot_ramp(inner_angle, outer_angle);
+                LightRecord {
+                    origin: position,
+                    kind: SPOT,
+                    axis: unit(axis).into(),
+                    radius: 1.0 / width,
+                    bias: -low / width,
+                    ..zero
+                }
+            }
+            LightShape::Directional { direction, angular_radius } => LightRecord {
+                origin: (-unit(direction)).into(),
+                kind: DIRECTIONAL,
+                radius: angular_radius.sin(),
+                ..zero
+            },
+        }
+    }
+}
+
+/// Returns the cosine at which the ramp of a spot begins, and its width.
+fn spot_ramp(inner_angle: f32, outer_angle: f32) -> (f32, f32) {
+    let low = outer_angle.cos();
+    (low, (inner_angle.cos() - low).max(MIN_EDGE))
+}
+
+fn finite(property: &'static str, values: &[f32]) -> Result<(), AreaLightError> {
+    match values.iter().find(|v| !v.is_finite()) {
+        Some(&value) => Err(AreaLightError::NotFinite { property, value }),
+        None => Ok(()),
+    }
+}
+
+fn length(property: &'static str, value: f32) -> Result<(), AreaLightError> {
+    finite(property, &[value])?;
+    if (MIN_LENGTH..=MAX_LENGTH).contains(&value) { Ok(()) } else { Err(AreaLightError::Length { property, value }) }
+}
+
+fn direction(property: &'static str, v: [f32; 3]) -> Result<(), AreaLightError> {
+    finite(property, &v)?;
+    length(property, Vec3::from(v).as_dvec3().length() as f32)
+}
+
+fn angle(property: &'static str, value: f32, low: f32, high: f32) -> Result<(), AreaLightError> {
+    finite(property, &[value])?;
+    if (low..=high).contains(&value) { Ok(()) } else { Err(AreaLightError::Angle { property, value, low, high }) }
+}
+
+/// Physical lights as inputs of a graph.
+#[derive(Clone, Copy, Debug)]
+pub struct AreaLights {
+    /// Records, `[count]`.
+    pub records: Buffer,
+    /// Colors, `[count * 3]` floats.
+    pub colors: Buffer,
+    /// Number of lights.
+    pub count: u32,
+}
+
+impl AreaLights {
+    /// Declares `count` lights as inputs of a graph.
+    pub fn declare(g: &mut Graph, count: u32) -> AreaLights {
+        let room = u64::from(count.max(1));
+        let records = g.input("light_records", size_of::<LightRecord>() as u64 * room);
+        AreaLights { records, colors: g.input("light_colors", 12 * room), count }
+    }
+
+    /// Returns the contents of the buffers. The lights must be valid.
+    ///
+    /// Without lights, the contents are one zeroed record, as a buffer cannot be empty.
+    ///
+    /// # Panics
+    /// If the number of lights differs from the declared one.
+    pub fn contents(&self, lights: &[AreaLight]) -> [(Buffer, Vec<u8>); 2] {
+        assert_eq!(lights.len(), self.count as usize, "number of lights");
+        let mut records: Vec<LightRecord> = lights.iter().map(AreaLight::record).collect();
+        let mut colors: Vec<[f32; 3]> = lights.iter().map(|l| l.color).collect();
+        if lights.is_empty() {
+            records.push(bytemuck::Zeroable::zeroed());
+            colors.push([0.0; 3]);
+        }
+        [(self.records, bytemuck::cast_slice(&records).to_vec()), (self.colors, bytemuck::cast_slice(&colors).to_vec())]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn light(shape: LightShape) -> AreaLight {
+        AreaLight { shape, color: [1.0, 2.0, 0.0] }
+    }
+
+    fn disk(normal: [f32; 3], radius: f32) -> AreaLight {
+        light(LightShape::Disk { center: [1.0, 2.0, 3.0], normal, radius })
+    }
+
+    fn rectangle(edge_v: [f32; 3]) -> AreaLight {
+        light(LightShape::Rectangle { corner: [0.0; 3], edge_u: [2.0, 0.0, 0.0], edge_v })
+    }
+
+    fn spot(inner_angle: f32, outer_angle: f32) -> AreaLight {
+        light(LightShape::Spot { position: [0.0; 3], axis: [0.0, 0.0, -3.0], inner_angle, outer_angle })
+    }
+
+    fn sun(angular_radius: f32) -> AreaLight {
+        light(LightShape::Directional { direction: [0.0, -2.0, 0.0], angular_radius })
+    }
+
+    #[test]
+    fn records_have_sixteen_words() {
+        assert_eq!(size_of::<LightRecord>(), 64);
+    }
+
+    #[test]
+    fn valid_lights_pass_and_errors_name_property_and_value() {
+        for l in [disk([0.0, 3.0, 0.0], 0.5), rectangle([0.0, 1.0, 0.0]), spot(0.0, 0.5), sun(0.0), sun(0.005)] {
+            assert_eq!(l.check(), Ok(()));
+            assert_eq!(AreaLight { color: [0.0; 3], ..l }.check(), Ok(()));
+        }
+        let text = |l: AreaLight| l.check().unwrap_err().to_string();
+        assert_eq!(text(disk([0.0; 3], 1.0)), "normal: length 0 is outside of 1e-9 to 1e9; use a length in this range");
+        assert!(text(disk([0.0, 1.0, 0.0], -1.0)).starts_with("radius: length -1 is"));
+        assert!(text(disk([0.0, f32::NAN, 0.0], 1.0)).starts_with("normal: NaN is not finite"));
+        assert!(matches!(rectangle([0.1, 1.0, 0.0]).check(), Err(AreaLightError::Skewed { .. })));
+        assert!(text(rectangle([0.0; 3])).starts_with("edge_v: length 0 is"));
+        assert!(text(spot(0.6, 0.5)).starts_with("inner_angle: 0.6 rad is outside of its range; use 0 to 0.5"));
+        assert!(text(spot(0.6, 1.7)).starts_with("outer_angle: 1.7 rad"));
+        assert!(text(sun(1.6)).starts_with("angular_radius: 1.6 rad"));
+        let negative = AreaLight { color: [1.0, -0.5, 0.0], ..sun(0.0) };
+        assert_eq!(text(negative), "color: -0.5 is negative; use 0 or more");
+        let infinite = AreaLight { color: [1.0, f32::INFINITY, 0.0], ..sun(0.0) };
+        assert_eq!(text(infinite), "color: inf is not finite; use finite numbers");
+    }
+
+    /// Integrates the light over a sphere of directions.
+    #[test]
+    fn power_of_a_spot_matches_quadrature() {
+        for (inner, outer) in [(0.0, 0.5), (0.3, 1.2), (0.5, 0.5), (0.0, 0.02)] {
+            let (low, width) = spot_ramp(inner, outer);
+            let n = 2_000_000;
+            // Only the cone is sampled.
+            let sum: f64 = (0..n)
+                .map(|i| f64::from(low) + f64::from(1.0 - low) * (f64::from(i) + 0.5) / f64::from(n))
+                .map(|c| ((c - f64::from(low)) / f64::from(width)).clamp(0.0, 1.0).powi(2))
+                .sum();
+            let expected = 2.0 * std::f64::consts::PI * sum * f64::from(1.0 - low) / f64::from(n);
+            let [r, g, b] = spot(inner, outer).power().unwrap().map(f64::from);
+            assert!((r / expected - 1.0).abs() < 1e-4 && (g / r - 2.0).abs() < 1e-6 && b == 0.0, "{inner} {outer}");
+        }
+        assert_eq!(sun(0.1).power(), None);
+        let [r, ..] = disk([1.0, 0.0, 0.0], 2.0).power().unwrap();
+        assert!((r - PI * PI * 4.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn scaled_lights_keep_radiance_and_scale_intensity() {
+        let d = disk([0.0, 1.0, 0.0], 0.5).scaled(4.0);
+        assert_eq!(d.shape, LightShape::Disk { center: [4.0, 8.0, 12.0], normal: [0.0, 1.0, 0.0], radius: 2.0 });
+        assert_eq!(d.color, [1.0, 2.0, 0.0]);
+        assert_eq!(spot(0.1, 0.2).scaled(4.0).color, [16.0, 32.0, 0.0]);
+        assert_eq!(sun(0.1).scaled(4.0), sun(0.1));
+    }
+}

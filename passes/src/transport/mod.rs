@@ -1,0 +1,33 @@
+//! Transport of light between surfaces: surfels, the rays between them, and the radiosity that they exchange.
+//!
+//! Receivers are surfels, then patches of the box around the scene. Each has the same number of cosine-distributed rays,
+//! traced once per geometry; the receivers that they meet are the rows of the transport matrix. Radiosity follows by
+//! iteration, its gradients by iteration with the transposed matrix.
+
+mod area_light;
+mod enclosure;
+mod gather;
+mod lights;
+mod matrix;
+mod nearest;
+mod rays;
+mod shade;
+mod solve;
+mod tree;
+
+pub use area_light::{AreaLight, AreaLightError, AreaLights, LightShape};
+pub use enclosure::{Enclosure, EnclosureError, Patch, receivers};
+pub use gather::{
+    GatherColumns, GatherInputs, NEIGHBORS, Nearest, NearestColumns, NearestOptions, irradiance_gather,
+    irradiance_gather_bwd, nearest_surfels,
+};
+pub use lights::{LIGHT_SAMPLES, LightReceivers, ShadowRays, transport_lights};
+pub use matrix::{MatrixColumns, MatrixRows, MatrixShape, Transposed, transport_rows, transposed};
+pub use nearest::NO_NEIGHBOR;
+pub use rays::{TransportRays, transport_rays};
+pub use shade::{ShadeGradients, ShadeTerms, TransportShading, split_sum_table, transport_shade, transport_shade_bwd};
+pub use solve::{
+    AdjointInputs, Solution, SolveGradients, SolveInputs, SolveOptions, transport_adjoint, transport_bounce,
+    transport_solve,
+};
+pub use tree::{SurfelHandles, SurfelMemory, SurfelTree, SurfelTreeShape, Surfels, TreeError};

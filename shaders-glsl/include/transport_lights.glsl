@@ -1,0 +1,93 @@
+// Irradiance of receivers from physical lights of color 1, with shadows. Define PIXELS as 1 (a view) or 0 (surfels and
+// patches).
+//
+// An invocation takes a receiver and a light. The unoccluded irradiance is exact; shadow rays to SAMPLES points estimate the
+// visible share of it, so that receivers without occluders have no noise. A receiver in the dark traces no ray.
+#include "common.glsl"
+#if PIXELS
+#include "step.glsl"
+#include "coverage.glsl"
+#endif
+#include "random.glsl"
+#include "area_light.glsl"
+#include "light_irradiance.glsl"
+#include "light_samples.glsl"
+
+layout(constant_id = 0) const uint WORKGROUP = 64;
+layout(local_size_x_id = 0) in;
+layout(constant_id = 1) const uint SAMPLES = 16; // of a light with an extent; a power of two
+layout(constant_id = 2) const bool LISTED = false; // whether only the lights of `light_list` are updated
+
+#include "surfels.glsl"
+
+layout(push_constant, scalar) uniform Push {
+    uint groups;     // workgroups of a light
+    uint lights;
+    uint receivers;  // from one light's numbers to the next one's
+    uint seed;
+    float offset;    // of rays' begin above the surface
+    float clearance; // of their end before the light
+} push;
+
+#if PIXELS
+layout(scalar) uniform StepBlock { Step step; } params;
+IN(vec3, points);
+IN(vec3, normals);   // unit or zero
+IN(float, coverage);
+#else
+IN(vec4, receivers); // [receivers * 2] point, radius; unit normal, 0
+#endif
+IN(LightRecord, light_records);
+IN(uint, light_list); // how many are updated, and which
+OUT(float, unit);     // [lights * receivers]
+
+bool occluded(vec3 point, vec3 normal, vec3 to) {
+    vec3 d = to - push.offset * normal;
+    float square = dot(d, d), inverse = inversesqrt(max(square, 1e-30));
+    float reach = square * inverse - push.clearance;
+    return reach > 0.0 && surfel_hidden(point + push.offset * normal, inverse * d, reach);
+}
+
+void main() {
+    uint group = folded_workgroup(), light = group / push.groups;
+    uint i = group % push.groups * WORKGROUP + gl_LocalInvocationID.x;
+    if (light >= push.lights || i >= push.receivers) return;
+    if (LISTED) {
+        if (light >= light_list[0]) return;
+        light = light_list[1u + light];
+    }
+#if PIXELS
+    bool here = i < params.step.camera.size.x * params.step.camera.size.y;
+    if (!here) return;
+    vec3 point = points[i], normal = normals[i];
+    here = is_covered(coverage[i]);
+#else
+    vec3 point = receivers[2u * i].xyz, normal = receivers[2u * i + 1u].xyz;
+    bool here = true;
+#endif
+    LightRecord record = light_records[light];
+    float exact = 0.0;
+    if (here && normal != vec3(0.0)) exact = light_irradiance(record, point, normal);
+    float result = 0.0;
+    if (exact > 0.0) {
+        bool extent = record.kind != LIGHT_POINT && record.kind != LIGHT_SPOT &&
+                      !(record.kind == LIGHT_DIRECTIONAL && record.radius == 0.0);
+        float all = 0.0, seen = 0.0;
+        if (extent) {
+            vec2 shift = light_shift(push.seed, i, light);
+            [[dont_unroll]] for (uint s = 0u; s < SAMPLES; s++) {
+                LightSample l = light_sample(record, point, normal, light_point(s, SAMPLES, shift));
+                all += l.weight;
+                if (l.weight > 0.0 && !occluded(point, normal, l.to)) seen += l.weight;
+            }
+        }
+        if (all > 0.0) {
+            result = exact * (seen / all);
+        } else {
+            vec3 to = extent ? light_top(record, point, normal)
+                             : record.kind == LIGHT_DIRECTIONAL ? LIGHT_FAR * record.origin : record.origin - point;
+            result = occluded(point, normal, to) ? 0.0 : exact;
+        }
+    }
+    unit[light * push.receivers + i] = result;
+}

@@ -1,0 +1,182 @@
+//! Bounced light of a room of Gaussians: bounds, linearity, and lights that are found again.
+
+use glam::{DMat3, DVec3, Vec3};
+use sgs_engine::Device;
+use sgs_passes::transport::{AreaLight, LightShape};
+use sgs_run::{Shading, Visibility, shaded_scene};
+use sgs_scene::{Camera, Image, NEAR, Splats, linear_to_srgb};
+use sgs_tests::Gpu;
+use sgs_transport::{Bounces, Explained, Room, RoomOptions, SeenViews};
+
+/// Half the side lengths of the room.
+const HALF: Vec3 = Vec3::new(2.0, 1.5, 2.5);
+/// Distance of neighboring Gaussians of a wall.
+const SPACING: f32 = 0.25;
+/// Columns and rows of a view.
+const SIZE: [u32; 2] = [48, 36];
+/// Linear albedo of the walls: low x, high x, low y, high y, low z, high z.
+const ALBEDO: [[f32; 3]; 6] = [[0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.5; 3], [0.7; 3], [0.3, 0.4, 0.6], [0.6, 0.5, 0.3]];
+/// Bulb under the ceiling. No Gaussian stands for it.
+const BULB: AreaLight =
+    AreaLight { shape: LightShape::Sphere { center: [0.5, 1.0, 0.25], radius: 0.1 }, color: [40.0, 30.0, 20.0] };
+
+fn logit(value: f32) -> f32 {
+    (value / (1.0 - value)).ln()
+}
+
+/// Returns the inside of a box as flat Gaussians with materials.
+fn walls() -> Splats {
+    let mut s = Splats::default();
+    let (mut normals, mut albedo) = (Vec::new(), Vec::new());
+    for (wall, color) in ALBEDO.iter().enumerate() {
+        let axis = wall / 2;
+        let sign = if wall.is_multiple_of(2) { -1.0 } else { 1.0 };
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let [rows, columns] = [u, v].map(|k| (2.0 * HALF[k] / SPACING) as u32);
+        for i in 0..rows * columns {
+            let mut place = Vec3::ZERO;
+            place[axis] = sign * HALF[axis];
+            place[u] = SPACING * ((i % rows) as f32 + 0.5) - HALF[u];
+            place[v] = SPACING * ((i / rows) as f32 + 0.5) - HALF[v];
+            let mut scale = Vec3::splat(0.6 * SPACING);
+            scale[axis] = 0.01;
+            let mut normal = Vec3::ZERO;
+            normal[axis] = -sign;
+            s.means.push(place.into());
+            s.log_scales.push(scale.map(f32::ln).into());
+            s.rotations.push([1.0, 0.0, 0.0, 0.0]);
+            s.opacity_logits.push(logit(0.99));
+            normals.push(normal.into());
+            albedo.push(color.map(logit));
+        }
+    }
+    s.sh[0] = vec![0.0; 3 * s.len()];
+    s.roughness = Some(vec![logit(0.8); s.len()]);
+    (s.normals, s.albedo) = (Some(normals), Some(albedo));
+    s
+}
+
+/// Returns cameras in the room, all around.
+fn cameras() -> Vec<Camera> {
+    let views = 10;
+    let camera = |i: usize| {
+        let turn = std::f64::consts::TAU * i as f64 / views as f64;
+        let place = DVec3::new(-0.9 * turn.cos(), 0.3 * (3.0 * turn).sin(), -1.2 * turn.sin());
+        let tilt = if i.is_multiple_of(2) { 0.45 } else { -0.45 };
+        let forward = DVec3::new(turn.cos(), tilt, turn.sin()).normalize();
+        let right = DVec3::Y.cross(forward).normalize();
+        let rotation = DMat3::from_cols(right, forward.cross(right), forward).transpose();
+        let [width, height] = SIZE;
+        Camera {
+            name: format!("{i:03}"),
+            width,
+            height,
+            fx: 0.5 * f64::from(width),
+            fy: 0.5 * f64::from(width),
+            cx: 0.5 * f64::from(width),
+            cy: 0.5 * f64::from(height),
+            rotation,
+            translation: -(rotation * place),
+            near: NEAR,
+        }
+    };
+    (0..views).map(camera).collect()
+}
+
+/// Room with the Gaussians and views of which it was built.
+struct Lit {
+    device: Device,
+    splats: Splats,
+    cameras: Vec<Camera>,
+    room: Room,
+    views: SeenViews,
+}
+
+impl Lit {
+    fn new(gpu: &Gpu) -> Lit {
+        let (device, splats, cameras) = (gpu.device().clone(), walls(), cameras());
+        let options = RoomOptions { surfels: 512, ..RoomOptions::default() };
+        let (room, views) = Room::new(&device, &splats, &cameras, options).unwrap();
+        Lit { device, splats, cameras, room, views }
+    }
+
+    /// Returns the direct, the bounced and the emitted radiance of all views.
+    fn radiance(&self, lights: &[AreaLight], bounces: Bounces) -> [Vec<f32>; 3] {
+        let mut scene = shaded_scene(&self.device, &self.splats, None, None, &Visibility::None).unwrap();
+        let dark = vec![[0.0; 3]; self.splats.len()];
+        scene.transport = Some(self.room.light(lights, &dark, bounces).unwrap());
+        let mut shading = Shading::new(&self.device, scene).unwrap().without_visibility();
+        let mut terms = [Vec::new(), Vec::new(), Vec::new()];
+        for camera in &self.cameras {
+            let view = shading.shade(camera).unwrap().0;
+            terms.iter_mut().zip([view.direct, view.indirect, view.emission]).for_each(|(all, term)| all.extend(term));
+        }
+        terms
+    }
+
+    /// Finds the emitters in photographs of the room under lights.
+    fn explain(&self, lights: &[AreaLight]) -> Explained {
+        let photographs = self.photographs(lights);
+        self.room.explain(&self.views, &photographs, &self.splats).unwrap()
+    }
+
+    /// Returns photographs of the room under lights.
+    fn photographs(&self, lights: &[AreaLight]) -> Vec<Image> {
+        let [direct, indirect, _] = self.radiance(lights, Bounces::All);
+        let value = |i: usize| linear_to_srgb((direct[i] + indirect[i]).clamp(0.0, 1.0));
+        let values: Vec<f32> = (0..direct.len()).map(value).collect();
+        let [width, height] = SIZE;
+        let image = |data: &[f32]| Image { width, height, channels: 3, data: data.to_vec() };
+        values.chunks_exact(3 * (width * height) as usize).map(image).collect()
+    }
+}
+
+fn center(light: &AreaLight) -> Vec3 {
+    let LightShape::Sphere { center, .. } = light.shape else { panic!("{light:?} is no sphere") };
+    center.into()
+}
+
+fn sum(values: &[f32]) -> f64 {
+    values.iter().copied().map(f64::from).sum()
+}
+
+#[test]
+fn bounces_add_light_and_light_is_linear() {
+    let gpu = Gpu::new();
+    let lit = Lit::new(&gpu);
+    let surfels = lit.room.surfels();
+    assert!((100..=512).contains(&surfels), "{surfels}");
+    let [none, one, all] = [Bounces::None, Bounces::One, Bounces::All].map(|b| lit.radiance(&[BULB], b));
+    for terms in [&none, &one, &all] {
+        assert!(terms.iter().flatten().all(|v| v.is_finite() && *v >= 0.0));
+        assert!(terms[0] == none[0], "bounces leave direct light as it is");
+        assert!(terms[2].iter().all(|v| *v == 0.0), "the walls emit nothing");
+    }
+    assert!(sum(&none[0]) > 0.0, "the bulb lights the walls");
+    assert!(none[1].iter().all(|v| *v == 0.0));
+    // Each bounce adds light to each pixel.
+    assert!(one[1].iter().zip(&all[1]).all(|(one, all)| *all >= *one * (1.0 - 1e-5)));
+    assert!(sum(&one[1]) > 0.1 * sum(&none[0]) && sum(&all[1]) > 1.2 * sum(&one[1]));
+    let twice = lit.radiance(&[AreaLight { color: BULB.color.map(|v| 2.0 * v), ..BULB }], Bounces::All);
+    let close = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - 2.0 * b).abs() <= 1e-4 * a.abs() + 1e-7);
+    assert!(close(&twice[0], &all[0]) && close(&twice[1], &all[1]));
+    let unlit = lit.radiance(&[], Bounces::All);
+    assert!(unlit.iter().flatten().all(|v| *v == 0.0));
+}
+
+/// The fit takes a sphere for a point, and compares diffuse direct light only.
+#[test]
+fn hidden_light_is_found_with_its_color() {
+    let gpu = Gpu::new();
+    let lit = Lit::new(&gpu);
+    let found = lit.explain(&[BULB]);
+    assert!(found.psnr > 40.0, "{found:?}");
+    assert!(found.of_gaussians.iter().all(|emitter| *emitter == 0), "no wall emits");
+    // Two lights side by side may stand for one between them.
+    let powers: Vec<Vec3> = found.emitters.iter().map(|e| Vec3::from(e.power().unwrap())).collect();
+    let (power, truth) = (powers.iter().sum::<Vec3>(), Vec3::from(BULB.power().unwrap()));
+    assert!(((power - truth) / truth).abs().max_element() < 0.1, "{power} {truth} {found:?}");
+    let places = found.emitters.iter().zip(&powers).map(|(e, power)| center(e) * power.element_sum());
+    let place = places.sum::<Vec3>() / power.element_sum();
+    assert!(place.distance(center(&BULB)) < 0.2, "{place} {found:?}");
+}

@@ -1,0 +1,170 @@
+//! The transport stage: refusals, files, resuming, and removal with its materials.
+
+use sgs_config::Settings;
+use sgs_run::{RunDirectory, StageKind, read_emitters};
+use sgs_scene::{Scene, SceneOptions, Splats};
+use sgs_tests::cli::{Finished, sgs};
+use sgs_tests::rooms::Room;
+use sgs_tests::{Gpu, Place, files};
+use sgs_train::{Requirement, StartGeometry, TrainError, Trainer, TrainerOptions};
+use std::sync::Arc;
+
+/// Synthesizes a small room.
+fn place() -> Place {
+    let place = Place::new(Room::default());
+    std::fs::remove_dir_all(place.path("scene")).unwrap();
+    sgs(&["synth", &place.text("scene"), "--scene", "box", "--views", "8", "--size", "32x24"]).ok();
+    place
+}
+
+fn train(place: &Place, more: &[&str]) -> Finished {
+    let (scene, run) = (place.text("scene"), place.text("run"));
+    let fixed = ["train", &scene, "-o", &run];
+    let small = [
+        "intrinsic.environment.resolution=16",
+        "intrinsic.lights.grid=2",
+        "intrinsic.visibility.levels=2",
+        "intrinsic.visibility.log2_table=8",
+    ];
+    let small = if more.contains(&"--resume") { &[][..] } else { &small[..] };
+    let sets = small.iter().flat_map(|pair| ["--set", pair]);
+    let all: Vec<&str> = fixed.into_iter().chain(sets).chain(more.iter().copied()).collect();
+    sgs(&all)
+}
+
+/// Trains geometry and materials.
+fn materials(place: &Place) {
+    train(place, &["--stage", "all", "--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "2"]).ok();
+}
+
+fn summary(place: &Place) -> serde_json::Value {
+    serde_json::from_slice(&place.read("run/training.json")).unwrap()
+}
+
+#[test]
+fn runs_without_materials_are_refused() {
+    let place = place();
+    let refused = || train(&place, &["--stage", "transport"]).refused_with(2, &["no materials", "--stage all"]).clone();
+    refused();
+    assert!(!place.path("run").exists(), "a refused stage made a directory");
+    train(&place, &["--geometry-steps", "3", "--no-densify"]).ok();
+    let before = files(&place.path("run"));
+    refused();
+    train(&place, &["--stage", "transport", "--force"]).refused_with(2, &["no materials"]);
+    assert!(files(&place.path("run")) == before);
+    let start = place.text("run/scene.ply");
+    train(&place, &["--stage", "transport", "--start", &start]).refused_with(2, &["--stage intrinsic"]);
+}
+
+#[test]
+fn stage_writes_emitters_and_keeps_materials() {
+    let place = place();
+    materials(&place);
+    let splats = || Splats::read_ply(&place.path("run/scene.ply")).unwrap();
+    let (before, trained) = (splats(), summary(&place));
+    let output = train(&place, &["--stage", "transport", "--set", "transport.surfels=512"]).ok();
+    assert!(output.stderr.contains("emitters, PSNR") && output.stderr.contains("wrote"), "{}", output.stderr);
+    let (run, after) = (RunDirectory::open(&place.path("run")).unwrap(), splats());
+    let file = read_emitters(&run.emitters()).unwrap();
+    assert_eq!((file.surfels, file.rays), (512, 64));
+    let emitters = after.emitters.clone().unwrap();
+    assert!(emitters.iter().all(|e| *e as usize <= file.emitters.len()));
+    assert!(Splats { emitters: None, ..after } == before, "the stage changed Gaussians or materials");
+    let settings = run.settings().unwrap();
+    assert_eq!((settings.transport.surfels, settings.geometry.steps, settings.intrinsic.steps), (512, 20, 2));
+    let all = StageKind::ALL.to_vec();
+    assert_eq!(run.complete(&settings), all);
+    let mut summary = summary(&place);
+    let own = summary.as_object_mut().unwrap().remove("transport").unwrap();
+    assert_eq!(summary, trained, "the summaries of earlier stages stay");
+    assert!(own["psnr"].is_number() && own["seconds"].as_f64().unwrap() > 0.0, "{own}");
+    assert_eq!((&own["steps"], own["emitters"].as_u64()), (&1.into(), Some(file.emitters.len() as u64)));
+    let log = String::from_utf8(place.read("run/log.jsonl")).unwrap();
+    let last: serde_json::Value = serde_json::from_str(log.lines().last().unwrap()).unwrap();
+    assert_eq!((&last["stage"], &last["step"], &last["psnr"]), (&"transport".into(), &1.into(), &own["psnr"]));
+
+    // A finished stage stays.
+    let before = files(&place.path("run"));
+    train(&place, &["--stage", "transport"]).refused_with(2, &["has emitters", "--force"]);
+    for stage in ["transport", "intrinsic", "all"] {
+        let resumed = train(&place, &["--stage", stage, "--resume"]).ok();
+        assert!(resumed.stderr.contains("nothing to do"), "{}", resumed.stderr);
+    }
+    assert!(files(&place.path("run")) == before);
+    // The checkpoint restores a stage whose results were not written.
+    std::fs::remove_file(run.emitters()).unwrap();
+    run.write_json("training.json", &summary).unwrap();
+    train(&place, &["--stage", "transport", "--resume"]).ok();
+    let again = files(&place.path("run"));
+    let same = |name: &str| again[&run.path(name)] == before[&run.path(name)];
+    assert!(["emitters.json", "scene.ply", "log.jsonl", "config.toml"].into_iter().all(same));
+    // The result depends on nothing else.
+    train(&place, &["--stage", "transport", "--set", "transport.surfels=512", "--force"]).ok();
+    let again = files(&place.path("run"));
+    assert!(["emitters.json", "scene.ply"].iter().all(|name| again[&run.path(name)] == before[&run.path(name)]));
+
+    // Results of the stage go with their materials.
+    train(&place, &["--stage", "intrinsic", "--intrinsic-steps", "2", "--force"]).ok();
+    let gone = || !run.emitters().exists() && !run.checkpoint(StageKind::Transport).exists();
+    assert!(gone() && splats().emitters.is_none() && splats().albedo.is_some());
+    assert!(self::summary(&place).get("transport").is_none());
+    train(&place, &["--stage", "transport", "--resume"]).ok();
+    assert!(!gone() && splats().emitters.is_some());
+    train(&place, &["--geometry-steps", "3", "--no-densify", "--force"]).ok();
+    assert!(gone() && splats().emitters.is_none());
+    assert!(!String::from_utf8(place.read("run/log.jsonl")).unwrap().contains("transport"));
+}
+
+#[test]
+fn library_names_what_is_missing() {
+    let (gpu, place) = (Gpu::new(), place());
+    let scene = Arc::new(Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap());
+    let splats = Splats::from_points(&scene.points, 0).unwrap();
+    let run = |start: Option<Splats>| {
+        let start = start.map(|splats| StartGeometry::Splats(Box::new(splats)));
+        let options = TrainerOptions { stages: vec![StageKind::Transport], start, ..Default::default() };
+        let mut trainer = Trainer::new(gpu.device(), Arc::clone(&scene), &Settings::default(), options).unwrap();
+        trainer.run(&mut ()).unwrap_err()
+    };
+    assert!(matches!(run(None), TrainError::Requirement(Requirement::Geometry)));
+    assert!(matches!(run(Some(splats)), TrainError::Requirement(Requirement::Materials)));
+    assert!(matches!(run(Some(Splats::default())), TrainError::Requirement(Requirement::NotEmpty)));
+}
+
+#[test]
+fn relight_edits_emitters() {
+    let place = place();
+    materials(&place);
+    let (run, edit) = (place.text("run"), place.text("edit.json"));
+    let relight = |text: &str, more: &[&str]| {
+        std::fs::write(place.path("edit.json"), text).unwrap();
+        let images = place.text("images");
+        let fixed = ["relight", &run, "--edit", &edit, "-o", &images, "--force", "--format", "exr"];
+        sgs(&[&fixed[..], more].concat())
+    };
+    relight(r#"{"emitters": {"off": true}}"#, &[]).refused_with(2, &["no emitters", "--stage transport"]);
+    train(&place, &["--stage", "transport", "--set", "transport.surfels=512"]).ok();
+    // Mean of all linear values of the images.
+    let light = |text: &str| {
+        relight(text, &[]).ok();
+        let files = std::fs::read_dir(place.path("images")).unwrap().map(|f| f.unwrap().path());
+        let images: Vec<_> = files.map(|path| sgs_scene::read_exr(&path).unwrap()).collect();
+        let values: Vec<f32> = images.iter().flat_map(|exr| exr.image.data.iter().copied()).collect();
+        assert!(values.iter().all(|v| v.is_finite() && *v >= 0.0));
+        values.iter().sum::<f32>() / values.len() as f32
+    };
+    assert!(light(r#"{"emitters": {"off": true}}"#) == 0.0, "it is dark without emitters");
+    let lit = |color: f32| {
+        let shape = r#"{"type": "sphere", "center": [0, 0, 0], "radius": 0.1}"#;
+        light(&format!(
+            r#"{{"emitters": {{"off": true, "add": [{{"shape": {shape}, "color": [{color}, {color}, {color}]}}]}}}}"#
+        ))
+    };
+    let (once, twice) = (lit(5.0), lit(10.0));
+    assert!(once > 1e-4 && (twice / once - 2.0).abs() < 1e-3, "{once} {twice}");
+    let unknown = r#"{"emitters": {"only": ["sun"]}}"#;
+    relight(unknown, &[]).refused_with(2, &["emitter \"sun\""]);
+    let both = r#"{"emitters": {"off": true}, "lights": {"off": true}}"#;
+    relight(both, &[]).refused_with(2, &["\"lights\"", "leave these out"]);
+    relight(r#"{"emitters": {"off": true}}"#, &["--visibility", "none"]).refused_with(2, &["--visibility"]);
+}

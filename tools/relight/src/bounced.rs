@@ -1,0 +1,208 @@
+//! Evaluation of relit images of runs with emitters: true lights and learned emitters.
+//!
+//! The true lights of a set replace the learned emitters. They cast shadows and bounce. The Gaussians of a learned emitter
+//! take the radiance that the true light nearest to the emitter has in the set. Each set of lights is measured four times:
+//! under direct light alone, with one bounce, with all bounces, and with all bounces under the learned emitters. The color of
+//! a learned emitter changes by the factor by which its nearest true light changes from the photographs to the set.
+
+use super::emitting::Emitting;
+use super::materials::edit_materials;
+use super::painted::{LEARNED, key_of, painted_of};
+use super::true_light::{TrueLight, TrueLights, center};
+use crate::error::Result;
+use sgs_engine::Device;
+use sgs_evaluate::{BouncesPsnr, Evaluation, RelitMetrics, RelitSet, ShadedMetrics, mean, measure_relit};
+use sgs_passes::pipeline::ShadedScene;
+use sgs_passes::transport::AreaLight;
+use sgs_run::Shading;
+use sgs_scene::{GroundTruth, Image, Scene, Splats};
+use sgs_transport::Bounces;
+
+/// Maximum distance between a learned emitter and its true light.
+///
+/// As a share of the diagonal of the enclosure. An emitter farther from every true light keeps its color.
+const MATCHED: f32 = 0.15;
+
+/// Lights of a measurement.
+struct Lights {
+    /// Physical lights.
+    lights: Vec<AreaLight>,
+    /// Radiance that the surfaces of each learned emitter emit.
+    radiance: Vec<[f32; 3]>,
+}
+
+/// Views that are measured, and what measures them.
+struct Measured<'a> {
+    device: &'a Device,
+    scene: &'a Scene,
+    views: &'a [usize],
+    truth: GroundTruth<'a>,
+}
+
+/// Measures a run with emitters under the true lights of each relit set.
+///
+/// # Errors
+/// If the device fails or the ground truth is damaged.
+pub(crate) fn evaluate_bounced(
+    device: &Device,
+    scene: &Scene,
+    splats: &Splats,
+    (emitting, seed): (&Emitting, u64),
+    known: &TrueLights,
+    views: &[usize],
+    into: &mut Evaluation,
+) -> Result<()> {
+    let at = Measured { device, scene, views, truth: GroundTruth::of(scene) };
+    let mut skipped = Vec::new();
+    let mut parts = Vec::new();
+    for name in at.truth.relit_names() {
+        let key = key_of(&name);
+        if !at.has(&name)? {
+            skipped.push((key, "The set has no image of a measured view.".to_owned()));
+            continue;
+        }
+        if let Some(list) = known.relight.get(&name) {
+            let Some(lights) = true_lights(list, known, emitting) else {
+                skipped
+                    .push((key, format!("gt/lights.json gives no brightness for a light of \"{name}\" that is on.")));
+                continue;
+            };
+            let shaded = |bounces| emitting.shaded(device, splats, &lights.lights, &lights.radiance, bounces);
+            let [direct, one_bounce] = [shaded(Bounces::None)?, shaded(Bounces::One)?];
+            let [direct, one_bounce] = [at.measure(&name, direct)?, at.measure(&name, one_bounce)?].map(|m| psnr(&m));
+            let all = at.measure(&name, shaded(Bounces::All)?)?;
+            let learned = match changed_emitters(list, known, emitting) {
+                Some(l) => {
+                    let shaded = emitting.shaded(device, splats, &l.lights, &l.radiance, Bounces::All)?;
+                    Some(psnr(&at.measure(&name, shaded)?))
+                }
+                None => None,
+            };
+            parts.push((
+                key.clone(),
+                BouncesPsnr { direct, one_bounce, all_bounces: psnr(&all), learned_emitters: learned },
+            ));
+            store(into, &key, all);
+            continue;
+        }
+        let change = match painted_of(device, scene, splats, &at.truth, &name)? {
+            Ok(change) => change,
+            Err(reason) => {
+                skipped.push((key, reason));
+                continue;
+            }
+        };
+        let mut edited = splats.clone();
+        let mut chosen = vec![false; splats.len()];
+        change.place.gaussians.iter().flatten().for_each(|&g| chosen[g] = true);
+        edit_materials(&change, &chosen, &mut edited);
+        let emitting = emitting.of_splats(device, scene, &edited, seed)?;
+        let learned = emitting.own(device, &edited)?;
+        store(into, &key_of(&format!("{name}{LEARNED}")), at.measure(&name, learned)?);
+        match true_lights(&known.training, known, &emitting) {
+            Some(l) if !l.lights.is_empty() => {
+                let shaded = emitting.shaded(device, &edited, &l.lights, &l.radiance, Bounces::All)?;
+                store(into, &key, at.measure(&name, shaded)?);
+            }
+            _ => skipped.push((key, "gt/lights.json lists no light of the training images that is on.".to_owned())),
+        }
+    }
+    let all: Vec<&ShadedMetrics> = into.views.iter().filter_map(|v| v.shaded.as_ref()).collect();
+    let mut mean = mean(&all);
+    mean.relit.extend(skipped.into_iter().map(|(name, reason)| (name, RelitSet::Skipped { reason })));
+    mean.relit_bounces.extend(parts);
+    into.mean.shaded = Some(mean);
+    Ok(())
+}
+
+/// Metrics of the views of which a set has an image. The index is that in the measured views.
+type OfViews = Vec<(usize, RelitMetrics)>;
+
+fn psnr(all: &OfViews) -> f64 {
+    all.iter().map(|(_, m)| m.psnr).sum::<f64>() / all.len().max(1) as f64
+}
+
+fn store(into: &mut Evaluation, key: &str, all: OfViews) {
+    for (i, metrics) in all {
+        let found = into.views[i].shaded.get_or_insert_with(ShadedMetrics::default);
+        found.relit.insert(key.to_owned(), RelitSet::Measured(metrics));
+    }
+}
+
+impl Measured<'_> {
+    /// Returns whether a set has an image of a measured view.
+    fn has(&self, name: &str) -> Result<bool> {
+        for view in self.views {
+            if self.truth.relit(name, *view)?.is_some() {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// Compares a scene with the images of a set.
+    fn measure(&self, name: &str, shaded: ShadedScene) -> Result<OfViews> {
+        let mut shading = Shading::new(self.device, shaded)?.without_visibility();
+        let mut pairs: Vec<(usize, Image, Image)> = Vec::new();
+        for (i, view) in self.views.iter().enumerate() {
+            let Some(theirs) = self.truth.relit(name, *view)? else { continue };
+            let ours = shading.shade(&self.scene.views[*view].camera)?.radiance([0.0; 3]);
+            pairs.push((i, ours, theirs));
+        }
+        let images: Vec<(&Image, &Image)> = pairs.iter().map(|(_, ours, theirs)| (ours, theirs)).collect();
+        Ok(pairs.iter().map(|p| p.0).zip(measure_relit(&images)?).collect())
+    }
+}
+
+/// Returns the true lights of a set that are on, and the radiance of emitters.
+///
+/// The Gaussians of an emitter emit the color of the true light nearest to it, or nothing if that light is off. Returns `None`
+/// if the shape or brightness of a light is unknown.
+fn true_lights(list: &[TrueLight], known: &TrueLights, emitting: &Emitting) -> Option<Lights> {
+    let lights = list.iter().filter(|l| l.on).map(TrueLight::as_area).collect::<Option<Vec<_>>>()?;
+    let emitters = emitting.lights();
+    let radiance = emitters.iter().map(|emitter| {
+        let now =
+            nearest(emitter, &known.training).and_then(|(i, _)| list.iter().find(|l| same(l, &known.training[i])));
+        now.filter(|l| l.on).and_then(TrueLight::as_area).map_or([0.0; 3], |l| l.color)
+    });
+    Some(Lights { radiance: radiance.collect(), lights })
+}
+
+/// Returns the learned emitters, changed as their true lights change.
+///
+/// The factor per color is the color of the nearest true light in the set over its color in the photographs. Returns `None`
+/// without learned emitters.
+fn changed_emitters(list: &[TrueLight], known: &TrueLights, emitting: &Emitting) -> Option<Lights> {
+    let [low, high] = [emitting.file.enclosure.low, emitting.file.enclosure.high].map(glam::Vec3::from);
+    let most = MATCHED * low.distance(high);
+    let change = |emitter: &AreaLight| {
+        let Some((i, distance)) = nearest(emitter, &known.training) else { return *emitter };
+        let before = known.training[i].as_area().map_or([0.0; 3], |l| l.color);
+        let after = list.iter().find(|l| same(l, &known.training[i])).filter(|l| l.on).and_then(TrueLight::as_area);
+        let after = after.map_or([0.0; 3], |l| l.color);
+        if distance > most {
+            return *emitter;
+        }
+        let by = [0, 1, 2].map(|c| if before[c] > 0.0 { after[c] / before[c] } else { 1.0 });
+        AreaLight { color: [0, 1, 2].map(|c| emitter.color[c] * by[c]), ..*emitter }
+    };
+    let lights: Vec<AreaLight> = emitting.lights().iter().map(change).collect();
+    (!lights.is_empty()).then(|| Lights { radiance: lights.iter().map(|l| l.color).collect(), lights })
+}
+
+/// Returns whether two entries are the same light in different sets: by name, else by place.
+fn same(a: &TrueLight, b: &TrueLight) -> bool {
+    if !a.name.is_empty() || !b.name.is_empty() {
+        return a.name == b.name;
+    }
+    let place = |l: &TrueLight| l.as_area().as_ref().and_then(center);
+    place(a).zip(place(b)).is_some_and(|(a, b)| a.distance(b) < 1e-3)
+}
+
+/// Returns the light of a list that is nearest to an emitter, and its distance.
+fn nearest(emitter: &AreaLight, list: &[TrueLight]) -> Option<(usize, f32)> {
+    let at = center(emitter)?;
+    let places = list.iter().enumerate().filter_map(|(i, l)| Some((i, center(&l.as_area()?)?.distance(at))));
+    places.min_by(|a, b| a.1.total_cmp(&b.1))
+}

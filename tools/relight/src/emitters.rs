@@ -1,0 +1,183 @@
+//! Edit of the emitters of a run.
+
+use crate::error::{RelightError, Result};
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use sgs_run::{EmitterFile, EmitterRow, ShapeRow};
+
+/// Edit of the emitters of a run with `emitters.json`. Their light bounces.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EmitterEdit {
+    /// Turns all emitters of the run off.
+    pub off: bool,
+    /// Turns all emitters of the run off except these.
+    pub only: Option<Vec<String>>,
+    /// Changes to single emitters of the run, applied after `off` and `only`.
+    pub change: Vec<EmitterChange>,
+    /// New emitters.
+    pub add: Vec<NewEmitter>,
+}
+
+/// Change of one emitter.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EmitterChange {
+    /// Name of the emitter in `emitters.json`.
+    pub emitter: Option<String>,
+    /// Turns the emitter on or off.
+    pub on: Option<bool>,
+    /// Factor on its light.
+    pub intensity: Option<f32>,
+    /// Factors on red, green and blue.
+    pub color: Option<[f32; 3]>,
+    /// Translation.
+    pub by: Option<[f32; 3]>,
+}
+
+/// New emitter. It has no visible surface.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NewEmitter {
+    /// Shape and place, as in `emitters.json`.
+    pub shape: ShapeRow,
+    /// Linear RGB: radiance, radiant intensity or irradiance, as in `emitters.json`.
+    pub color: [f32; 3],
+}
+
+impl EmitterEdit {
+    /// Checks the edit without reference to a run.
+    pub(super) fn check(&self) -> std::result::Result<(), String> {
+        for (i, c) in self.change.iter().enumerate() {
+            let name = format!("emitters.change[{i}]");
+            if c.emitter.is_none() {
+                return Err(format!("{name} has no \"emitter\""));
+            }
+            let factors = c.intensity.iter().chain(c.color.iter().flatten());
+            if let Some(bad) = factors.into_iter().find(|v| !(v.is_finite() && **v >= 0.0)) {
+                return Err(format!("{name} holds {bad}, but must be finite and at least 0"));
+            }
+            if let Some(bad) = c.by.iter().flatten().find(|v| !v.is_finite()) {
+                return Err(format!("{name} holds {bad}, which is not finite"));
+            }
+        }
+        for (i, new) in self.add.iter().enumerate() {
+            let row = EmitterRow { name: "new".to_owned(), on: true, color: new.color, shape: new.shape };
+            row.light().check().map_err(|e| format!("emitters.add[{i}]: {e}"))?;
+        }
+        Ok(())
+    }
+}
+
+/// Emitters after an edit.
+pub(crate) struct EditedEmitters {
+    pub file: EmitterFile,
+    /// Whether each emitter is where its surface is. The surfaces of others are dark.
+    pub in_place: Vec<bool>,
+}
+
+/// Applies an edit to the emitters of a run.
+///
+/// # Errors
+/// If the edit names an emitter that does not exist.
+pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result<EditedEmitters> {
+    let names: Vec<String> = file.emitters.iter().map(|e| e.name.clone()).collect();
+    let find = |name: &str| {
+        let all = || names.iter().map(|n| format!("\"{n}\"")).collect::<Vec<_>>().join(", ");
+        let has = || if names.is_empty() { "no emitters".to_owned() } else { all() };
+        names.iter().position(|n| n == name).ok_or_else(|| {
+            RelightError::Edit(format!("The edit names the emitter \"{name}\", but the run has {}.", has()))
+        })
+    };
+    if let Some(only) = &edit.only {
+        let stay = only.iter().map(|name| find(name)).collect::<Result<Vec<_>>>()?;
+        file.emitters.iter_mut().enumerate().filter(|(i, _)| !stay.contains(i)).for_each(|(_, e)| e.on = false);
+    }
+    if edit.off {
+        file.emitters.iter_mut().for_each(|e| e.on = false);
+    }
+    let mut in_place = vec![true; file.emitters.len()];
+    for change in &edit.change {
+        let Some(name) = &change.emitter else { continue };
+        let i = find(name)?;
+        let emitter = &mut file.emitters[i];
+        emitter.on = change.on.unwrap_or(emitter.on);
+        let (by, color) = (change.intensity.unwrap_or(1.0), change.color.unwrap_or([1.0; 3]));
+        emitter.color = [0, 1, 2].map(|c| emitter.color[c] * color[c] * by);
+        if let Some(by) = change.by.filter(|by| *by != [0.0; 3]) {
+            in_place[i] = false;
+            emitter.shape = moved(emitter.shape, by);
+        }
+    }
+    for (i, new) in edit.add.iter().enumerate() {
+        file.emitters.push(EmitterRow { name: format!("new {}", i + 1), on: true, color: new.color, shape: new.shape });
+    }
+    Ok(EditedEmitters { file, in_place })
+}
+
+fn moved(shape: ShapeRow, by: [f32; 3]) -> ShapeRow {
+    let to = |place: [f32; 3]| (Vec3::from(place) + Vec3::from(by)).to_array();
+    match shape {
+        ShapeRow::Point { position } => ShapeRow::Point { position: to(position) },
+        ShapeRow::Sphere { center, radius } => ShapeRow::Sphere { center: to(center), radius },
+        ShapeRow::Rectangle { corner, edge_u, edge_v } => ShapeRow::Rectangle { corner: to(corner), edge_u, edge_v },
+        ShapeRow::Disk { center, normal, radius } => ShapeRow::Disk { center: to(center), normal, radius },
+        ShapeRow::Spot { position, axis, inner_angle, outer_angle } => {
+            ShapeRow::Spot { position: to(position), axis, inner_angle, outer_angle }
+        }
+        ShapeRow::Directional { .. } => shape,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_config::TransportSettings;
+    use sgs_run::EnclosureRow;
+
+    fn file() -> EmitterFile {
+        let enclosure = EnclosureRow { low: [0.0; 3], high: [1.0; 3], albedo: [[0.5; 3]; 6] };
+        let row = |name: &str| EmitterRow {
+            name: name.to_owned(),
+            on: true,
+            color: [1.0, 2.0, 3.0],
+            shape: ShapeRow::Sphere { center: [0.5; 3], radius: 0.1 },
+        };
+        EmitterFile::new(enclosure, TransportSettings::default(), vec![row("window 1"), row("light 1")])
+    }
+
+    fn edited(text: &str) -> EditedEmitters {
+        let edit: EmitterEdit = serde_json::from_str(text).unwrap();
+        edit.check().unwrap();
+        edit_emitters(&edit, file()).unwrap()
+    }
+
+    #[test]
+    fn emitters_are_switched_dimmed_colored_moved_and_added() {
+        let found = edited(
+            r#"{"only": ["light 1"], "change": [{"emitter": "light 1", "intensity": 0.5, "color": [1, 0, 2], "by": [0, 1, 0]}],
+                "add": [{"shape": {"type": "disk", "center": [0,0,0], "normal": [0,1,0], "radius": 1}, "color": [1,1,1]}]}"#,
+        );
+        let on: Vec<bool> = found.file.emitters.iter().map(|e| e.on).collect();
+        assert_eq!((on, found.in_place), (vec![false, true, true], vec![true, false]));
+        let light = &found.file.emitters[1];
+        assert_eq!(light.color, [0.5, 0.0, 3.0]);
+        assert_eq!(light.shape, ShapeRow::Sphere { center: [0.5, 1.5, 0.5], radius: 0.1 });
+        assert_eq!(found.file.emitters[2].name, "new 1");
+        found.file.check().unwrap();
+        let off = edited(r#"{"off": true, "change": [{"emitter": "window 1", "on": true}]}"#);
+        assert_eq!(off.file.emitters.iter().map(|e| e.on).collect::<Vec<_>>(), [true, false]);
+    }
+
+    #[test]
+    fn impossible_edits_are_refused() {
+        let check = |text: &str| serde_json::from_str::<EmitterEdit>(text).unwrap().check().unwrap_err();
+        assert!(check(r#"{"change": [{"on": false}]}"#).contains("has no \"emitter\""));
+        assert!(check(r#"{"change": [{"emitter": "a", "intensity": -1}]}"#).contains("holds -1"));
+        let flat = r#"{"add": [{"shape": {"type": "sphere", "center": [0,0,0], "radius": 0}, "color": [1,1,1]}]}"#;
+        assert!(check(flat).starts_with("emitters.add[0]: radius"), "{}", check(flat));
+        let edit = EmitterEdit { only: Some(vec!["sun".to_owned()]), ..Default::default() };
+        let error = edit_emitters(&edit, file()).err().unwrap().to_string();
+        assert_eq!(error, "The edit names the emitter \"sun\", but the run has \"window 1\", \"light 1\".");
+    }
+}

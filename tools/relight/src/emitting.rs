@@ -1,0 +1,105 @@
+//! Light of a run with emitters: physical lights and their bounces.
+
+use super::emitters::{EditedEmitters, EmitterEdit, edit_emitters};
+use crate::error::Result;
+use sgs_engine::Device;
+use sgs_passes::pipeline::ShadedScene;
+use sgs_passes::transport::AreaLight;
+use sgs_run::{EmitterFile, RunDirectory, Visibility, read_emitters, shaded_scene};
+use sgs_scene::{Scene, Splats};
+use sgs_transport::{Bounces, Room, room_of};
+
+/// Emitters of a run, and the room in which their light bounces.
+pub struct Emitting {
+    /// Emitters and enclosure.
+    pub file: EmitterFile,
+    room: Room,
+    /// Whether each emitter is where its surface is.
+    in_place: Vec<bool>,
+}
+
+impl Emitting {
+    /// Reads the emitters of a run. Returns `None` if the run has no `emitters.json`.
+    ///
+    /// The room is built from the training views of the scene. `seed` is that of rays and sample points.
+    ///
+    /// # Errors
+    /// If `emitters.json` is damaged, the Gaussians have no materials, or the device fails.
+    pub fn open(
+        device: &Device,
+        run: &RunDirectory,
+        scene: &Scene,
+        splats: &Splats,
+        seed: u64,
+    ) -> Result<Option<Emitting>> {
+        let path = run.emitters();
+        if !path.is_file() {
+            return Ok(None);
+        }
+        let file = read_emitters(&path)?;
+        let room = room_of(device, scene, splats, &file, seed as u32)?;
+        let in_place = vec![true; file.emitters.len()];
+        Ok(Some(Emitting { file, room, in_place }))
+    }
+
+    /// Applies an edit to the emitters. The surface of a moved emitter is dark.
+    ///
+    /// # Errors
+    /// If the edit names an emitter that does not exist.
+    pub fn edited(self, edit: &EmitterEdit) -> Result<Emitting> {
+        let EditedEmitters { file, in_place } = edit_emitters(edit, self.file)?;
+        Ok(Emitting { file, in_place, room: self.room })
+    }
+
+    /// Returns the same emitters in the room of other Gaussians.
+    ///
+    /// For Gaussians with edited materials: the new materials reflect the light that bounces.
+    ///
+    /// # Errors
+    /// If the Gaussians have no materials, or the device fails.
+    pub fn of_splats(&self, device: &Device, scene: &Scene, splats: &Splats, seed: u64) -> Result<Emitting> {
+        let room = room_of(device, scene, splats, &self.file, seed as u32)?;
+        Ok(Emitting { file: self.file.clone(), room, in_place: self.in_place.clone() })
+    }
+
+    /// Returns the emitters as lights in world units. An emitter that is off has the color 0.
+    pub fn lights(&self) -> Vec<AreaLight> {
+        self.file.lights()
+    }
+
+    /// Returns the Gaussians under lights in world units, which replace the emitters.
+    ///
+    /// `radiance` holds, for each emitter of the run, the radiance that its surfaces emit. The camera sees it; `lights` light
+    /// the room.
+    ///
+    /// # Errors
+    /// If a light is invalid or the device fails.
+    pub fn shaded(
+        &self,
+        device: &Device,
+        splats: &Splats,
+        lights: &[AreaLight],
+        radiance: &[[f32; 3]],
+        bounces: Bounces,
+    ) -> Result<ShadedScene> {
+        let of = |i: usize| match splats.emitters.as_ref().map_or(0, |e| e[i]) {
+            0 => [0.0; 3],
+            number => radiance.get(number as usize - 1).copied().unwrap_or([0.0; 3]),
+        };
+        let emission: Vec<[f32; 3]> = (0..splats.len()).map(of).collect();
+        let mut scene = shaded_scene(device, splats, None, None, &Visibility::None)?;
+        scene.transport = Some(self.room.light(lights, &emission, bounces)?);
+        Ok(scene)
+    }
+
+    /// Returns the Gaussians under the run's own emitters.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn own(&self, device: &Device, splats: &Splats) -> Result<ShadedScene> {
+        let lights = self.lights();
+        let here = |(light, in_place): (&AreaLight, &bool)| if *in_place { light.color } else { [0.0; 3] };
+        let radiance: Vec<[f32; 3]> = lights.iter().zip(&self.in_place).map(here).collect();
+        self.shaded(device, splats, &lights, &radiance, Bounces::All)
+    }
+}

@@ -1,0 +1,366 @@
+//! Emitters of a run: `emitters.json`.
+//!
+//! The transport stage finds surfaces that shine, and fits their radiance and the albedo of the enclosure. Lengths are in
+//! the scene's unit, angles in degrees.
+
+use crate::error::{Result, RunError};
+use serde::{Deserialize, Serialize};
+use sgs_config::TransportSettings;
+use sgs_passes::transport::{AreaLight, LightShape};
+use sgs_scene::{MOST_EMITTERS, Unit};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// Format identifier of the file.
+const FORMAT: &str = "sgs-emitters-1";
+
+/// Content of `emitters.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EmitterFile {
+    /// Format identifier: `sgs-emitters-1`.
+    pub format: String,
+    /// Box around the room. It reflects light where no surface was seen.
+    pub enclosure: EnclosureRow,
+    /// Number of surfels at most.
+    pub surfels: u32,
+    /// Rays per surfel.
+    pub rays: u32,
+    /// Emitters of the file, at most [`MOST_EMITTERS`].
+    pub emitters: Vec<EmitterRow>,
+}
+
+/// Box around a room.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EnclosureRow {
+    /// Corner of the smallest coordinates.
+    pub low: [f32; 3],
+    /// Corner of the largest coordinates.
+    pub high: [f32; 3],
+    /// Linear albedo of the faces: -x, +x, -y, +y, -z, +z. From 0 to 1.
+    pub albedo: [[f32; 3]; 6],
+}
+
+/// Light of one shape and color.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EmitterRow {
+    /// Name, unique in the file.
+    pub name: String,
+    /// Whether the emitter shines.
+    pub on: bool,
+    /// Linear RGB: radiance of spheres, rectangles and disks, radiant intensity of points and spots, irradiance at normal
+    /// incidence of directional lights.
+    pub color: [f32; 3],
+    /// Shape and place.
+    pub shape: ShapeRow,
+}
+
+/// Shape and place of an emitter.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "lowercase", deny_unknown_fields)]
+pub enum ShapeRow {
+    /// Point that emits equally in all directions.
+    Point {
+        /// Position.
+        position: [f32; 3],
+    },
+    /// Sphere of constant radiance.
+    Sphere {
+        /// Center.
+        center: [f32; 3],
+        /// Radius.
+        radius: f32,
+    },
+    /// Rectangle of constant radiance. Emits on the side of `edge_u` x `edge_v`.
+    Rectangle {
+        /// Corner where both edges begin.
+        corner: [f32; 3],
+        /// First edge.
+        edge_u: [f32; 3],
+        /// Second edge, perpendicular to the first.
+        edge_v: [f32; 3],
+    },
+    /// Disk of constant radiance. Emits on the side of its normal.
+    Disk {
+        /// Center.
+        center: [f32; 3],
+        /// Normal of any length.
+        normal: [f32; 3],
+        /// Radius.
+        radius: f32,
+    },
+    /// Point with a cone of light.
+    Spot {
+        /// Position.
+        position: [f32; 3],
+        /// Axis of the cone, of any length.
+        axis: [f32; 3],
+        /// Angle from the axis at which the light begins to fall off, in degrees.
+        inner_angle: f32,
+        /// Angle from the axis at which the light ends, in degrees; at most 90.
+        outer_angle: f32,
+    },
+    /// Light from a distant disk, such as the sun.
+    Directional {
+        /// Direction in which the light travels, of any length.
+        direction: [f32; 3],
+        /// Angular radius in degrees, from 0 to below 90.
+        angular_radius: f32,
+    },
+}
+
+fn radians(degrees: f32) -> f32 {
+    f64::from(degrees).to_radians() as f32
+}
+
+fn degrees(radians: f32) -> f32 {
+    f64::from(radians).to_degrees() as f32
+}
+
+impl From<LightShape> for ShapeRow {
+    fn from(shape: LightShape) -> ShapeRow {
+        match shape {
+            LightShape::Point { position } => ShapeRow::Point { position },
+            LightShape::Sphere { center, radius } => ShapeRow::Sphere { center, radius },
+            LightShape::Rectangle { corner, edge_u, edge_v } => ShapeRow::Rectangle { corner, edge_u, edge_v },
+            LightShape::Disk { center, normal, radius } => ShapeRow::Disk { center, normal, radius },
+            LightShape::Spot { position, axis, inner_angle, outer_angle } => {
+                ShapeRow::Spot { position, axis, inner_angle: degrees(inner_angle), outer_angle: degrees(outer_angle) }
+            }
+            LightShape::Directional { direction, angular_radius } => {
+                ShapeRow::Directional { direction, angular_radius: degrees(angular_radius) }
+            }
+        }
+    }
+}
+
+impl From<ShapeRow> for LightShape {
+    fn from(row: ShapeRow) -> LightShape {
+        match row {
+            ShapeRow::Point { position } => LightShape::Point { position },
+            ShapeRow::Sphere { center, radius } => LightShape::Sphere { center, radius },
+            ShapeRow::Rectangle { corner, edge_u, edge_v } => LightShape::Rectangle { corner, edge_u, edge_v },
+            ShapeRow::Disk { center, normal, radius } => LightShape::Disk { center, normal, radius },
+            ShapeRow::Spot { position, axis, inner_angle, outer_angle } => LightShape::Spot {
+                position,
+                axis,
+                inner_angle: radians(inner_angle),
+                outer_angle: radians(outer_angle),
+            },
+            ShapeRow::Directional { direction, angular_radius } => {
+                LightShape::Directional { direction, angular_radius: radians(angular_radius) }
+            }
+        }
+    }
+}
+
+impl EmitterRow {
+    /// Returns the light, also if it is off.
+    pub fn light(&self) -> AreaLight {
+        AreaLight { shape: self.shape.into(), color: self.color }
+    }
+
+    /// Converts lengths to another unit; irradiance is unchanged.
+    fn convert(&mut self, unit: Unit) {
+        let by = (1.0 / unit.length()) as f32;
+        match &mut self.shape {
+            ShapeRow::Point { position } | ShapeRow::Spot { position, .. } => {
+                *position = unit.place(*position);
+                self.color = self.color.map(|c| by * by * c);
+            }
+            ShapeRow::Sphere { center, radius } | ShapeRow::Disk { center, radius, .. } => {
+                (*center, *radius) = (unit.place(*center), by * *radius);
+            }
+            ShapeRow::Rectangle { corner, edge_u, edge_v } => {
+                (*corner, *edge_u, *edge_v) = (unit.place(*corner), unit.place(*edge_u), unit.place(*edge_v));
+            }
+            ShapeRow::Directional { .. } => {}
+        }
+    }
+}
+
+impl EmitterFile {
+    /// Creates a file of some emitters.
+    pub fn new(enclosure: EnclosureRow, settings: TransportSettings, emitters: Vec<EmitterRow>) -> EmitterFile {
+        let TransportSettings { surfels, rays } = settings;
+        EmitterFile { format: FORMAT.to_owned(), enclosure, surfels, rays, emitters }
+    }
+
+    /// Returns the same emitters and enclosure with lengths in another unit.
+    #[must_use]
+    pub fn in_unit(&self, unit: Unit) -> EmitterFile {
+        let mut file = self.clone();
+        file.enclosure.low = unit.place(file.enclosure.low);
+        file.enclosure.high = unit.place(file.enclosure.high);
+        file.emitters.iter_mut().for_each(|emitter| emitter.convert(unit));
+        file
+    }
+
+    /// Returns the light of each emitter. Emitters that are off are black.
+    pub fn lights(&self) -> Vec<AreaLight> {
+        let light = |e: &EmitterRow| match e.on {
+            true => e.light(),
+            false => AreaLight { color: [0.0; 3], ..e.light() },
+        };
+        self.emitters.iter().map(light).collect()
+    }
+
+    /// Checks values that the types do not constrain.
+    ///
+    /// # Errors
+    /// Description of the first invalid value.
+    pub fn check(&self) -> std::result::Result<(), String> {
+        if self.format != FORMAT {
+            return Err(format!("its format is \"{}\", not \"{FORMAT}\"", self.format));
+        }
+        self.enclosure.check()?;
+        let settings = TransportSettings { surfels: self.surfels, rays: self.rays };
+        settings.check().map_err(|e| e.to_string().trim_end_matches('.').to_owned())?;
+        if self.emitters.len() > MOST_EMITTERS as usize {
+            return Err(format!("there are {} emitters; use {MOST_EMITTERS} at most", self.emitters.len()));
+        }
+        let mut names = BTreeSet::new();
+        for (i, emitter) in self.emitters.iter().enumerate() {
+            let name = &emitter.name;
+            if name.trim().is_empty() {
+                return Err(format!("emitter {i} has no name"));
+            }
+            if !names.insert(name) {
+                return Err(format!("two emitters have the name \"{name}\"; use different names"));
+            }
+            emitter.light().check().map_err(|e| format!("emitter {i}, \"{name}\": {e}"))?;
+        }
+        Ok(())
+    }
+}
+
+impl EnclosureRow {
+    fn check(&self) -> std::result::Result<(), String> {
+        for (axis, (low, high)) in ["x", "y", "z"].into_iter().zip(self.low.into_iter().zip(self.high)) {
+            if !(low < high && (high - low).is_finite()) {
+                return Err(format!(
+                    "the enclosure spans {low} to {high} along {axis}; use finite numbers, low below high"
+                ));
+            }
+        }
+        match self.albedo.as_flattened().iter().find(|a| !(0.0..=1.0).contains(*a)) {
+            Some(bad) => Err(format!("the enclosure has the albedo {bad}; use 0 to 1")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Writes `emitters.json`.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn write_emitters(path: &Path, emitters: &EmitterFile) -> Result<()> {
+    let text = serde_json::to_string_pretty(emitters).map_err(|e| RunError::file(path, e.to_string()))?;
+    sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
+    Ok(())
+}
+
+/// Reads `emitters.json`.
+///
+/// # Errors
+/// If the file is missing or damaged.
+pub fn read_emitters(path: &Path) -> Result<EmitterFile> {
+    let text = std::fs::read_to_string(path).map_err(|e| RunError::file(path, e.to_string()))?;
+    let emitters: EmitterFile =
+        serde_json::from_str(&text).map_err(|e| RunError::file(path, format!("not emitters: {e}")))?;
+    emitters.check().map_err(|reason| RunError::file(path, reason))?;
+    Ok(emitters)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file() -> EmitterFile {
+        let shapes = [
+            ShapeRow::Point { position: [1.0, 2.0, 3.0] },
+            ShapeRow::Sphere { center: [1.0, 2.0, 3.0], radius: 0.5 },
+            ShapeRow::Rectangle { corner: [0.0; 3], edge_u: [2.0, 0.0, 0.0], edge_v: [0.0, 1.0, 0.0] },
+            ShapeRow::Disk { center: [0.0; 3], normal: [0.0, 0.0, 2.0], radius: 1.0 },
+            ShapeRow::Spot { position: [0.0; 3], axis: [0.0, 0.0, -1.0], inner_angle: 30.0, outer_angle: 90.0 },
+            ShapeRow::Directional { direction: [0.0, -1.0, 0.0], angular_radius: 0.27 },
+        ];
+        let row = |(i, shape)| EmitterRow { name: format!("e{i}"), on: i != 1, color: [1.0, 2.0, 0.5], shape };
+        let enclosure = EnclosureRow { low: [-1.0, -2.0, -3.0], high: [4.0, 5.0, 6.0], albedo: [[0.5; 3]; 6] };
+        EmitterFile::new(enclosure, TransportSettings::default(), shapes.into_iter().enumerate().map(row).collect())
+    }
+
+    #[test]
+    fn every_shape_comes_back_from_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("emitters.json");
+        write_emitters(&path, &file()).unwrap();
+        assert_eq!(read_emitters(&path).unwrap(), file());
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.contains("\"type\": \"rectangle\"") && text.contains("\"outer_angle\": 90.0"), "{text}");
+        let refused = |from: &str, to: &str| {
+            assert!(text.contains(from), "{from}");
+            std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
+            read_emitters(&path).unwrap_err().to_string()
+        };
+        assert!(refused("\"radius\"", "\"glow\": 1, \"radius\"").contains("glow"), "fields of shapes are checked");
+        assert!(refused("\"on\"", "\"off\"").contains("off"));
+        assert!(refused("\"point\"", "\"cube\"").contains("cube"));
+        assert!(refused("sgs-emitters-1", "sgs-emitters-2").contains("not \"sgs-emitters-1\""));
+    }
+
+    #[test]
+    fn lights_have_radians_and_are_black_when_off() {
+        let lights = file().lights();
+        assert_eq!((lights.len(), lights[0].color, lights[1].color), (6, [1.0, 2.0, 0.5], [0.0; 3]));
+        let LightShape::Spot { inner_angle, outer_angle, .. } = lights[4].shape else { panic!("a spot") };
+        assert_eq!((inner_angle, outer_angle), (std::f32::consts::FRAC_PI_6, std::f32::consts::FRAC_PI_2));
+        for (light, row) in lights.iter().zip(file().emitters) {
+            assert_eq!(light.check(), Ok(()));
+            assert_eq!(LightShape::from(ShapeRow::from(light.shape)), light.shape);
+            assert_eq!(ShapeRow::from(light.shape), row.shape);
+        }
+    }
+
+    #[test]
+    fn units_convert_as_lights_do() {
+        let unit = Unit::of_length(4.0);
+        let converted = file().in_unit(unit);
+        assert_eq!((converted.enclosure.low, converted.enclosure.high), ([-0.25, -0.5, -0.75], [1.0, 1.25, 1.5]));
+        for (a, b) in converted.lights().iter().zip(file().lights()) {
+            assert_eq!(*a, b.scaled(0.25));
+        }
+        assert_eq!(converted.in_unit(unit.inverse()), file());
+    }
+
+    #[test]
+    fn invalid_values_are_named() {
+        let refused = |change: &dyn Fn(&mut EmitterFile)| {
+            let mut file = file();
+            change(&mut file);
+            file.check().unwrap_err()
+        };
+        assert_eq!(file().check(), Ok(()));
+        assert_eq!(EmitterFile { emitters: Vec::new(), ..file() }.check(), Ok(()));
+        assert!(refused(&|f| f.enclosure.low[1] = 5.0).contains("spans 5 to 5 along y"));
+        assert!(refused(&|f| f.enclosure.high[2] = f32::NAN).contains("along z"));
+        let wide = refused(&|f| (f.enclosure.low[0], f.enclosure.high[0]) = (-3e38, 3e38));
+        assert!(wide.contains("along x"), "{wide}");
+        assert!(refused(&|f| f.enclosure.albedo[3][1] = 1.5).contains("albedo 1.5; use 0 to 1"));
+        assert!(refused(&|f| f.enclosure.albedo[0][0] = f32::NAN).contains("albedo NaN"));
+        assert_eq!(refused(&|f| f.surfels = 1), "transport.surfels is 1, but must be 64 to 65536");
+        assert!(refused(&|f| f.rays = 0).contains("transport.rays is 0"));
+        assert_eq!(refused(&|f| f.emitters[2].name = " ".into()), "emitter 2 has no name");
+        assert!(refused(&|f| f.emitters[2].name = "e0".into()).contains("two emitters have the name \"e0\""));
+        let error = refused(&|f| f.emitters[1].shape = ShapeRow::Sphere { center: [0.0; 3], radius: -1.0 });
+        assert!(error.starts_with("emitter 1, \"e1\": radius: length -1"), "{error}");
+        assert!(refused(&|f| f.emitters[0].color[0] = -1.0).contains("emitter 0, \"e0\": color"));
+        let many = |f: &mut EmitterFile| {
+            let row = f.emitters[0].clone();
+            f.emitters = (0..4097).map(|i| EmitterRow { name: i.to_string(), ..row.clone() }).collect();
+        };
+        assert_eq!(refused(&many), "there are 4097 emitters; use 4096 at most");
+    }
+}

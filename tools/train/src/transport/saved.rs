@@ -1,0 +1,145 @@
+//! Checkpoint file of the transport stage, parsed without a device.
+
+use crate::error::{Result, TrainError, error};
+use safetensors::{Dtype, SafeTensors};
+use sgs_run::EmitterFile;
+use sgs_run::floats::{Numbers, serialize};
+use sgs_transport::FittedRoom;
+use std::collections::HashMap;
+use std::path::Path;
+
+/// Format name in the metadata.
+const FORMAT: &str = "sgs-transport-1";
+
+/// Tensor of the emitters of the Gaussians.
+const OF_GAUSSIANS: &str = "emitters";
+
+/// Contents of a checkpoint.
+pub(crate) struct Saved {
+    /// Fitted room; none before the step.
+    pub fitted: Option<FittedRoom>,
+}
+
+impl Saved {
+    /// Writes a checkpoint.
+    ///
+    /// # Errors
+    /// If the file cannot be written.
+    pub fn write(path: &Path, fitted: Option<&FittedRoom>) -> Result<()> {
+        let refused = |e: &dyn std::fmt::Display| error(path, e.to_string());
+        let step = u32::from(fitted.is_some()).to_string();
+        let mut meta = HashMap::from([("format".to_owned(), FORMAT.to_owned()), ("step".to_owned(), step)]);
+        let mut tensors = Vec::new();
+        if let Some(FittedRoom { emitters, of_gaussians, psnr }) = fitted {
+            meta.insert("psnr".to_owned(), psnr.to_string());
+            meta.insert("file".to_owned(), serde_json::to_string(emitters).map_err(|e| refused(&e))?);
+            tensors.push((OF_GAUSSIANS, Numbers::Words(of_gaussians, vec![of_gaussians.len()])));
+        }
+        let bytes = serialize(tensors, meta).map_err(|e| refused(&e))?;
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
+        Ok(())
+    }
+
+    /// Reads a checkpoint of a scene with this number of splats.
+    ///
+    /// # Errors
+    /// If the file is damaged, or belongs to other splats.
+    pub fn read(path: &Path, splats: usize) -> Result<Saved> {
+        let refused = |reason: String| error(path, reason);
+        let bytes = std::fs::read(path).map_err(|e| refused(e.to_string()))?;
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| refused(format!("not a checkpoint: {e}")))?;
+        let meta = header.metadata().clone().unwrap_or_default();
+        let text = |name: &str| meta.get(name).map(String::as_str);
+        if text("format") != Some(FORMAT) {
+            return Err(refused("not a checkpoint of the transport stage".into()));
+        }
+        match text("step") {
+            Some("0") => return Ok(Saved { fitted: None }),
+            Some("1") => {}
+            _ => return Err(refused("damaged: the step is neither 0 nor 1".into())),
+        }
+        let psnr = text("psnr").and_then(|t| t.parse().ok());
+        let psnr: f64 = psnr.ok_or_else(|| refused("the checkpoint does not say its psnr".into()))?;
+        let file = text("file").ok_or_else(|| refused("the checkpoint has no emitters".into()))?;
+        let emitters: EmitterFile =
+            serde_json::from_str(file).map_err(|e| refused(format!("damaged: not emitters: {e}")))?;
+        let tensors = SafeTensors::deserialize(&bytes).map_err(|e| refused(format!("damaged: {e}")))?;
+        let tensor = tensors.tensor(OF_GAUSSIANS).map_err(|e| refused(format!("damaged: {e}")))?;
+        if tensor.dtype() != Dtype::U32 || tensor.shape() != [splats] {
+            let found = tensor.shape();
+            return Err(refused(format!("the emitters of {found:?} splats do not belong to {splats} splats")));
+        }
+        let of_gaussians = tensor.data().as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect();
+        let fitted = FittedRoom { emitters, of_gaussians, psnr };
+        check(&fitted, splats).map_err(|reason| refused(format!("damaged: {reason}")))?;
+        Ok(Saved { fitted: Some(fitted) })
+    }
+}
+
+/// Checks that a room is valid and belongs to this number of splats.
+pub(super) fn check(fitted: &FittedRoom, splats: usize) -> std::result::Result<(), String> {
+    let FittedRoom { emitters, of_gaussians, .. } = fitted;
+    emitters.check()?;
+    if of_gaussians.len() != splats {
+        return Err(format!("{} splats have an emitter, not {splats}", of_gaussians.len()));
+    }
+    let known = emitters.emitters.len();
+    match of_gaussians.iter().find(|e| **e as usize > known) {
+        Some(bad) => Err(format!("a splat belongs to emitter {bad} of {known}")),
+        None => Ok(()),
+    }
+}
+
+/// Returns the error of a fit whose result is invalid.
+pub(super) fn invalid(reason: String) -> TrainError {
+    TrainError::Transport(sgs_transport::TransportError::Refused(format!("The fit of the room failed: {reason}.")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_config::TransportSettings;
+    use sgs_run::{EmitterRow, EnclosureRow, ShapeRow};
+
+    fn room() -> FittedRoom {
+        let enclosure = EnclosureRow { low: [0.0; 3], high: [1.0; 3], albedo: [[0.5; 3]; 6] };
+        let shape = ShapeRow::Sphere { center: [0.1; 3], radius: 0.3 };
+        let row = EmitterRow { name: "bulb".into(), on: true, color: [1.5, 0.1, 0.0], shape };
+        let emitters = EmitterFile::new(enclosure, TransportSettings::default(), vec![row]);
+        FittedRoom { emitters, of_gaussians: vec![0, 1, 1, 0], psnr: 0.1 + 0.2 }
+    }
+
+    #[test]
+    fn checkpoint_holds_every_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transport.safetensors");
+        Saved::write(&path, None).unwrap();
+        assert_eq!(Saved::read(&path, 4).unwrap().fitted, None);
+        Saved::write(&path, Some(&room())).unwrap();
+        assert_eq!(Saved::read(&path, 4).unwrap().fitted, Some(room()));
+        let endless = FittedRoom { psnr: f64::INFINITY, ..room() };
+        Saved::write(&path, Some(&endless)).unwrap();
+        assert_eq!(Saved::read(&path, 4).unwrap().fitted, Some(endless));
+    }
+
+    #[test]
+    fn damaged_checkpoints_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("transport.safetensors");
+        let refused = |room: &FittedRoom, splats: usize| {
+            Saved::write(&path, Some(room)).unwrap();
+            Saved::read(&path, splats).err().map(|e| e.to_string()).unwrap_or_default()
+        };
+        assert!(refused(&room(), 5).contains("do not belong to 5 splats"));
+        let stray = FittedRoom { of_gaussians: vec![0, 2, 0, 0], ..room() };
+        assert!(refused(&stray, 4).contains("belongs to emitter 2 of 1"));
+        let mut flat = room();
+        flat.emitters.enclosure.high[2] = 0.0;
+        assert!(refused(&flat, 4).contains("along z"));
+        let whole = std::fs::read(&path).unwrap();
+        for length in 0..whole.len() {
+            std::fs::write(&path, &whole[..length]).unwrap();
+            assert!(Saved::read(&path, 4).is_err(), "{length}");
+        }
+    }
+}

@@ -1,0 +1,354 @@
+//! Explanation of photographs by emitters and bounced light.
+//!
+//! 1. Emitters that photographs show are candidates ([`crate::emitters`]).
+//! 2. The fit ([`crate::fit`]) finds their colors and the albedo of the enclosure.
+//! 3. Each sphere moves to where it explains the photographs best.
+//! 4. Hidden lamps, which no photograph shows well enough, are searched on a grid. The position that explains the photographs
+//!    best becomes an emitter if the PSNR rises by [`LEAST_GAIN`].
+//! 5. The fit runs again. Candidates that it leaves dark are removed.
+
+use crate::emitters::{CLIPPED, FoundEmitter, cell_of, find_emitters, is_clipped};
+use crate::error::Result;
+use crate::fit::{FACES, Fitter, Radiosity, Samples, UnitLight};
+use crate::room::{Room, SHEEN, near, reflectance, specular};
+use crate::surfels::seen;
+use glam::{DVec3, Vec3};
+use sgs_passes::pipeline::Shaded;
+use sgs_passes::transport::{AreaLight, LightShape, nearest_surfels};
+use sgs_scene::{Camera, Image, Splats};
+use std::collections::BTreeMap;
+
+/// Maximum number of pixels of a view that the fit compares.
+const SAMPLES: usize = 3000;
+/// Number of rounds of a fit. Each fits the colors, then the enclosure.
+const ROUNDS: usize = 3;
+/// First and smallest step by which spheres move, in edges of a cell.
+const STEPS: [f32; 2] = [2.0, 0.25];
+/// Maximum number of emitters that photographs show; the largest ones count.
+const MOST_FOUND: usize = 64;
+/// Maximum spacing of the grid of hidden lamps, as a share of the room's diagonal.
+const GRID: f32 = 0.1;
+/// Maximum number of hidden lamps.
+const HIDDEN: usize = 2;
+/// Minimum gain of PSNR by a hidden lamp, in dB.
+const LEAST_GAIN: f64 = 0.1;
+/// Number of lights per dispatch.
+const BATCH: usize = 32;
+/// Minimum power of an emitter, as a share of that of the most powerful one.
+const LEAST_POWER: f32 = 1e-4;
+
+/// Surfaces that the training views show, with their cameras.
+pub struct SeenViews {
+    views: Vec<Shaded>,
+    cameras: Vec<Camera>,
+    /// Position of each camera in world units.
+    from: Vec<[f32; 3]>,
+}
+
+/// Emitters and enclosure that explain photographs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Explained {
+    /// Emitters, in world units.
+    pub emitters: Vec<AreaLight>,
+    /// Emitter of each Gaussian: 0 for none, else its number plus 1.
+    pub of_gaussians: Vec<u32>,
+    /// Albedo of the faces of the enclosure: low x, high x, low y, high y, low z, high z.
+    pub enclosure: [[f32; 3]; FACES],
+    /// PSNR of the compared pixels in dB.
+    pub psnr: f64,
+}
+
+/// Pixels that the fit compares, with the points and unit normals that they show.
+///
+/// Lengths are in the room's unit.
+struct Compared {
+    samples: Samples,
+    points: Vec<[f32; 3]>,
+    normals: Vec<[f32; 3]>,
+}
+
+impl SeenViews {
+    /// Creates the views of cameras.
+    pub(crate) fn new(views: Vec<Shaded>, cameras: &[Camera]) -> SeenViews {
+        let from = cameras.iter().map(|c| c.position().as_vec3().to_array()).collect();
+        SeenViews { views, cameras: cameras.to_vec(), from }
+    }
+
+    /// Returns the pixel onto which a view projects a point in world units.
+    fn pixel(&self, view: usize, point: [f32; 3]) -> Option<usize> {
+        let camera = &self.cameras[view];
+        let at = camera.project(DVec3::from(point.map(f64::from)))?;
+        let inside = at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(camera.width) && at.y < f64::from(camera.height);
+        inside.then(|| at.y as usize * camera.width as usize + at.x as usize)
+    }
+}
+
+impl Room {
+    /// Finds emitters and fits them, and the enclosure, to photographs.
+    ///
+    /// Photographs hold display values, one image per view. `splats` are the Gaussians of which the room was built.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn explain(&self, views: &SeenViews, photographs: &[Image], splats: &Splats) -> Result<Explained> {
+        let length = self.unit.length() as f32;
+        let mut found = find_emitters(&views.views, photographs, &views.from, length, self.surfels.cell);
+        found.retain(|e| AreaLight { shape: e.shape, color: [1.0; 3] }.check().is_ok());
+        found.truncate(MOST_FOUND);
+        let mut shapes: Vec<LightShape> = found.iter().map(|e| e.shape).collect();
+        let compared = self.compared(&found, views, photographs);
+        let targets = self.scene.targets()?;
+        let surfels: Vec<[f64; 3]> = self.surfels.materials.iter().map(|m| reflectance(m).map(f64::from)).collect();
+        let faces: Vec<u8> = self.enclosure.patches().iter().map(|p| p.face as u8).collect();
+        let rays = self.scene.options().rays as usize;
+        let radiosity = Radiosity { targets: &targets, rays, surfels: &surfels, faces: &faces, sheen: SHEEN };
+        let mut fitter = Fitter::new(radiosity, &compared.samples, self.surfels.mean_albedo());
+        for (i, unit) in self.units(&shapes, &compared)?.into_iter().enumerate() {
+            fitter.push(unit, i as u32 + 1);
+        }
+        rounds(&mut fitter);
+        for i in 0..shapes.len() {
+            self.refine(i, &mut shapes, &mut fitter, &compared)?;
+        }
+        for _ in 0..HIDDEN {
+            if !self.add_hidden(&mut shapes, &mut fitter, &compared)? {
+                break;
+            }
+        }
+        rounds(&mut fitter);
+        let of_gaussians = self.emitters_of(&found, &shapes, views, photographs, splats);
+        Ok(self.explained(&shapes, &fitter, of_gaussians))
+    }
+
+    /// Returns the result, without emitters that are dark.
+    fn explained(&self, shapes: &[LightShape], fitter: &Fitter<'_>, of_gaussians: Vec<u32>) -> Explained {
+        let lights = shapes.iter().zip(fitter.colors()).map(|(shape, color)| AreaLight { shape: *shape, color });
+        let lights: Vec<AreaLight> = lights.collect();
+        let power = |light: &AreaLight| light.power().map_or(0.0, |p| p[0] + p[1] + p[2]);
+        let most = lights.iter().map(power).fold(0.0, f32::max);
+        let (mut emitters, mut numbers) = (Vec::new(), vec![0]);
+        for light in &lights {
+            let shines = power(light) > LEAST_POWER * most;
+            if shines {
+                emitters.push(light.scaled(self.unit.length() as f32));
+            }
+            numbers.push(if shines { emitters.len() as u32 } else { 0 });
+        }
+        let of_gaussians = of_gaussians.into_iter().map(|e| numbers[e as usize]).collect();
+        Explained { emitters, of_gaussians, enclosure: fitter.enclosure(), psnr: fitter.psnr() }
+    }
+
+    /// Returns the direct light of shapes of color 1.
+    ///
+    /// Spheres count as points, whose shadows need one ray per receiver.
+    fn units(&self, shapes: &[LightShape], compared: &Compared) -> Result<Vec<UnitLight>> {
+        let mut all = Vec::new();
+        for batch in shapes.chunks(BATCH) {
+            let light = |shape: &LightShape| match shape {
+                LightShape::Sphere { center, .. } => LightShape::Point { position: *center },
+                other => *other,
+            };
+            let lights: Vec<AreaLight> =
+                batch.iter().map(|shape| AreaLight { shape: light(shape), color: [1.0; 3] }).collect();
+            let of_receivers = self.scene.unit_light(&lights)?;
+            let of_samples = self.scene.unit_light_at(&lights, &compared.points, &compared.normals)?;
+            let receivers = of_receivers.chunks_exact(self.scene.receivers() as usize);
+            let samples = of_samples.chunks_exact(compared.points.len().max(1));
+            for ((shape, of_receivers), of_samples) in batch.iter().zip(receivers).zip(samples) {
+                // The intensity of a sphere of radiance 1.
+                let by = match shape {
+                    LightShape::Sphere { radius, .. } => std::f32::consts::PI * radius * radius,
+                    _ => 1.0,
+                };
+                let scaled = |values: &[f32]| values.iter().map(|v| by * v).collect();
+                all.push(UnitLight { receivers: scaled(of_receivers), samples: scaled(of_samples) });
+            }
+        }
+        Ok(all)
+    }
+
+    /// Returns whether a place lies in the enclosure.
+    fn contains(&self, place: [f32; 3]) -> bool {
+        let (low, high) = (self.enclosure.low(), self.enclosure.high());
+        (0..3).all(|k| place[k] > low[k] && place[k] < high[k])
+    }
+
+    /// Moves a sphere to where it explains the photographs best.
+    ///
+    /// Of six steps along the axes, the best is taken. If none lowers the error, steps become half as long.
+    /// Other shapes stay as they are.
+    fn refine(
+        &self,
+        emitter: usize,
+        shapes: &mut [LightShape],
+        fitter: &mut Fitter<'_>,
+        compared: &Compared,
+    ) -> Result<()> {
+        let LightShape::Sphere { mut center, radius } = shapes[emitter] else { return Ok(()) };
+        let mut step = STEPS[0] * self.surfels.cell;
+        let mut error = fitter.error();
+        while step >= STEPS[1] * self.surfels.cell {
+            let moved = (0..6).map(|k| {
+                let mut place = center;
+                place[k / 2] += if k % 2 == 0 { step } else { -step };
+                place
+            });
+            let places: Vec<[f32; 3]> = moved.filter(|place| self.contains(*place)).collect();
+            let candidates: Vec<LightShape> =
+                places.iter().map(|place| LightShape::Sphere { center: *place, radius }).collect();
+            let mut best: Option<(f64, [f32; 3], Fitter<'_>)> = None;
+            for (place, unit) in places.iter().zip(self.units(&candidates, compared)?) {
+                let mut tried = fitter.clone();
+                tried.replace(emitter, unit);
+                tried.fit_colors();
+                let found = tried.error();
+                if found < best.as_ref().map_or(error, |b| b.0) {
+                    best = Some((found, *place, tried));
+                }
+            }
+            match best {
+                Some((found, place, tried)) => (error, center, *fitter) = (found, place, tried),
+                None => step *= 0.5,
+            }
+        }
+        shapes[emitter] = LightShape::Sphere { center, radius };
+        Ok(())
+    }
+
+    /// Adds the hidden lamp that explains the photographs best.
+    ///
+    /// Returns false, and adds none, if none gains [`LEAST_GAIN`].
+    fn add_hidden<'a>(
+        &self,
+        shapes: &mut Vec<LightShape>,
+        fitter: &mut Fitter<'a>,
+        compared: &Compared,
+    ) -> Result<bool> {
+        let (low, high) = (Vec3::from(self.enclosure.low()), Vec3::from(self.enclosure.high()));
+        let edge = GRID * low.distance(high);
+        let counts = ((high - low) / edge).ceil().as_uvec3();
+        let radius = 0.5 * self.surfels.cell;
+        let at = |i: u32| {
+            let cell =
+                Vec3::new((i % counts.x) as f32, (i / counts.x % counts.y) as f32, (i / counts.x / counts.y) as f32);
+            let place = low + (cell + 0.5) / counts.as_vec3() * (high - low);
+            LightShape::Sphere { center: place.into(), radius }
+        };
+        let grid: Vec<LightShape> = (0..counts.x * counts.y * counts.z).map(at).collect();
+        let before = fitter.psnr();
+        let mut best: Option<(f64, LightShape, Fitter<'a>)> = None;
+        for batch in grid.chunks(BATCH) {
+            for (shape, unit) in batch.iter().zip(self.units(batch, compared)?) {
+                let mut tried = fitter.clone();
+                tried.push(unit, 0);
+                tried.fit_colors();
+                let found = tried.psnr();
+                if found > best.as_ref().map_or(before, |b| b.0) {
+                    best = Some((found, *shape, tried));
+                }
+            }
+        }
+        let Some((_, shape, tried)) = best else { return Ok(false) };
+        let mut with = tried;
+        shapes.push(shape);
+        self.refine(shapes.len() - 1, shapes, &mut with, compared)?;
+        if with.psnr() < before + LEAST_GAIN {
+            shapes.pop();
+            return Ok(false);
+        }
+        *fitter = with;
+        Ok(true)
+    }
+
+    /// Returns the emitter of each Gaussian: 0 for none, else its number plus 1.
+    ///
+    /// A Gaussian belongs to an emitter if it lies in one of its cells or beside one, and most of the views that show the
+    /// Gaussian clip there. Photographs also clip in the glare around a bulb. So a Gaussian of a sphere must lie within two
+    /// radii of its center.
+    fn emitters_of(
+        &self,
+        found: &[FoundEmitter],
+        shapes: &[LightShape],
+        seen: &SeenViews,
+        photographs: &[Image],
+        splats: &Splats,
+    ) -> Vec<u32> {
+        let mut cells: BTreeMap<[i32; 3], u32> = BTreeMap::new();
+        for (number, emitter) in found.iter().enumerate().rev() {
+            for [x, y, z] in &emitter.cells {
+                for offset in 0..27 {
+                    let beside = [x + offset % 3 - 1, y + offset / 3 % 3 - 1, z + offset / 9 - 1];
+                    cells.entry(beside).or_insert(number as u32 + 1);
+                }
+                cells.insert([*x, *y, *z], number as u32 + 1);
+            }
+        }
+        let edge = self.surfels.cell;
+        let tolerance = 2.0 * edge * self.unit.length() as f32;
+        let of = |mean: &[f32; 3]| {
+            let place = self.unit.place(*mean);
+            let Some(emitter) = cells.get(&cell_of(place, edge)) else { return 0 };
+            if let LightShape::Sphere { center, radius } = shapes[*emitter as usize - 1]
+                && Vec3::from(center).distance(place.into()) > 2.0 * radius
+            {
+                return 0;
+            }
+            // Of the views that show the Gaussian, the number of those whose pixel clips.
+            let (mut shown, mut clipped) = (0, 0);
+            for (i, ((view, photograph), from)) in seen.views.iter().zip(photographs).zip(&seen.from).enumerate() {
+                let Some(pixel) = seen.pixel(i, *mean) else { continue };
+                let surface = Vec3::from_slice(&view.points[3 * pixel..3 * pixel + 3]);
+                let from = Vec3::from(*from);
+                if (surface.distance(from) - Vec3::from(*mean).distance(from)).abs() > tolerance {
+                    continue;
+                }
+                shown += 1;
+                clipped += usize::from(is_clipped(photograph, pixel));
+            }
+            if 2 * clipped > shown { *emitter } else { 0 }
+        };
+        splats.means.iter().map(of).collect()
+    }
+
+    /// Returns the pixels that the fit compares.
+    fn compared(&self, found: &[FoundEmitter], views: &SeenViews, photographs: &[Image]) -> Compared {
+        let mut cells: BTreeMap<[i32; 3], u32> = BTreeMap::new();
+        for (number, emitter) in found.iter().enumerate().rev() {
+            emitter.cells.iter().for_each(|cell| {
+                cells.insert(*cell, number as u32 + 1);
+            });
+        }
+        let unit = self.unit.length() as f32;
+        let (mut samples, mut points, mut normals) = (Samples::default(), Vec::new(), Vec::new());
+        for ((view, photograph), from) in views.views.iter().zip(photographs).zip(&views.from) {
+            let pixels = view.coverage.len();
+            for pixel in (0..pixels).step_by(pixels.div_ceil(SAMPLES).max(1)) {
+                let Some(s) = seen(view, pixel, Vec3::from(*from), unit) else { continue };
+                let target: [f32; 3] = [0, 1, 2].map(|c| photograph.data[3 * pixel + c]);
+                let to = (Vec3::from(*from) / unit - s.point).normalize_or_zero();
+                let m = &s.material;
+                samples.targets.push(target);
+                samples.clipped.push(target.map(|v| v >= CLIPPED));
+                samples.diffuse.push(m.albedo.map(|a| f64::from(a * (1.0 - m.metallic))));
+                samples.specular.push(specular(m, s.normal.dot(to).clamp(0.0, 1.0)).map(f64::from));
+                let emitter = cells.get(&cell_of(s.point.into(), self.surfels.cell)).copied().unwrap_or(0);
+                samples.emitters.push(if is_clipped(photograph, pixel) { emitter } else { 0 });
+                points.push(s.point.to_array());
+                normals.push(s.normal.to_array());
+            }
+        }
+        let diagonal = Vec3::from(self.enclosure.low()).distance(self.enclosure.high().into());
+        let nearest = nearest_surfels(&points, &normals, &self.surfels.discs, &near(diagonal, self.surfels.cell));
+        (samples.neighbors, samples.weights) = (nearest.neighbors, nearest.weights);
+        Compared { samples, points, normals }
+    }
+}
+
+/// Fits colors and enclosure in turn.
+fn rounds(fitter: &mut Fitter<'_>) {
+    for _ in 0..ROUNDS {
+        fitter.fit_colors();
+        fitter.refine_enclosure();
+    }
+    fitter.fit_colors();
+}

@@ -1,0 +1,87 @@
+//! Emitters and enclosure of a scene, as a run stores them.
+
+use crate::error::Result;
+use crate::explain::Explained;
+use crate::room::{Room, RoomOptions};
+use sgs_config::TransportSettings;
+use sgs_engine::Device;
+use sgs_passes::transport::{AreaLight, LightShape};
+use sgs_run::{EmitterFile, EmitterRow, EnclosureRow};
+use sgs_scene::{Camera, Image, Scene, Splats};
+
+/// Emitters and enclosure of a room.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FittedRoom {
+    /// Emitters and enclosure, in world units.
+    pub emitters: EmitterFile,
+    /// Emitter of each Gaussian: 0 emits nothing, `i + 1` belongs to emitter `i`.
+    pub of_gaussians: Vec<u32>,
+    /// PSNR of the compared pixels of the training views, in dB.
+    pub psnr: f64,
+}
+
+/// Maximum number of pixels of all training views together.
+///
+/// All of them are in memory at once.
+const MOST_PIXELS: f64 = 2_097_152.0;
+
+/// Returns the cameras of the training views.
+fn cameras_of(scene: &Scene) -> Vec<Camera> {
+    scene.split.train.iter().map(|&i| scene.views[i].camera.clone()).collect()
+}
+
+/// Returns the scene, with smaller images if there are too many pixels.
+fn reduced(scene: &Scene) -> Scene {
+    let pixels = |camera: &Camera| f64::from(camera.width) * f64::from(camera.height);
+    let all: f64 = scene.split.train.iter().map(|&i| pixels(&scene.views[i].camera)).sum();
+    if all <= MOST_PIXELS { scene.clone() } else { scene.scaled((MOST_PIXELS / all).sqrt()) }
+}
+
+/// Finds the emitters of a scene and fits them to its training images.
+///
+/// Their colors, the positions of spheres and the albedo of the enclosure are fitted. Lengths of the scene, the splats and the
+/// result are in the scene's unit.
+///
+/// # Errors
+/// If the splats have no materials, a photograph cannot be read, or the device fails.
+pub fn fit_room(device: &Device, scene: &Scene, splats: &Splats, options: RoomOptions) -> Result<FittedRoom> {
+    let scene = reduced(scene);
+    let cameras = cameras_of(&scene);
+    let photographs: Vec<Image> = scene.load_train_images()?;
+    let (room, views) = Room::new(device, splats, &cameras, options)?;
+    let explained = room.explain(&views, &photographs, splats)?;
+    let [low, high] = room.bounds();
+    let enclosure = EnclosureRow { low, high, albedo: explained.enclosure };
+    let settings = TransportSettings { surfels: options.surfels as u32, rays: options.rays };
+    let Explained { emitters, of_gaussians, psnr, .. } = explained;
+    let emitters = EmitterFile::new(enclosure, settings, named(&emitters));
+    Ok(FittedRoom { emitters, of_gaussians, psnr })
+}
+
+/// Names emitters by their shape: rectangles are windows, others are lights.
+fn named(emitters: &[AreaLight]) -> Vec<EmitterRow> {
+    let mut counts = [0; 2];
+    let row = |light: &AreaLight| {
+        let (kind, count) = match light.shape {
+            LightShape::Rectangle { .. } => ("window", &mut counts[0]),
+            _ => ("light", &mut counts[1]),
+        };
+        *count += 1;
+        EmitterRow { name: format!("{kind} {count}"), on: true, color: light.color, shape: light.shape.into() }
+    };
+    emitters.iter().map(row).collect()
+}
+
+/// Builds the room of a run with emitters.
+///
+/// Surfels are those that the training views of the scene show of `splats`. The albedo of the enclosure is that of `emitters`.
+/// `seed` is that of rays and sample points.
+///
+/// # Errors
+/// If the splats have no materials, or the device fails.
+pub fn room_of(device: &Device, scene: &Scene, splats: &Splats, emitters: &EmitterFile, seed: u32) -> Result<Room> {
+    let options =
+        RoomOptions { surfels: emitters.surfels as usize, rays: emitters.rays, seed, ..RoomOptions::default() };
+    let (room, _) = Room::new(device, splats, &cameras_of(&reduced(scene)), options)?;
+    Ok(room.with_enclosure(emitters.enclosure.albedo))
+}

@@ -1,0 +1,20 @@
+//! Light that bounces between the surfaces of a room.
+//!
+//! Surfels stand for the surfaces that the training views see ([`RoomSurfels`]). Emitters are found in the photographs
+//! ([`find_emitters`]). A [`Room`] lights Gaussians with physical lights and their bounces. [`fit_room`] explains the
+//! photographs of a scene.
+
+mod emitters;
+mod error;
+mod explain;
+mod fit;
+mod fitted;
+mod room;
+mod surfels;
+
+pub use emitters::{FoundEmitter, find_emitters};
+pub use error::{Result, TransportError};
+pub use explain::{Explained, SeenViews};
+pub use fitted::{FittedRoom, fit_room, room_of};
+pub use room::{Bounces, Room, RoomOptions};
+pub use surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};

@@ -1,0 +1,233 @@
+//! Room: surfels, enclosure and transport matrix of trained Gaussians.
+//!
+//! Cells are those into which surfels are clustered ([`crate::surfels`]).
+
+use crate::error::{Result, TransportError};
+use crate::explain::SeenViews;
+use crate::fit::FACES;
+use crate::surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};
+use glam::Vec3;
+use sgs_engine::Device;
+use sgs_passes::Tuning;
+use sgs_passes::pipeline::{Shaded, ShadedTransport, TransportOptions, TransportScene};
+use sgs_passes::transport::{AreaLight, Enclosure, Nearest, NearestOptions, SolveOptions, SurfelTree, nearest_surfels};
+use sgs_run::{Shading, Visibility, shaded_scene};
+use sgs_scene::{Camera, Splats, Unit};
+use std::f32::consts::PI;
+use std::sync::Arc;
+
+/// Distance above a surface at which rays begin, in edges of a cell.
+const OFFSET: f32 = 0.4;
+/// Distance before a light at which shadow rays end, in edges of a cell.
+///
+/// Reconstructed surfaces of windows and lamps often lie in front of the true ones, and must not hide the light.
+const CLEARANCE: f32 = 3.0;
+/// Edge of a patch of the enclosure, as a share of the diagonal of the room.
+const PATCH_SHARE: f32 = 0.04;
+/// Distance of the enclosure from the surfaces in it, as a share of the diagonal.
+const MARGIN: f32 = 0.005;
+/// Distance that a difference of normals of length 1 counts as.
+///
+/// As a share of the diagonal: 0.25 m in a room of 10 m.
+const NORMAL_SHARE: f32 = 0.025;
+/// Hemispherical reflectance of a patch's specular lobe, added to its albedo.
+pub(crate) const SHEEN: f64 = 0.03;
+
+/// Options of a [`Room`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RoomOptions {
+    /// Maximum number of surfels.
+    pub surfels: usize,
+    /// Rays per surfel and patch.
+    pub rays: u32,
+    /// Sample points of a light with an extent, to each of which a shadow ray goes.
+    pub samples: u32,
+    /// Seed of rays and sample points.
+    pub seed: u32,
+}
+
+impl Default for RoomOptions {
+    fn default() -> RoomOptions {
+        RoomOptions { surfels: 8192, rays: 64, samples: 8, seed: 0 }
+    }
+}
+
+/// Number of bounces of light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bounces {
+    /// Direct light only.
+    None,
+    /// One bounce.
+    One,
+    /// Bounces until the largest relative change is less than a thousandth.
+    All,
+}
+
+/// Surfaces of a room that exchange light.
+pub struct Room {
+    device: Device,
+    /// Unit of all lengths on the device.
+    pub(crate) unit: Unit,
+    pub(crate) surfels: RoomSurfels,
+    pub(crate) enclosure: Enclosure,
+    pub(crate) scene: Arc<TransportScene>,
+    /// Nearest surfels of each Gaussian.
+    nearest: Nearest,
+    /// Albedo of each face of the enclosure.
+    albedo: [[f32; 3]; FACES],
+}
+
+impl Room {
+    /// Builds the room that the cameras see, and shades its views.
+    ///
+    /// The Gaussians need materials and normals. The albedo of the enclosure is the mean albedo of the surfels
+    /// ([`Room::with_enclosure`] sets another).
+    ///
+    /// # Errors
+    /// If the Gaussians have no materials or no camera sees a surface, or if the device fails.
+    pub fn new(
+        device: &Device,
+        splats: &Splats,
+        cameras: &[Camera],
+        options: RoomOptions,
+    ) -> Result<(Room, SeenViews)> {
+        let unit = Unit::of_splats(splats);
+        let plain = shaded_scene(device, splats, None, None, &Visibility::None)?;
+        let mut shading = Shading::new(device, plain)?.without_visibility();
+        let views: Vec<Shaded> = cameras.iter().map(|camera| Ok(shading.shade(camera)?.0)).collect::<Result<_>>()?;
+        let from: Vec<[f32; 3]> = cameras.iter().map(|c| c.position().as_vec3().to_array()).collect();
+        let length = unit.length() as f32;
+        let surfels = RoomSurfels::cluster(&views, &from, length, SurfelOptions { most: options.surfels });
+        if surfels.is_empty() {
+            return Err(TransportError::Empty);
+        }
+        let (mut low, mut high) = (Vec3::from(surfels.bounds[0]), Vec3::from(surfels.bounds[1]));
+        for place in &from {
+            let place = Vec3::from(unit.place(*place));
+            (low, high) = (low.min(place), high.max(place));
+        }
+        let diagonal = low.distance(high);
+        (low, high) = (low - MARGIN * diagonal, high + MARGIN * diagonal);
+        let enclosure = Enclosure::new(low.into(), high.into(), PATCH_SHARE * diagonal)?;
+        let tree = SurfelTree::new(&surfels.discs)?;
+        let transport = TransportOptions {
+            rays: options.rays,
+            samples: options.samples,
+            seed: options.seed,
+            offset: OFFSET * surfels.cell,
+            clearance: CLEARANCE * surfels.cell,
+        };
+        let tuning = Tuning::for_device(device.info());
+        let scene = TransportScene::new(device, tuning, (&surfels.discs, &tree), &enclosure, transport)?;
+        let near = near(diagonal, surfels.cell);
+        let places: Vec<[f32; 3]> = splats.means.iter().map(|mean| unit.place(*mean)).collect();
+        let length_one = |n: &[f32; 3]| Vec3::from(*n).normalize_or_zero().to_array();
+        let normals: Vec<[f32; 3]> = splats.normals.iter().flatten().map(length_one).collect();
+        let nearest = nearest_surfels(&places, &normals, &surfels.discs, &near);
+        let mean = surfels.mean_albedo();
+        let room = Room {
+            device: device.clone(),
+            unit,
+            surfels,
+            enclosure,
+            scene: Arc::new(scene),
+            nearest,
+            albedo: [mean; FACES],
+        };
+        Ok((room, SeenViews::new(views, cameras)))
+    }
+
+    /// Sets the albedo of the faces of the enclosure: low x, high x, low y, high y, low z, high z.
+    #[must_use]
+    pub fn with_enclosure(mut self, albedo: [[f32; 3]; FACES]) -> Room {
+        self.albedo = albedo;
+        self
+    }
+
+    /// Returns the corners of the enclosure in world units.
+    pub fn bounds(&self) -> [[f32; 3]; 2] {
+        [self.enclosure.low(), self.enclosure.high()].map(|corner| self.unit.inverse().place(corner))
+    }
+
+    /// Returns the number of surfels.
+    pub fn surfels(&self) -> usize {
+        self.surfels.len()
+    }
+
+    /// Returns what shading the room's Gaussians under lights needs.
+    ///
+    /// Lights are in world units. `emission` holds the radiance that each Gaussian emits. It is visible, but does not light the
+    /// room.
+    ///
+    /// # Errors
+    /// If a light is invalid or the device fails.
+    pub fn light(&self, lights: &[AreaLight], emission: &[[f32; 3]], bounces: Bounces) -> Result<ShadedTransport> {
+        let lights = self.scaled(lights)?;
+        let count = self.scene.receivers() as usize;
+        let unit = self.scene.unit_light(&lights)?;
+        let reflectance = self.reflectance();
+        let mut source = vec![0.0; 3 * count];
+        for (light, unit) in lights.iter().zip(unit.chunks_exact(count)) {
+            for (i, e) in unit.iter().enumerate() {
+                for c in 0..3 {
+                    source[3 * i + c] += light.color[c] * e * reflectance[3 * i + c] / PI;
+                }
+            }
+        }
+        let irradiance = match bounces {
+            Bounces::None => vec![0.0; 3 * count],
+            // The first Jacobi iteration gathers the radiosity of direct light: light after one bounce.
+            Bounces::One => {
+                let options = SolveOptions { iterations: 1, accelerated: false, ..Default::default() };
+                self.scene.solve(&reflectance, &source, &options)?
+            }
+            Bounces::All => self.scene.solve(&reflectance, &source, &SolveOptions::default())?,
+        };
+        let (device, scene) = (&self.device, Arc::clone(&self.scene));
+        Ok(ShadedTransport::new(device, scene, &lights, &self.nearest, &irradiance, emission)?)
+    }
+
+    /// Converts lights to the unit of the device, and checks them.
+    fn scaled(&self, lights: &[AreaLight]) -> Result<Vec<AreaLight>> {
+        let by = (1.0 / self.unit.length()) as f32;
+        lights
+            .iter()
+            .map(|light| {
+                light.check()?;
+                Ok(light.scaled(by))
+            })
+            .collect()
+    }
+
+    /// Returns the reflectance of all receivers, `[receivers * 3]`.
+    fn reflectance(&self) -> Vec<f32> {
+        let patches = self.enclosure.patches();
+        let of_patches = patches.iter().flat_map(|p| self.albedo[p.face as usize].map(|a| (a + SHEEN as f32).min(1.0)));
+        self.surfels.materials.iter().flat_map(reflectance).chain(of_patches).collect()
+    }
+}
+
+/// Returns options of the search for nearest surfels.
+///
+/// `diagonal`: that of the room. `cell`: edge of a cell.
+pub(crate) fn near(diagonal: f32, cell: f32) -> NearestOptions {
+    NearestOptions { normal_length: NORMAL_SHARE * diagonal, least_distance: 0.1 * cell }
+}
+
+/// Returns the hemispherical reflectance of a surfel, diffuse and specular.
+pub(crate) fn reflectance(m: &SurfelMaterial) -> [f32; 3] {
+    // Seen at a cosine of 0.6, which stands for all directions.
+    let specular = specular(m, 0.6);
+    [0, 1, 2].map(|c| (m.albedo[c] * (1.0 - m.metallic) + specular[c]).min(1.0))
+}
+
+/// Returns the hemispherical reflectance of the specular lobe.
+///
+/// `facing` is the cosine between normal and direction to the viewer. Source: Karis 2014, an approximation of the split sum.
+pub(crate) fn specular(m: &SurfelMaterial, facing: f32) -> [f32; 3] {
+    let r = m.roughness;
+    let q = [1.0 - r, 0.0425 - 0.0275 * r, 1.04 - 0.572 * r, 0.022 * r - 0.04];
+    let a = (q[0] * q[0]).min((-9.28 * facing).exp2()) * q[0] + q[1];
+    let (scale, bias) = (q[2] - 1.04 * a, q[3] + 1.04 * a);
+    m.albedo.map(|albedo| ((0.04 * (1.0 - m.metallic) + albedo * m.metallic) * scale + bias).clamp(0.0, 1.0))
+}
