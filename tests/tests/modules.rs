@@ -25,6 +25,7 @@ const CRATES: &[&str] = &[
     "tools/study",
     "tools/synth",
     "tools/train",
+    "tools/transport",
     "tools/view",
 ];
 

@@ -12,10 +12,10 @@ use crate::error::Result;
 use crate::fit::{FACES, Fitter, Radiosity, Samples, UnitLight};
 use crate::room::{Room, SHEEN, near, reflectance, specular};
 use crate::surfels::seen;
-use glam::{DVec3, Vec3};
-use sgs_passes::pipeline::Shaded;
+use crate::views::SeenViews;
+use glam::Vec3;
 use sgs_passes::transport::{AreaLight, LightShape, nearest_surfels};
-use sgs_scene::{Camera, Image, Splats};
+use sgs_scene::{Image, Splats};
 use std::collections::BTreeMap;
 
 /// Maximum number of pixels of a view that the fit compares.
@@ -37,14 +37,6 @@ const BATCH: usize = 32;
 /// Minimum power of an emitter, as a share of that of the most powerful one.
 const LEAST_POWER: f32 = 1e-4;
 
-/// Surfaces that the training views show, with their cameras.
-pub struct SeenViews {
-    views: Vec<Shaded>,
-    cameras: Vec<Camera>,
-    /// Position of each camera in world units.
-    from: Vec<[f32; 3]>,
-}
-
 /// Emitters and enclosure that explain photographs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Explained {
@@ -65,22 +57,6 @@ struct Compared {
     samples: Samples,
     points: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
-}
-
-impl SeenViews {
-    /// Creates the views of cameras.
-    pub(crate) fn new(views: Vec<Shaded>, cameras: &[Camera]) -> SeenViews {
-        let from = cameras.iter().map(|c| c.position().as_vec3().to_array()).collect();
-        SeenViews { views, cameras: cameras.to_vec(), from }
-    }
-
-    /// Returns the pixel onto which a view projects a point in world units.
-    fn pixel(&self, view: usize, point: [f32; 3]) -> Option<usize> {
-        let camera = &self.cameras[view];
-        let at = camera.project(DVec3::from(point.map(f64::from)))?;
-        let inside = at.x >= 0.0 && at.y >= 0.0 && at.x < f64::from(camera.width) && at.y < f64::from(camera.height);
-        inside.then(|| at.y as usize * camera.width as usize + at.x as usize)
-    }
 }
 
 impl Room {

@@ -11,10 +11,12 @@ mod fit;
 mod fitted;
 mod room;
 mod surfels;
+mod views;
 
 pub use emitters::{FoundEmitter, find_emitters};
 pub use error::{Result, TransportError};
-pub use explain::{Explained, SeenViews};
+pub use explain::Explained;
 pub use fitted::{FittedRoom, fit_room, room_of};
 pub use room::{Bounces, Room, RoomOptions};
 pub use surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};
+pub use views::SeenViews;

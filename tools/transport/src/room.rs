@@ -3,9 +3,9 @@
 //! Cells are those into which surfels are clustered ([`crate::surfels`]).
 
 use crate::error::{Result, TransportError};
-use crate::explain::SeenViews;
 use crate::fit::FACES;
 use crate::surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};
+use crate::views::SeenViews;
 use glam::Vec3;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
