@@ -3,7 +3,7 @@
 //! 1. Emitters that photographs show are candidates ([`crate::emitters`]).
 //! 2. The fit ([`crate::fit`]) finds their colors and the albedo of the enclosure.
 //! 3. Each sphere moves to where it explains the photographs best.
-//! 4. Hidden lamps, which no photograph shows well enough, are searched on a grid. The position that explains the photographs
+//! 4. Hidden lights, which no photograph shows well enough, are searched on a grid. The position that explains the photographs
 //!    best becomes an emitter if the PSNR rises by [`LEAST_GAIN`].
 //! 5. The fit runs again. Candidates that it leaves dark are removed.
 
@@ -26,11 +26,11 @@ const ROUNDS: usize = 3;
 const STEPS: [f32; 2] = [2.0, 0.25];
 /// Maximum number of emitters that photographs show; the largest ones count.
 const MOST_FOUND: usize = 64;
-/// Maximum spacing of the grid of hidden lamps, as a share of the room's diagonal.
+/// Maximum spacing of the grid of hidden lights, as a share of the room's diagonal.
 const GRID: f32 = 0.1;
-/// Maximum number of hidden lamps.
+/// Maximum number of hidden lights.
 const HIDDEN: usize = 2;
-/// Minimum gain of PSNR by a hidden lamp, in dB.
+/// Minimum gain of PSNR by a hidden light, in dB.
 const LEAST_GAIN: f64 = 0.1;
 /// Number of lights per dispatch.
 const BATCH: usize = 32;
@@ -191,7 +191,7 @@ impl Room {
         Ok(())
     }
 
-    /// Adds the hidden lamp that explains the photographs best.
+    /// Adds the hidden light that explains the photographs best.
     ///
     /// Returns false, and adds none, if none gains [`LEAST_GAIN`].
     fn add_hidden<'a>(

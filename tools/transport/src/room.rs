@@ -20,7 +20,7 @@ use std::sync::Arc;
 const OFFSET: f32 = 0.4;
 /// Distance before a light at which shadow rays end, in edges of a cell.
 ///
-/// Reconstructed surfaces of windows and lamps often lie in front of the true ones, and must not hide the light.
+/// Reconstructed surfaces of emitters often lie in front of the true ones, and must not hide the light.
 const CLEARANCE: f32 = 3.0;
 /// Edge of a patch of the enclosure, as a share of the diagonal of the room.
 const PATCH_SHARE: f32 = 0.04;
