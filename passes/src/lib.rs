@@ -4,6 +4,7 @@
 //! Gaussians, lights and images, but not files or the command line.
 
 mod accuracy;
+mod bvh;
 pub mod cost;
 pub mod kernel;
 pub mod loss;

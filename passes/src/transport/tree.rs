@@ -3,18 +3,14 @@
 //! The discs' boxes form a BVH with eight children per node (obvhs: PLOC with reinsertion; Ylitie et al. 2017). Cost: 80
 //! bytes per visited node and 32 per tested disc. Memory: about 50 bytes per surfel.
 
+use crate::bvh::{Boxed, Bvh, STACK};
 use crate::rng::{random_bits, uniform_from};
 use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;
-use obvhs::cwbvh::builder::build_cwbvh;
-use obvhs::{Boundable, BvhBuildParams};
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use sgs_shaders::structs::SurfelDisc;
-
-/// Maximum depth of a tree that kernels can traverse.
-const STACK: usize = 32;
 
 /// One-sided discs that stand for the surfaces of a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -139,14 +135,6 @@ impl SurfelHandles {
     }
 }
 
-struct Boxed(Aabb);
-
-impl Boundable for Boxed {
-    fn aabb(&self) -> Aabb {
-        self.0
-    }
-}
-
 impl SurfelTree {
     /// Builds the tree. Leaves out surfels with values that are not finite, without a normal or without an area.
     ///
@@ -162,19 +150,8 @@ impl SurfelTree {
             // One node without children.
             return Ok(SurfelTree { nodes: vec![0; 20], discs: vec![SurfelDisc::default()] });
         }
-        let tree = build_cwbvh(&boxes, BvhBuildParams::medium_build(), &mut Default::default());
-        let mut depth = 0;
-        let mut open = vec![(0_usize, 1_usize)];
-        while let Some((node, level)) = open.pop() {
-            depth = depth.max(level);
-            let node = &tree.nodes[node];
-            open.extend((0..8).filter(|c| !node.is_leaf(*c)).map(|c| (node.child_node_index(c) as usize, level + 1)));
-        }
-        if depth > STACK {
-            return Err(TreeError::Depth { discs: discs.len(), depth });
-        }
-        let nodes = bytemuck::cast_slice(&tree.nodes).to_vec();
-        Ok(SurfelTree { nodes, discs: tree.primitive_indices.iter().map(|&i| discs[i as usize]).collect() })
+        let Bvh { nodes, order } = Bvh::new(&boxes).map_err(|depth| TreeError::Depth { discs: discs.len(), depth })?;
+        Ok(SurfelTree { nodes, discs: order.iter().map(|&i| discs[i as usize]).collect() })
     }
 
     /// Returns the number of surfels in the tree; a tree without surfels has one that no ray meets.

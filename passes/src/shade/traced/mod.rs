@@ -22,14 +22,13 @@ pub use lights::{Sight, lights_bwd_traced, lights_normals_bwd_traced, lights_spl
 use super::Surfaces;
 use super::lights::Lights;
 use crate::Tuning;
+use crate::bvh::{Boxed, Bvh, STACK};
 use crate::kernel::{groups, stage};
 use crate::rng::{random_bits, uniform_from};
 use crate::scene::{GaussianData, Group};
 use crate::splat::Screen;
 use glam::{Mat3, Quat, Vec3, Vec3A};
 use obvhs::aabb::Aabb;
-use obvhs::cwbvh::builder::build_cwbvh;
-use obvhs::{Boundable, BvhBuildParams};
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -39,8 +38,6 @@ use sgs_shaders::{lights_traced as lit, visibility_traced as kernel};
 const ALPHA_MIN: f32 = 1.0 / 255.0;
 /// Default capacity in bytes: half a million pixels under 64 lights.
 const ROOM: u64 = 32 << 20;
-/// Maximum depth of a tree that kernels can traverse.
-const STACK: usize = 32;
 
 /// Gaussian in the layout of ray tracing. Rows of the matrix that transforms the Gaussian to a unit sphere, mean,
 /// opacity.
@@ -136,14 +133,6 @@ impl Traced {
     }
 }
 
-struct Boxed(Aabb);
-
-impl Boundable for Boxed {
-    fn aabb(&self) -> Aabb {
-        self.0
-    }
-}
-
 impl TracedTree {
     /// Builds the tree of all visible Gaussians. Gaussians with values that are not finite are invisible.
     ///
@@ -155,19 +144,9 @@ impl TracedTree {
             // One node without children.
             return Ok(TracedTree { nodes: vec![0; 20], splats: vec![TracedSplat::default()] });
         }
-        let tree = build_cwbvh(&boxes, BvhBuildParams::medium_build(), &mut Default::default());
-        let mut depth = 0;
-        let mut open = vec![(0_usize, 1_usize)];
-        while let Some((node, level)) = open.pop() {
-            depth = depth.max(level);
-            let node = &tree.nodes[node];
-            open.extend((0..8).filter(|c| !node.is_leaf(*c)).map(|c| (node.child_node_index(c) as usize, level + 1)));
-        }
-        if depth > STACK {
-            return Err(TracedError::Depth { splats: splats.len(), depth });
-        }
-        let nodes = bytemuck::cast_slice(&tree.nodes).to_vec();
-        Ok(TracedTree { nodes, splats: tree.primitive_indices.iter().map(|&i| splats[i as usize]).collect() })
+        let Bvh { nodes, order } =
+            Bvh::new(&boxes).map_err(|depth| TracedError::Depth { splats: splats.len(), depth })?;
+        Ok(TracedTree { nodes, splats: order.iter().map(|&i| splats[i as usize]).collect() })
     }
 
     /// Returns the number of Gaussians in the tree.
