@@ -67,7 +67,9 @@ void main() {
 #endif
     LightRecord record = light_records[light];
     float exact = 0.0;
-    if (here && normal != vec3(0.0)) exact = light_irradiance(record, point, normal);
+    // False where a value is not finite.
+    here = here && dot(normal, normal) > 0.0 && dot(point, point) < 1e36;
+    if (here) exact = light_irradiance(record, point, normal);
     float result = 0.0;
     if (exact > 0.0) {
         bool extent = record.kind != LIGHT_POINT && record.kind != LIGHT_SPOT &&

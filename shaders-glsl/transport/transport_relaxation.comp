@@ -12,7 +12,7 @@ layout(push_constant, scalar) uniform Push {
     uint receivers;
     uint stride;     // between the receivers that count
     uint iterations;
-    float share;     // of the spectral radius; 0: Jacobi's iteration
+    float share;     // of the spectral radius: the focus of the ellipse of eigenvalues; 0: Jacobi's iteration
 } push;
 
 IN(vec3, reflectance);  // [receivers]
