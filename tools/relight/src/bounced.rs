@@ -206,3 +206,6 @@ fn nearest(emitter: &AreaLight, list: &[TrueLight]) -> Option<(usize, f32)> {
     let places = list.iter().enumerate().filter_map(|(i, l)| Some((i, center(&l.as_area()?)?.distance(at))));
     places.min_by(|a, b| a.1.total_cmp(&b.1))
 }
+
+#[cfg(test)]
+mod closures;

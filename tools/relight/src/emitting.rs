@@ -13,7 +13,7 @@ use sgs_transport::{Bounces, Room, room_of};
 pub struct Emitting {
     /// Emitters and enclosure.
     pub file: EmitterFile,
-    room: Room,
+    pub(crate) room: Room,
     /// Whether each emitter is where its surface is.
     in_place: Vec<bool>,
 }
@@ -82,11 +82,7 @@ impl Emitting {
         radiance: &[[f32; 3]],
         bounces: Bounces,
     ) -> Result<ShadedScene> {
-        let of = |i: usize| match splats.emitters.as_ref().map_or(0, |e| e[i]) {
-            0 => [0.0; 3],
-            number => radiance.get(number as usize - 1).copied().unwrap_or([0.0; 3]),
-        };
-        let emission: Vec<[f32; 3]> = (0..splats.len()).map(of).collect();
+        let emission = emission(splats, radiance);
         let mut scene = shaded_scene(device, splats, None, None, &Visibility::None)?;
         scene.transport = Some(self.room.light(lights, &emission, bounces)?);
         Ok(scene)
@@ -102,4 +98,13 @@ impl Emitting {
         let radiance: Vec<[f32; 3]> = lights.iter().zip(&self.in_place).map(here).collect();
         self.shaded(device, splats, &lights, &radiance, Bounces::All)
     }
+}
+
+/// Returns the radiance that each Gaussian emits. `radiance` holds that of each emitter.
+pub(crate) fn emission(splats: &Splats, radiance: &[[f32; 3]]) -> Vec<[f32; 3]> {
+    let of = |i: usize| match splats.emitters.as_ref().map_or(0, |e| e[i]) {
+        0 => [0.0; 3],
+        number => radiance.get(number as usize - 1).copied().unwrap_or([0.0; 3]),
+    };
+    (0..splats.len()).map(of).collect()
 }

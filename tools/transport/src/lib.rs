@@ -17,6 +17,6 @@ pub use emitters::{FoundEmitter, find_emitters};
 pub use error::{Result, TransportError};
 pub use explain::Explained;
 pub use fitted::{FittedRoom, fit_room, room_of};
-pub use room::{Bounces, Room, RoomOptions};
+pub use room::{Bounces, LitRoom, Room, RoomOptions};
 pub use surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};
 pub use views::SeenViews;

@@ -63,6 +63,22 @@ pub enum Bounces {
     All,
 }
 
+/// Direct light of a room. Lengths are in the unit of the surfels.
+pub struct LitRoom<'a> {
+    /// Transport matrix. Receivers are surfels, then patches of the enclosure.
+    pub scene: &'a TransportScene,
+    /// Surfels.
+    pub surfels: &'a RoomSurfels,
+    /// Box whose patches close the room.
+    pub enclosure: &'a Enclosure,
+    /// Lights.
+    pub lights: &'a [AreaLight],
+    /// Reflectance of the receivers, `[receivers * 3]`.
+    pub reflectance: Vec<f32>,
+    /// Radiosity without bounces, as a radiance, `[receivers * 3]`.
+    pub source: Vec<f32>,
+}
+
 /// Surfaces of a room that exchange light.
 pub struct Room {
     device: Device,
@@ -162,6 +178,29 @@ impl Room {
     /// # Errors
     /// If a light is invalid or the device fails.
     pub fn light(&self, lights: &[AreaLight], emission: &[[f32; 3]], bounces: Bounces) -> Result<ShadedTransport> {
+        self.light_by(lights, emission, |lit| match bounces {
+            Bounces::None => Ok(vec![0.0; lit.source.len()]),
+            // The first Jacobi iteration gathers the radiosity of direct light: light after one bounce.
+            Bounces::One => {
+                let options = SolveOptions { iterations: 1, accelerated: false, ..Default::default() };
+                Ok(lit.scene.solve(&lit.reflectance, &lit.source, &options)?)
+            }
+            Bounces::All => Ok(lit.scene.solve(&lit.reflectance, &lit.source, &SolveOptions::default())?),
+        })
+    }
+
+    /// Returns the same with bounces by a function.
+    ///
+    /// `bounced` returns the irradiance that bounces, `[receivers * 3]`. Gaussians gather that of the surfels.
+    ///
+    /// # Errors
+    /// If a light is invalid, `bounced` fails, or the device fails.
+    pub fn light_by(
+        &self,
+        lights: &[AreaLight],
+        emission: &[[f32; 3]],
+        bounced: impl FnOnce(&LitRoom<'_>) -> Result<Vec<f32>>,
+    ) -> Result<ShadedTransport> {
         let lights = self.scaled(lights)?;
         let count = self.scene.receivers() as usize;
         let unit = self.scene.unit_light(&lights)?;
@@ -174,15 +213,9 @@ impl Room {
                 }
             }
         }
-        let irradiance = match bounces {
-            Bounces::None => vec![0.0; 3 * count],
-            // The first Jacobi iteration gathers the radiosity of direct light: light after one bounce.
-            Bounces::One => {
-                let options = SolveOptions { iterations: 1, accelerated: false, ..Default::default() };
-                self.scene.solve(&reflectance, &source, &options)?
-            }
-            Bounces::All => self.scene.solve(&reflectance, &source, &SolveOptions::default())?,
-        };
+        let (scene, surfels, enclosure) = (&*self.scene, &self.surfels, &self.enclosure);
+        let lit = LitRoom { scene, surfels, enclosure, lights: &lights, reflectance, source };
+        let irradiance = bounced(&lit)?;
         let (device, scene) = (&self.device, Arc::clone(&self.scene));
         Ok(ShadedTransport::new(device, scene, &lights, &self.nearest, &irradiance, emission)?)
     }
