@@ -1,4 +1,4 @@
-//! Benchmark of transport: rays, a solve, its adjoint and the irradiance of Gaussians.
+//! Benchmark of transport: rays, a solve, its adjoint, sums of responses and the irradiance of Gaussians.
 //!
 //! A furnished room of 8192 surfels in an enclosure, 64 rays each. Some rays are checked against all discs. The solve is
 //! checked by one more bounce of the reference; the adjoint by the identity of scalar products with the solve.
@@ -10,12 +10,12 @@ use crate::stats::Summary;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::cost::Counts;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::transport::{Disc, Matrix, V3, direction};
+use sgs_passes::reference::transport::{self as reference, Disc, Matrix, V3, direction};
 use sgs_passes::transport::{
-    AdjointInputs, Enclosure, GatherColumns, GatherInputs, MatrixColumns, MatrixRows, MatrixShape, NearestOptions,
-    Solution, SolveGradients, SolveInputs, SolveOptions, SurfelTree, Surfels, TransportRays, irradiance_gather,
-    irradiance_gather_bwd, nearest_surfels, receivers, transport_adjoint, transport_rays, transport_rows,
-    transport_solve, transposed,
+    AdjointInputs, Enclosure, GatherColumns, GatherInputs, GaussianEmitters, MatrixColumns, MatrixRows, MatrixShape,
+    NearestOptions, Responses, Solution, SolveGradients, SolveInputs, SolveOptions, SurfelTree, Surfels, TransportRays,
+    gaussian_emission, irradiance_gather, irradiance_gather_bwd, nearest_surfels, receivers, response_sum,
+    transport_adjoint, transport_rays, transport_rows, transport_solve, transposed,
 };
 use std::time::Instant;
 
@@ -25,6 +25,8 @@ const SURFELS: usize = 8192;
 const RAYS: u32 = 64;
 /// Number of rays that the reference traces.
 const CHECKED: usize = 512;
+/// Number of emitters whose responses are added.
+const EMITTERS: u32 = 8;
 /// Corners of the room, in meters.
 const ROOM: [[f32; 3]; 2] = [[0.0; 3], [6.0, 5.0, 2.7]];
 /// Distance above surfels at which rays begin.
@@ -42,6 +44,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         case.solve(c, report, accelerated)?;
     }
     case.adjoint(c, report)?;
+    case.responses(c, report)?;
     case.gather(c, report, &surfels)
 }
 
@@ -269,6 +272,43 @@ impl Case {
         let (one, other) = (dot(&found, &self.source), dot(&direction, &solved.1));
         anyhow::ensure!((one / other - 1.0).abs() < 2e-3, "Scalar products of the adjoint are {one} and {other}.");
         report.check(format!("transport: scalar products of the adjoint differ by {:.1e}", (one / other - 1.0).abs()));
+        Ok(())
+    }
+
+    /// Measures the sum of responses, and the emission of Gaussians.
+    fn responses(&self, c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+        let (receivers, count) = (self.shape.receivers, c.workload.start.len() as u32);
+        let mut g = Graph::new("response_sum");
+        let a = Responses {
+            lights: EMITTERS,
+            receivers,
+            responses: g.input("responses", 12 * u64::from(EMITTERS) * u64::from(receivers)),
+            colors: g.input("colors", 12 * u64::from(EMITTERS)),
+        };
+        let emitters = GaussianEmitters {
+            gaussians: count,
+            emitters: EMITTERS,
+            numbers: g.input("numbers", 4 * u64::from(count)),
+            radiance: a.colors,
+        };
+        let irradiance = g.external("irradiance", 12 * u64::from(receivers));
+        let values = g.external("values", 16 * u64::from(count));
+        response_sum(&mut g, &c.tuning, &a, irradiance)?;
+        gaussian_emission(&mut g, &c.tuning, &emitters, values)?;
+        let mut rng = Pcg::new(19);
+        let mut random = |n: u32| (0..n).map(|_| [0; 3].map(|_| rng.range(0.0, 2.0))).collect::<Vec<V3>>();
+        let (responses, colors) = (random(EMITTERS * receivers), random(EMITTERS));
+        let numbers: Vec<u32> = (0..count).map(|i| i % (EMITTERS + 1)).collect();
+        let inputs =
+            vec![(a.responses, floats(&responses)), (a.colors, floats(&colors)), (emitters.numbers, bytes(&numbers))];
+        let rig = Case::measure(c, report, "sum of responses", g, inputs)?;
+        let by_emitter: Vec<Vec<V3>> = responses.chunks(receivers as usize).map(<[V3]>::to_vec).collect();
+        let expected = reference::response_sum(&by_emitter, &colors, receivers as usize);
+        let found = triples(&rig.get::<f32>(irradiance)?);
+        let apart = |a: &V3, b: &V3| (0..3).map(|k| (a[k] - b[k]).abs() / b[k].max(1e-3)).fold(0.0, f64::max);
+        let off = found.iter().zip(&expected).map(|(a, b)| apart(a, b)).fold(0.0, f64::max);
+        anyhow::ensure!(off < 1e-5, "The sum of responses differs by {off} from the reference.");
+        report.check(format!("transport: the sum of {EMITTERS} responses differs by {off:.1e} from the reference"));
         Ok(())
     }
 

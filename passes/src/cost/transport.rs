@@ -50,6 +50,10 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "irradiance_gather" => (80.0 * receivers + 12.0 * push(1) * push(2), 48.0 * receivers),
         // Eight entries per Gaussian; the gradients once.
         "irradiance_gather_bwd" => (80.0 * c.gaussians + 16.0 * receivers, 48.0 * c.gaussians),
+        // Responses of all emitters, colors, and the sum.
+        "response_sum" => (12.0 * (values + receivers + lights), 6.0 * values),
+        // A number read and four written; behind the Gaussians, the number of emitters.
+        "gaussian_emission" => (20.0 * receivers + 12.0 * lights, receivers),
         _ => return None,
     };
     Some(Cost { bytes, operations })

@@ -2,7 +2,7 @@
 //!
 //! Light comes from point lights and an environment map.
 
-use super::transport::{ShadedTransport, Terms};
+use super::transport::{EmitterHandles, FrameEmitter, ShadedTransport, Terms};
 use super::{EnvironmentMemory, Step, Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
 use crate::scene::{Gaussians, Trainable, TrainableHandles};
@@ -57,6 +57,16 @@ impl ShadedScene {
         camera.position.iter_mut().for_each(|v| *v *= by);
         camera.near *= by;
         camera
+    }
+
+    /// Changes the emitters of a scene whose light changes with each frame, in world units.
+    ///
+    /// Frames of [`super::LitView`] bring their own. Does nothing unless there are as many emitters in the scene.
+    pub fn set_emitters(&mut self, emitters: &[FrameEmitter]) {
+        let by = 1.0 / self.unit;
+        if let Some(t) = self.transport.as_mut().filter(|t| t.emitters() as usize == emitters.len()) {
+            t.set_emitters(emitters.iter().map(|e| e.scaled(by)).collect());
+        }
     }
 }
 
@@ -165,6 +175,8 @@ struct State {
     outputs: Vec<DeviceBuffer>,
     /// Terms of physical lights and of bounced light, in the order of [`TERMS`].
     terms: Vec<DeviceBuffer>,
+    /// Uniforms of emitters whose light changes.
+    emitters: Option<EmitterHandles>,
 }
 
 /// Names of the terms of physical lights and of bounced light.
@@ -218,6 +230,20 @@ impl Shader {
             self.seen = None;
         }
         shaded
+    }
+
+    /// Shades the last view again under the current lights and downloads all outputs.
+    ///
+    /// Reuses the surface of that view if `camera` is its camera.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn shade_again(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<Shaded> {
+        if self.again(scene, camera)?.is_none() {
+            return self.shade(scene, camera);
+        }
+        let (Some(state), Some(surface)) = (&self.state, &self.surface) else { return Ok(Shaded::default()) };
+        state.download(&self.device, scene, surface, &scene.camera(camera))
     }
 
     /// Shades a view without readback and returns the duration.
@@ -454,7 +480,8 @@ impl State {
             memory.bind(&mut exec, handles)?;
         }
         let field = field.map(|f| f.field.step);
-        Ok(State { shape, exec, step, surface, field, hidden, outputs, terms: term_memory })
+        let emitters = transport.as_ref().and_then(|(_, declared, _)| declared.emitters());
+        Ok(State { shape, exec, step, surface, field, hidden, outputs, terms: term_memory, emitters })
     }
 
     /// Computes all outputs for a view of a surface.
@@ -474,6 +501,10 @@ impl State {
         let mut uniforms = vec![(self.step, bytemuck::bytes_of(&step))];
         if let Some(field) = self.field {
             uniforms.push((field, bytemuck::bytes_of(&place)));
+        }
+        let frame = scene.transport.as_ref().map(ShadedTransport::uniforms);
+        if let (Some(handles), Some(frame)) = (&self.emitters, &frame) {
+            uniforms.extend(frame.of(handles));
         }
         self.exec.submit(&uniforms)?;
         self.exec.finish()

@@ -11,6 +11,7 @@ mod lights;
 mod matrix;
 mod nearest;
 mod rays;
+mod responses;
 mod shade;
 mod solve;
 mod tree;
@@ -25,6 +26,7 @@ pub use lights::{LIGHT_SAMPLES, LightReceivers, ShadowRays, transport_lights};
 pub use matrix::{MatrixColumns, MatrixRows, MatrixShape, Transposed, transport_rows, transposed};
 pub use nearest::NO_NEIGHBOR;
 pub use rays::{TransportRays, transport_rays};
+pub use responses::{GaussianEmitters, Responses, gaussian_emission, response_sum};
 pub use shade::{ShadeGradients, ShadeTerms, TransportShading, split_sum_table, transport_shade, transport_shade_bwd};
 pub use solve::{
     AdjointInputs, Solution, SolveGradients, SolveInputs, SolveOptions, transport_adjoint, transport_bounce,

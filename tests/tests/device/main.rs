@@ -49,6 +49,7 @@ mod traced;
 mod traced_lights;
 mod transport;
 mod transport_lights;
+mod transport_responses;
 mod transport_shade;
 mod transport_solve;
 mod view;

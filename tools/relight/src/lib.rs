@@ -6,6 +6,7 @@
 mod bake;
 mod bounced;
 mod edit;
+mod emitter_table;
 mod emitters;
 mod emitting;
 mod environment;

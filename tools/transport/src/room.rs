@@ -9,7 +9,7 @@ use crate::views::SeenViews;
 use glam::Vec3;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Shaded, ShadedTransport, TransportOptions, TransportScene};
+use sgs_passes::pipeline::{FrameEmitter, Shaded, ShadedTransport, TransportOptions, TransportScene};
 use sgs_passes::transport::{AreaLight, Enclosure, Nearest, NearestOptions, SolveOptions, SurfelTree, nearest_surfels};
 use sgs_run::{Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Splats, Unit};
@@ -185,6 +185,24 @@ impl Room {
         };
         let (device, scene) = (&self.device, Arc::clone(&self.scene));
         Ok(ShadedTransport::new(device, scene, &lights, &self.nearest, &irradiance, emission)?)
+    }
+
+    /// Returns what shading the room's Gaussians under emitters needs whose colors change with each frame.
+    ///
+    /// Traces the shadow rays and solves the bounces of each emitter once. `numbers` holds the emitter of each Gaussian,
+    /// from 1, or 0. Emitters are in world units.
+    ///
+    /// # Errors
+    /// If a light is invalid or the device fails.
+    pub fn respond(&self, emitters: &[FrameEmitter], numbers: &[u32]) -> Result<ShadedTransport> {
+        let lights: Vec<AreaLight> = emitters.iter().map(|e| e.light).collect();
+        let lights = self.scaled(&lights)?;
+        let unit = self.scene.unit_light(&lights)?;
+        let responses = self.scene.responses(&self.reflectance(), &unit, &SolveOptions::default())?;
+        let place = |(light, e): (&AreaLight, &FrameEmitter)| FrameEmitter { light: *light, ..*e };
+        let scaled: Vec<FrameEmitter> = lights.iter().zip(emitters).map(place).collect();
+        let (device, scene) = (&self.device, Arc::clone(&self.scene));
+        Ok(ShadedTransport::with_responses(device, scene, &scaled, &self.nearest, &responses, numbers)?)
     }
 
     /// Converts lights to the unit of the device, and checks them.

@@ -2,9 +2,11 @@
 
 mod matrix;
 mod rays;
+mod responses;
 
 pub use matrix::Matrix;
 pub use rays::{Bounds, Disc, Possible, direction, gather, gather_bwd};
+pub use responses::{gaussian_emission, response_sum};
 
 /// Three numbers.
 pub type V3 = [f64; 3];
