@@ -1,12 +1,14 @@
 //! Light handles: drawing, picking, dragging, dimming, coloring; and the resulting edit.
 //!
-//! Guarantees: handles lie at the projected positions of their lights. An edit gives `sgs relight` the lights of the
+//! Emitters of a run take the place of lights. Guarantees: handles lie at the projected positions of their lights. An edit gives `sgs relight` the lights of the
 //! window. [`Relighter`] owns the lights.
 
 use crate::error::Result;
 use glam::{DVec2, DVec3};
 use sgs_passes::splat::{MARK_HOLLOW, MARK_RINGED, Mark};
-use sgs_relight::{Edit, EnvironmentEdit, LightChange, LightEdit, LightParameters, NewLight, Relighter};
+use sgs_relight::{
+    Edit, EmitterChange, EmitterEdit, EnvironmentEdit, LightChange, LightEdit, LightParameters, NewLight, Relighter,
+};
 use sgs_scene::{Camera, linear_to_srgb};
 
 /// Largest number of drawn handles.
@@ -82,11 +84,12 @@ impl Handles {
         Ok(best.map(|(_, light)| light))
     }
 
-    /// Selects a light and starts dragging it.
+    /// Selects a light and starts dragging it. Emitters stay where they are.
     pub fn grab(&mut self, relighter: &Relighter, camera: &Camera, light: usize, at: DVec2) -> Result<()> {
         let light_parameters = relighter.light(light)?;
         self.chosen = Some(light);
-        self.held = seen(&light_parameters, camera).map(|p| (light, depth(&light_parameters, camera), p - at));
+        let place = seen(&light_parameters, camera).filter(|_| !relighter.has_emitters());
+        self.held = place.map(|p| (light, depth(&light_parameters, camera), p - at));
         Ok(())
     }
 
@@ -181,6 +184,9 @@ impl Handles {
 
     /// Returns the edit for `sgs relight --edit`.
     pub fn edit(&self, relighter: &Relighter) -> Result<Edit> {
+        if relighter.has_emitters() {
+            return Ok(Edit { emitters: self.emitter_edit(relighter)?, ..Default::default() });
+        }
         let mut lights = LightEdit::default();
         for (number, before) in self.before.iter().enumerate() {
             let now = relighter.light(number)?;
@@ -206,6 +212,24 @@ impl Handles {
         }
         let scale = (self.sky != 1.0).then_some(self.sky);
         Ok(Edit { lights, environment: EnvironmentEdit { scale, ..Default::default() }, ..Default::default() })
+    }
+
+    /// Returns the changes of emitters.
+    fn emitter_edit(&self, relighter: &Relighter) -> Result<EmitterEdit> {
+        let mut edit = EmitterEdit::default();
+        for (number, before) in self.before.iter().enumerate() {
+            let now = relighter.light(number)?;
+            if now != *before {
+                edit.change.push(EmitterChange {
+                    emitter: Some(relighter.emitter(number)?.name.clone()),
+                    on: (now.on != before.on).then_some(now.on),
+                    intensity: (now.gain != before.gain).then(|| now.gain / before.gain),
+                    color: (now.color != before.color).then_some(now.color),
+                    by: None,
+                });
+            }
+        }
+        Ok(edit)
     }
 }
 
