@@ -75,3 +75,23 @@ fn what_emitters_cannot_show_is_refused() {
     assert!(!Path::new(&out).exists());
     render(&["--channels", "pbr", "--scene", &text("moved")]).ok();
 }
+
+#[test]
+fn report_shows_each_emitter_alone_and_switched_off() {
+    let folder = tempfile::tempdir().unwrap();
+    fabricate_emitting(folder.path());
+    let text = |name: &str| folder.path().join(name).display().to_string();
+    let (run, page) = (text("run"), text("page.html"));
+    sgs(&["report", &run, "-o", &page, "--views", "1"]).ok();
+    let html = std::fs::read_to_string(&page).unwrap();
+    assert!(html.contains("id=\"emitters\"") && html.contains("<figcaption>all emitters"));
+    for name in EMITTERS {
+        for text in [format!("<figcaption>{name} alone"), format!("<figcaption>without {name}")] {
+            assert_eq!(html.matches(&text).count(), 1, "{text}");
+        }
+    }
+    assert!(html.contains("<th>light 2 (off)</th><td>point</td><td>0.0 %</td>"));
+    std::fs::remove_file(folder.path().join("run/emitters.json")).unwrap();
+    sgs(&["report", &run, "-o", &page, "--views", "1"]).ok();
+    assert!(!std::fs::read_to_string(&page).unwrap().contains("id=\"emitters\""));
+}

@@ -6,6 +6,7 @@ use super::eval::{MeasureOptions, Split, measure};
 use super::train::validated;
 use crate::cameras::splats_of;
 use crate::common::Common;
+use crate::report::emitters::{self, EmitterView};
 use crate::report::lights::{self as light_marks, LightTable};
 use crate::report::views;
 use crate::scenes::open_scene_of_run;
@@ -72,6 +73,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         metrics: &metrics,
     };
     let images = views::html(common, &device, &of_run, &shown)?;
+    let camera = &scene.views[chosen[0]].camera;
+    let at = EmitterView { scene: &scene, splats: &splats, seed: settings.seed, camera, width: a.width };
+    let emitters = emitters::html(&device, &run, &at)?;
 
     let name = run.root().canonicalize().ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
     let mut page = Page::new(&format!("SGS: {}", name.unwrap_or_else(|| a.run.display().to_string())));
@@ -93,6 +97,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         ),
     );
     page.section("lights", "Lights", lights(&run, &splats, &scene, &light_table, a.width)?);
+    page.section("emitters", "Emitters", emitters);
     page.section("curves", "Curves", chart::log(&files.log));
     page.section("profile", "Profile", profile(&files));
     page.section("summary", "Run", summary(&files, &settings, &splats, &scene, device.info().name.as_str()));
