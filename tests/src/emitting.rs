@@ -51,8 +51,9 @@ pub fn walls(half: Vec3, all: &[[f32; 3]; 6]) -> Splats {
     s
 }
 
-/// Writes the scene `ROOT/scene`, and the run `ROOT/run` with the emitters [`EMITTERS`], of which the last is off.
+/// Writes the scene `ROOT/scene` and the run `ROOT/run` with emitters.
 ///
+/// Their names are [`EMITTERS`]; the last is off.
 /// Gaussians of the far wall belong to the window.
 pub fn fabricate_emitting(root: &Path) {
     let scene = root.join("scene");

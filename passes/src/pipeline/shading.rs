@@ -59,7 +59,7 @@ impl ShadedScene {
         camera
     }
 
-    /// Changes the emitters of a scene whose light changes with each frame, in world units.
+    /// Changes the emitters of a scene with responses, in world units.
     ///
     /// Frames of [`super::LitView`] bring their own. Does nothing unless there are as many emitters in the scene.
     pub fn set_emitters(&mut self, emitters: &[FrameEmitter]) {

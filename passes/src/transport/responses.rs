@@ -18,7 +18,7 @@ pub struct Responses {
     pub lights: u32,
     /// Number of receivers.
     pub receivers: u32,
-    /// Irradiance of the receivers by each emitter of color 1, `[lights * receivers * 3]` floats.
+    /// Irradiance by each emitter of color 1, `[lights * receivers * 3]` floats.
     pub responses: Buffer,
     /// Colors of the emitters, `[lights * 3]` floats.
     pub colors: Buffer,

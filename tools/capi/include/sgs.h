@@ -695,7 +695,8 @@ SgsResult sgs_relight_emitter_get(const SgsContext *context,
                                   char *name,
                                   size_t size);
 
-// Returns one of the lights, numbered from 0 as in lights.json, or as in emitters.json if emitters light the scene.
+// Returns one of the lights, numbered from 0 as in lights.json.
+// If emitters light the scene, their numbers are those of emitters.json.
 SgsResult sgs_relight_light_get(const SgsContext *context, SgsRelight relight, uint32_t index, SgsLight *light);
 
 // Changes a light. Takes effect in frames that are recorded or submitted from now on. Neither allocates nor waits.

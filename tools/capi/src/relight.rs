@@ -214,7 +214,8 @@ fn emitter_of(row: &EmitterRow) -> SgsEmitter {
     }
 }
 
-/// Returns one of the lights, numbered from 0 as in lights.json, or as in emitters.json if emitters light the scene.
+/// Returns one of the lights, numbered from 0 as in lights.json.
+/// If emitters light the scene, their numbers are those of emitters.json.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_get(
     context: *const SgsContext,

@@ -53,7 +53,7 @@ impl Emitting {
         Ok(Emitting { file, in_place, room: self.room })
     }
 
-    /// Returns whether other emitters of the same room have the same shapes and places, whatever their colors.
+    /// Returns whether others have the same room, shapes and places.
     pub(crate) fn same_places(&self, other: &Emitting) -> bool {
         let shapes = |e: &Emitting| e.file.emitters.iter().map(|row| row.shape).collect::<Vec<_>>();
         Arc::ptr_eq(&self.room, &other.room) && shapes(self) == shapes(other)
@@ -117,7 +117,7 @@ impl Emitting {
         self.lights().into_iter().zip(&self.in_place).map(of).collect()
     }
 
-    /// Returns the Gaussians under the run's own emitters, whose light changes with each frame.
+    /// Returns the Gaussians under the run's own emitters, with responses.
     ///
     /// Solves the bounces of each emitter. Other colors then need no solve.
     ///

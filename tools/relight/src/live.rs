@@ -397,7 +397,7 @@ impl Relighter {
         Ok(scene)
     }
 
-    /// Returns the current state on the host, the input of `sgs relight`, without emitters.
+    /// Returns the current state on the host, without emitters.
     pub fn relit(&self) -> Relit {
         let splats = self.altered.as_ref().unwrap_or(&self.run.splats).clone();
         let mut environment = self.environment.clone();

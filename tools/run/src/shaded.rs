@@ -210,7 +210,9 @@ impl Shading {
         Ok(view)
     }
 
-    /// Shades the last view again as [`Shading::shade`], after [`Shading::set_emitters`] or [`Shading::set_gains`].
+    /// Shades the last view again as [`Shading::shade`], under other light.
+    ///
+    /// [`Shading::set_emitters`] and [`Shading::set_gains`] change it.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -220,7 +222,7 @@ impl Shading {
         Ok(view)
     }
 
-    /// Sets the emitters of a scene whose light changes with each frame, in world units.
+    /// Sets the emitters of a scene with responses, in world units.
     ///
     /// Their number and shapes must be those of the scene.
     pub fn set_emitters(&mut self, emitters: &[FrameEmitter]) {

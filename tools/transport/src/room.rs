@@ -187,7 +187,7 @@ impl Room {
         Ok(ShadedTransport::new(device, scene, &lights, &self.nearest, &irradiance, emission)?)
     }
 
-    /// Returns what shading the room's Gaussians under emitters needs whose colors change with each frame.
+    /// Returns what shading under emitters of changing color needs.
     ///
     /// Traces the shadow rays and solves the bounces of each emitter once. `numbers` holds the emitter of each Gaussian,
     /// from 1, or 0. Emitters are in world units.

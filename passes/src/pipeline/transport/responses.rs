@@ -20,7 +20,7 @@ pub struct FrameEmitter {
 }
 
 impl FrameEmitter {
-    /// Returns an emitter whose visible surface emits the color of its light.
+    /// Returns an emitter whose surface emits the color of its light.
     pub fn of(light: AreaLight) -> FrameEmitter {
         FrameEmitter { light, surface: light.color }
     }
@@ -34,7 +34,7 @@ impl FrameEmitter {
 /// Responses in device memory.
 #[derive(Clone, Debug)]
 pub(super) struct EmitterResponses {
-    /// Irradiance that bounces, by emitter of color 1, `[emitters * receivers * 3]` floats.
+    /// Bounced irradiance by emitter of color 1, `[emitters * receivers * 3]`.
     memory: DeviceBuffer,
     /// Number of the emitter of each Gaussian.
     numbers: DeviceBuffer,
@@ -109,7 +109,9 @@ impl FrameUniforms {
 }
 
 impl EmitterResponses {
-    /// Uploads responses, `[emitters * receivers * 3]` floats, and the numbers of the Gaussians' emitters.
+    /// Uploads responses and the numbers of the Gaussians' emitters.
+    ///
+    /// Responses are `[emitters * receivers * 3]` floats.
     ///
     /// # Errors
     /// If memory runs out.
@@ -164,7 +166,9 @@ impl EmitterResponses {
         AreaLights { records: d.emitters.records, colors: d.emitters.colors, count: self.shape.emitters }
     }
 
-    /// Adds the passes that write the irradiance of receivers and the emission of Gaussians.
+    /// Adds the passes of irradiance and emission.
+    ///
+    /// They write the irradiance of receivers and the radiance that Gaussians emit.
     ///
     /// # Errors
     /// If the graph rejects a pass.

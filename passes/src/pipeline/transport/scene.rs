@@ -236,7 +236,9 @@ impl TransportScene {
         self.device.download_as(&of_unit, values)
     }
 
-    /// Returns the irradiance that arrives by bounces from each light of color 1, `[lights * receivers * 3]` floats.
+    /// Returns the bounced irradiance from each light of color 1.
+    ///
+    /// The result holds `[lights * receivers * 3]` floats.
     ///
     /// `reflectance` holds `[receivers * 3]` floats, `unit` those of [`TransportScene::unit_light`].
     ///

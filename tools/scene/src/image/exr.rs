@@ -152,9 +152,9 @@ pub fn write_exr(path: &Path, image: &Image, names: &[&str]) -> Result<()> {
     atomic_write(path, |out| file.write().non_parallel().to_buffered(out).map_err(unwritten))
 }
 
-/// Writes images of one size as named layers with the channels `R G B`, as 32-bit floats.
+/// Writes images of one size as named layers.
 ///
-/// [`read_exr`] reads the first. Values are written unchanged.
+/// Layers have the channels `R G B` as 32-bit floats. [`read_exr`] reads the first. Values are written unchanged.
 pub fn write_exr_layers(path: &Path, images: &[(&str, Image)]) -> Result<()> {
     let mut layers = SmallVec::new();
     for (i, (name, image)) in images.iter().enumerate() {
