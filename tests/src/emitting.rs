@@ -70,7 +70,7 @@ pub fn fabricate_emitting(root: &Path) {
     splats.write_ply(&run.path("scene.ply")).expect("a PLY file");
     let shapes = [
         ShapeRow::Rectangle { corner: [-0.5, 0.5, half.z - 0.01], edge_u: [0.0, -1.0, 0.0], edge_v: [1.0, 0.0, 0.0] },
-        ShapeRow::Sphere { center: [0.5, -0.6, 0.25], radius: 0.1 },
+        ShapeRow::Sphere { center: [0.4, -0.3, 0.4], radius: 0.1 },
         ShapeRow::Point { position: [-0.6, 0.3, 0.0] },
     ];
     let colors = [[0.5, 0.6, 1.0], [12.0, 9.0, 6.0], [0.2, 0.6, 0.3]];

@@ -13,9 +13,10 @@ use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::transport::{self as reference, Disc, Matrix, V3, direction};
 use sgs_passes::transport::{
     AdjointInputs, Enclosure, GatherColumns, GatherInputs, GaussianEmitters, MatrixColumns, MatrixRows, MatrixShape,
-    NearestOptions, Responses, Solution, SolveGradients, SolveInputs, SolveOptions, SurfelTree, Surfels, TransportRays,
-    gaussian_emission, irradiance_gather, irradiance_gather_bwd, nearest_surfels, receivers, response_sum,
-    transport_adjoint, transport_rays, transport_rows, transport_solve, transposed,
+    NearestOptions, ResponseSource, Responses, Solution, SolveGradients, SolveInputs, SolveOptions, SurfelTree,
+    Surfels, TransportRays, gaussian_emission, irradiance_gather, irradiance_gather_bwd, nearest_surfels, receivers,
+    response_source, response_store, response_sum, transport_adjoint, transport_rays, transport_rows, transport_solve,
+    transposed,
 };
 use std::time::Instant;
 
@@ -295,12 +296,25 @@ impl Case {
         let values = g.external("values", 16 * u64::from(count));
         response_sum(&mut g, &c.tuning, &a, irradiance)?;
         gaussian_emission(&mut g, &c.tuning, &emitters, values)?;
+        // The response to one of the emitters of another scene.
+        let again = Responses { responses: g.external("stored", 12 * u64::from(EMITTERS) * u64::from(receivers)), ..a };
+        let index = g.input("emitter", 4);
+        let unit = g.input("unit", 4 * u64::from(receivers));
+        let source = g.external("source", 12 * u64::from(receivers));
+        let from_unit = ResponseSource { receivers, unit, reflectance: irradiance, source };
+        response_source(&mut g, &c.tuning, &from_unit)?;
+        response_store(&mut g, &c.tuning, &again, index, source)?;
         let mut rng = Pcg::new(19);
         let mut random = |n: u32| (0..n).map(|_| [0; 3].map(|_| rng.range(0.0, 2.0))).collect::<Vec<V3>>();
         let (responses, colors) = (random(EMITTERS * receivers), random(EMITTERS));
         let numbers: Vec<u32> = (0..count).map(|i| i % (EMITTERS + 1)).collect();
-        let inputs =
-            vec![(a.responses, floats(&responses)), (a.colors, floats(&colors)), (emitters.numbers, bytes(&numbers))];
+        let inputs = vec![
+            (a.responses, floats(&responses)),
+            (a.colors, floats(&colors)),
+            (emitters.numbers, bytes(&numbers)),
+            (index, bytes(&[1_u32])),
+            (unit, bytes(&vec![1.0_f32; receivers as usize])),
+        ];
         let rig = Case::measure(c, report, "sum of responses", g, inputs)?;
         let by_emitter: Vec<Vec<V3>> = responses.chunks(receivers as usize).map(<[V3]>::to_vec).collect();
         let expected = reference::response_sum(&by_emitter, &colors, receivers as usize);

@@ -52,6 +52,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "irradiance_gather_bwd" => (80.0 * c.gaussians + 16.0 * receivers, 48.0 * c.gaussians),
         // Responses of all emitters, colors, and the sum.
         "response_sum" => (12.0 * (values + receivers + lights), 6.0 * values),
+        "response_source" => (28.0 * receivers, 4.0 * receivers),
+        "response_store" => (24.0 * receivers, 0.0),
         // A number read and four written; behind the Gaussians, the number of emitters.
         "gaussian_emission" => (20.0 * receivers + 12.0 * lights, receivers),
         _ => return None,

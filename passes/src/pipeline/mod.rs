@@ -33,7 +33,7 @@ pub use render::{RenderedImage, Renderer};
 pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader};
 pub use status::{RING, Status};
 pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape, WeightColumns};
-pub use transport::{FrameEmitter, ShadedTransport, TransportOptions, TransportScene};
+pub use transport::{FrameEmitter, Responder, ShadedTransport, TransportOptions, TransportScene};
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{

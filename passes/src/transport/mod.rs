@@ -26,7 +26,9 @@ pub use lights::{LIGHT_SAMPLES, LightReceivers, ShadowRays, transport_lights};
 pub use matrix::{MatrixColumns, MatrixRows, MatrixShape, Transposed, transport_rows, transposed};
 pub use nearest::NO_NEIGHBOR;
 pub use rays::{TransportRays, transport_rays};
-pub use responses::{GaussianEmitters, Responses, gaussian_emission, response_sum};
+pub use responses::{
+    GaussianEmitters, ResponseSource, Responses, gaussian_emission, response_source, response_store, response_sum,
+};
 pub use shade::{ShadeGradients, ShadeTerms, TransportShading, split_sum_table, transport_shade, transport_shade_bwd};
 pub use solve::{
     AdjointInputs, Solution, SolveGradients, SolveInputs, SolveOptions, transport_adjoint, transport_bounce,

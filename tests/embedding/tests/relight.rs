@@ -423,8 +423,29 @@ fn emitters_match_shading_and_need_no_plan() {
     }
     let off = apart(&all, &sum);
     assert!(off < 1e-5, "{off}");
-    // Moved emitters need responses of their own.
     let parse = |text: &str| Edit::parse(text, Path::new("")).unwrap();
+    // A moved emitter needs neither memory nor a plan. Its bounces are those of an edit.
+    r.reset().unwrap();
+    stage.show(&mut view, &r, 1.0);
+    let (plans, memory, activity) = (view.plans(), stage.device.memory_use(), stage.device.activity());
+    assert!(!r.update().unwrap());
+    r.set_light(1, changed_light(&r, 1, |l| l.position[1] += 0.2)).unwrap();
+    let direct = stage.show(&mut view, &r, 1.0);
+    assert!(r.update().unwrap() && !r.update().unwrap());
+    let dragged = stage.show(&mut view, &r, 1.0);
+    assert_eq!((view.plans(), stage.device.memory_use()), (plans, memory));
+    assert_eq!(stage.device.activity().made, activity.made);
+    assert!(apart(&all, &thirds(&direct)) > 0.01 && apart(&direct, &thirds(&dragged)) > 1e-4);
+    let shaded = of_scene(&stage.device, r.shaded().unwrap(), &stage.camera, LitLayer::Shaded);
+    assert!(apart(&dragged, &shaded) < 1e-5);
+    r.reset().unwrap();
+    assert!(r.update().unwrap());
+    let off = apart(&stage.show(&mut view, &r, 1.0), &thirds(&all));
+    assert!(off < 1e-5, "{off}");
+    r.edit(&parse(r#"{"emitters": {"change": [{"emitter": "light 1", "by": [0, 0.2, 0]}]}}"#)).unwrap();
+    let off = apart(&stage.show(&mut view, &r, 1.0), &thirds(&dragged));
+    assert!(off < 1e-5, "{off}");
+    // An edit that moves an emitter computes all responses again.
     r.edit(&parse(r#"{"emitters": {"only": ["light 1"], "change": [{"emitter": "light 1", "by": [0, 0.2, 0]}]}}"#))
         .unwrap();
     let moved = stage.show(&mut view, &r, 1.0);
@@ -441,7 +462,7 @@ fn emitters_match_shading_and_need_no_plan() {
         r.add_light(&NewLight::default()).map(drop),
         r.remove_light(0),
         r.set_environment_gain([1.0; 3]),
-        r.set_light(0, changed_light(&r, 0, |l| l.position[0] += 1.0)),
+        r.set_light(0, changed_light(&r, 0, |l| l.position[0] = f32::NAN)),
         r.set_light(3, changed_light(&r, 0, |_| {})),
         r.edit(&parse(r#"{"emitters": {"off": true}, "lights": {"off": true}}"#)),
     ] {

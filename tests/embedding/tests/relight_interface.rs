@@ -268,6 +268,17 @@ fn invalid_calls_return_error_codes() {
     }
 }
 
+/// Renders all light of a room, seen from within.
+fn render_layer_of_room(context: &Context, relight: SgsRelight) -> Vec<f32> {
+    let info = sized!(SgsRelitInfo { layer: SGS_LAYER_SHADED });
+    let mut camera = camera([40, 30]);
+    camera.world_to_camera = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.8];
+    let mut pixels = vec![f32::NAN; 3 * PIXELS];
+    // SAFETY: all pointers are valid.
+    context.ok(unsafe { sgs_relight_render(context.0, relight, &camera, &info, pixels.as_mut_ptr(), pixels.len()) });
+    pixels
+}
+
 #[test]
 fn emitters_are_listed_and_refuse_what_lights_can() {
     let folder = tempfile::tempdir().unwrap();
@@ -284,7 +295,7 @@ fn emitters_are_listed_and_refuse_what_lights_can() {
         assert_eq!((emitter.shape, emitter.color, emitter.radius), (SGS_EMITTER_RECTANGLE, [0.5, 0.6, 1.0], 0.0));
         assert_eq!((emitter.axis, emitter.side), ([0.0, -1.0, 0.0], [1.0, 0.0, 0.0]));
         context.ok(sgs_relight_emitter_get(c, relight, 1, &mut emitter, name.as_mut_ptr(), 9));
-        assert_eq!((emitter.shape, emitter.position, emitter.radius), (SGS_EMITTER_SPHERE, [0.5, -0.6, 0.25], 0.1));
+        assert_eq!((emitter.shape, emitter.position, emitter.radius), (SGS_EMITTER_SPHERE, [0.4, -0.3, 0.4], 0.1));
         assert_eq!(CStr::from_ptr(name.as_ptr()), c"light 1");
         context.ok(sgs_relight_emitter_get(c, relight, 1, &mut emitter, name.as_mut_ptr(), 4));
         assert_eq!(CStr::from_ptr(name.as_ptr()), c"lig");
@@ -294,8 +305,18 @@ fn emitters_are_listed_and_refuse_what_lights_can() {
         emitter.struct_size = 3;
         context.refused(get(0, &mut emitter), SIZE, "SgsEmitter.struct_size");
         let mut light = light(&context, relight, 1);
-        light.position[0] += 1.0;
-        context.refused(sgs_relight_light_set(c, relight, 1, &light), ARGUMENT, "does not move from frame to frame");
+        let before = render_layer_of_room(&context, relight);
+        light.position[0] -= 0.5;
+        context.ok(sgs_relight_light_set(c, relight, 1, &light));
+        let moved = render_layer_of_room(&context, relight);
+        assert!(apart(&before, moved.iter().copied()) > 0.01);
+        let same = cr#"{"emitters": {"change": [{"emitter": "light 1", "by": [-0.5, 0, 0]}]}}"#;
+        context.ok(sgs_relight_edit(c, relight, same.as_ptr(), null()));
+        assert!(apart(&moved, render_layer_of_room(&context, relight).into_iter()) < 1e-5);
+        context.ok(sgs_relight_reset(c, relight));
+        assert!(apart(&before, render_layer_of_room(&context, relight).into_iter()) < 1e-5);
+        light.position[0] = f32::NAN;
+        context.refused(sgs_relight_light_set(c, relight, 1, &light), ARGUMENT, "\"light 1\" is not finite");
         let new = sized!(SgsNewLight { intensity: [1.0; 3] });
         context.refused(sgs_relight_light_add(c, relight, &new, null_mut()), ARGUMENT, "use \"emitters\" in an edit");
         context.refused(sgs_relight_light_remove(c, relight, 0), ARGUMENT, "switch them off");

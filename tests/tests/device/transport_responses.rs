@@ -2,8 +2,12 @@
 
 use sgs_engine::graph::Graph;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::transport::{V3, gaussian_emission as emission, response_sum as sum};
-use sgs_passes::transport::{GaussianEmitters, Responses, gaussian_emission, response_sum};
+use sgs_passes::reference::transport::{
+    V3, gaussian_emission as emission, response_source as source, response_sum as sum,
+};
+use sgs_passes::transport::{
+    GaussianEmitters, ResponseSource, Responses, gaussian_emission, response_source, response_store, response_sum,
+};
 use sgs_tests::transport::{bytes, flat, random_values};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
@@ -101,5 +105,56 @@ fn emission_is_that_of_the_emitter() {
             numbers[0] = if numbers[0] == 1 { 2 } else { 1 };
             assert_ne!(run_emission(&gpu, &numbers, &radiance), expected, "a number changes the emission");
         }
+    }
+}
+
+#[test]
+fn source_is_reflected_direct_light() {
+    let gpu = Gpu::new();
+    for (count, most) in [(1, 2.0), (255, 2.0), (257, 1e-30), (1000, 1e30)] {
+        let mut rng = Pcg::new(13);
+        let reflectance = random_values(count, [0.0, 1.0], &mut rng);
+        let unit: Vec<f64> = random_values(count, [0.0, most], &mut rng).iter().map(|v| v[0]).collect();
+        let mut g = Graph::new("response_source");
+        let a = ResponseSource {
+            receivers: count as u32,
+            unit: g.input("unit", 4 * count as u64),
+            reflectance: g.input("reflectance", 12 * count as u64),
+            source: g.external("source", 12 * count as u64),
+        };
+        response_source(&mut g, &gpu.tuning(), &a).unwrap();
+        let of_unit = bytes(&unit.iter().map(|x| *x as f32).collect::<Vec<_>>());
+        let found = gpu.run(g, &[(a.unit, of_unit), (a.reflectance, single(&reflectance))]).get(a.source);
+        let mut expected = flat(&source(&unit, &reflectance));
+        let tolerance = Tolerance::new(1e-38, 1e-6);
+        assert_close("source", &expected, &found, tolerance);
+        expected[0] *= 1.001;
+        assert!(worst(&expected, &found, tolerance).unwrap().3 > 1.0);
+    }
+}
+
+#[test]
+fn responses_are_stored_in_their_place() {
+    let gpu = Gpu::new();
+    let (lights, receivers) = (4, 300);
+    let (responses, _) = random(lights, receivers, 2.0, 15);
+    let (new, _) = random(1, receivers, 2.0, 17);
+    // The last index is that of no emitter.
+    for emitter in 0..=lights {
+        let mut g = Graph::new("response_store");
+        let colors = g.input("unused", 4);
+        let all = g.external("responses", 12 * (lights * receivers) as u64);
+        let a = Responses { lights: lights as u32, receivers: receivers as u32, responses: all, colors };
+        let irradiance = g.input("irradiance", 12 * receivers as u64);
+        let index = g.input("emitter", 4);
+        response_store(&mut g, &gpu.tuning(), &a, index, irradiance).unwrap();
+        let inputs =
+            [(all, single(&responses.concat())), (irradiance, single(&new[0])), (index, bytes(&[emitter as u32]))];
+        let found: Vec<f32> = gpu.run(g, &inputs).get(all);
+        let mut expected = responses.clone();
+        if emitter < lights {
+            expected[emitter].clone_from(&new[0]);
+        }
+        assert_eq!(bytes(&found), single(&expected.concat()), "{emitter}");
     }
 }

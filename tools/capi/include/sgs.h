@@ -700,7 +700,7 @@ SgsResult sgs_relight_emitter_get(const SgsContext *context,
 SgsResult sgs_relight_light_get(const SgsContext *context, SgsRelight relight, uint32_t index, SgsLight *light);
 
 // Changes a light. Takes effect in frames that are recorded or submitted from now on. Neither allocates nor waits.
-// Emitters do not move, except by an edit.
+// A moved emitter also submits the trace and the solve of its bounces to the queue; later frames show them.
 SgsResult sgs_relight_light_set(const SgsContext *context,
                                 SgsRelight relight,
                                 uint32_t index,

@@ -42,6 +42,12 @@ fn check_layer(relight: &Relighter, layer: LitLayer) -> Outcome<()> {
     Ok(())
 }
 
+/// Submits the bounces of moved emitters.
+fn follow(relight: &mut Relighter) -> Outcome<()> {
+    while relight.update()? {}
+    Ok(())
+}
+
 fn exposure(stops: f32) -> Outcome<f32> {
     let factor = stops.exp2();
     if !(stops.is_finite() && factor.is_finite()) {
@@ -127,7 +133,8 @@ pub unsafe extern "C" fn sgs_relight_edit(
                 code: SgsResult::SGS_ERROR_ARGUMENT,
                 text: format!("The edit cannot be applied: {reason}."),
             })?;
-            Ok(relight.edit(&edit)?)
+            relight.edit(&edit)?;
+            follow(&mut relight)
         })
     }
 }
@@ -136,7 +143,13 @@ pub unsafe extern "C" fn sgs_relight_edit(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_reset(context: *const SgsContext, relight: SgsRelight) -> SgsResult {
     // SAFETY: by the caller's contract.
-    unsafe { with(context, |inner| Ok(inner.relight(relight)?.hold().reset()?)) }
+    unsafe {
+        with(context, |inner| {
+            let mut relight = inner.relight(relight)?.hold();
+            relight.reset()?;
+            follow(&mut relight)
+        })
+    }
 }
 
 /// Returns the number of lights.
@@ -233,7 +246,7 @@ pub unsafe extern "C" fn sgs_relight_light_get(
 }
 
 /// Changes a light. Takes effect in frames that are recorded or submitted from now on. Neither allocates nor waits.
-/// Emitters do not move, except by an edit.
+/// A moved emitter also submits the trace and the solve of its bounces to the queue; later frames show them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_set(
     context: *const SgsContext,
@@ -246,7 +259,8 @@ pub unsafe extern "C" fn sgs_relight_light_set(
         with(context, |inner| {
             let mut relight = inner.relight(relight)?.hold();
             let SgsLight { on, position, gain, color, .. } = read(light)?;
-            Ok(relight.set_light(index as usize, LightParameters { on: on != 0, position, gain, color })?)
+            relight.set_light(index as usize, LightParameters { on: on != 0, position, gain, color })?;
+            follow(&mut relight)
         })
     }
 }

@@ -1,5 +1,6 @@
 //! Emitters whose light changes per frame.
 
+use super::emitters::moved;
 use super::emitting::Emitting;
 use super::light_table::LightParameters;
 use super::true_light::center;
@@ -20,7 +21,11 @@ struct Row {
     file: EmitterRow,
     /// Whether the surface of the emitter emits.
     in_place: bool,
+    /// Position in the file.
+    before: [f32; 3],
     now: LightParameters,
+    /// Whether the response is that of another place.
+    stale: bool,
 }
 
 impl EmitterTable {
@@ -31,7 +36,7 @@ impl EmitterTable {
             // Directional light comes from everywhere. Its handle lies in the middle of the room.
             let position = center(&row.light()).unwrap_or((low + high) / 2.0).to_array();
             let now = LightParameters { on: row.on, position, gain: 1.0, color: [1.0; 3] };
-            Row { file: row.clone(), in_place: *in_place, now }
+            Row { file: row.clone(), in_place: *in_place, before: position, now, stale: false }
         };
         EmitterTable { rows: emitting.file.emitters.iter().zip(&emitting.in_place).map(row).collect() }
     }
@@ -78,15 +83,15 @@ impl EmitterTable {
     /// Changes an emitter.
     ///
     /// # Errors
-    /// If the emitter does not exist, the values are invalid, or the emitter moves.
+    /// If the emitter does not exist, or the values are invalid. Nothing changes then.
     pub fn set(&mut self, emitter: usize, now: LightParameters) -> Result<()> {
         let row = self.row(emitter)?;
         let name = &row.file.name;
-        if now.position != row.now.position {
-            let text = format!("The emitter \"{name}\" does not move from frame to frame; use \"by\" in an edit.");
-            return Err(RelightError::Edit(text));
+        if now.position.iter().any(|v| !v.is_finite()) {
+            return Err(RelightError::Edit(format!("The position of the emitter \"{name}\" is not finite.")));
         }
-        let next = Row { now, ..row.clone() };
+        let stale = row.stale || now.position != row.now.position;
+        let next = Row { now, stale, ..row.clone() };
         let color = next.frame().light.color;
         if !now.color.iter().chain([&now.gain]).all(|v| v.is_finite() && *v >= 0.0)
             || color.iter().any(|v| !v.is_finite())
@@ -98,6 +103,20 @@ impl EmitterTable {
         Ok(())
     }
 
+    /// Takes an emitter whose response is that of another place, with its light.
+    pub fn take_stale(&mut self) -> Option<(usize, AreaLight)> {
+        let (i, row) = self.rows.iter_mut().enumerate().find(|(_, row)| row.stale)?;
+        row.stale = false;
+        Some((i, row.frame().light))
+    }
+
+    /// Marks responses that are those of places in another table.
+    pub fn mark_moved(&mut self, other: &EmitterTable) {
+        for (row, other) in self.rows.iter_mut().zip(&other.rows) {
+            row.stale |= other.stale || other.now.position != row.now.position;
+        }
+    }
+
     /// Returns the emitters of a frame.
     pub fn frame(&self) -> Vec<FrameEmitter> {
         self.rows.iter().map(Row::frame).collect()
@@ -106,10 +125,13 @@ impl EmitterTable {
 
 impl Row {
     fn frame(&self) -> FrameEmitter {
-        let Row { file, now, in_place } = self;
+        let Row { file, now, in_place, before, .. } = self;
         let color = if now.on { [0, 1, 2].map(|c| file.color[c] * now.color[c] * now.gain) } else { [0.0; 3] };
-        let light = AreaLight { color, ..file.light() };
-        FrameEmitter { light, surface: if *in_place { color } else { [0.0; 3] } }
+        let by = [0, 1, 2].map(|k| now.position[k] - before[k]);
+        let shape = if by == [0.0; 3] { file.shape } else { moved(file.shape, by) };
+        let light = AreaLight { color, shape: shape.into() };
+        // The surface of a moved emitter is dark.
+        FrameEmitter { light, surface: if *in_place && by == [0.0; 3] { color } else { [0.0; 3] } }
     }
 }
 
@@ -123,7 +145,7 @@ mod tests {
             let shape = ShapeRow::Sphere { center: [1.0, 2.0, 3.0], radius: 0.1 };
             let file = EmitterRow { name: name.to_owned(), on, color: [1.0, 2.0, 4.0], shape };
             let now = LightParameters { on, position: [1.0, 2.0, 3.0], gain: 1.0, color: [1.0; 3] };
-            Row { file, in_place: name != "moved", now }
+            Row { file, in_place: name != "moved", before: now.position, now, stale: false }
         };
         EmitterTable { rows: vec![row("a", true), row("b", false), row("moved", true)] }
     }
@@ -142,6 +164,24 @@ mod tests {
     }
 
     #[test]
+    fn moved_emitters_are_dark_and_stale() {
+        let mut all = table();
+        let now = all.get(0).unwrap();
+        let away = LightParameters { position: [1.5, 2.0, 3.0], ..now };
+        all.set(0, away).unwrap();
+        let frame = all.frame()[0];
+        let there = ShapeRow::Sphere { center: [1.5, 2.0, 3.0], radius: 0.1 };
+        assert_eq!((frame.light.shape, frame.surface), (there.into(), [0.0; 3]));
+        assert_eq!(all.take_stale(), Some((0, frame.light)));
+        assert_eq!(all.take_stale(), None);
+        // A reset makes the response stale again.
+        let mut reset = table();
+        reset.mark_moved(&all);
+        assert_eq!(reset.take_stale().map(|(i, _)| i), Some(0));
+        assert_eq!(reset.take_stale(), None);
+    }
+
+    #[test]
     fn invalid_states_are_refused() {
         let mut all = table();
         let now = all.get(0).unwrap();
@@ -151,8 +191,8 @@ mod tests {
             text(all.set(0, LightParameters { gain: -1.0, ..now })).contains("\"a\" must be finite and at least 0")
         );
         assert!(text(all.set(0, LightParameters { gain: f32::MAX, ..now })).contains("must be finite"));
-        let moved = LightParameters { position: [0.0; 3], ..now };
-        assert!(text(all.set(0, moved)).contains("does not move from frame to frame"));
-        assert_eq!(all.get(0).unwrap(), now);
+        let nowhere = LightParameters { position: [f32::NAN; 3], ..now };
+        assert!(text(all.set(0, nowhere)).contains("\"a\" is not finite"));
+        assert_eq!((all.get(0).unwrap(), all.take_stale()), (now, None));
     }
 }

@@ -15,7 +15,7 @@ use std::sync::Arc;
 pub struct Emitting {
     /// Emitters and enclosure.
     pub file: EmitterFile,
-    room: Arc<Room>,
+    pub(crate) room: Arc<Room>,
     /// Whether each emitter is where its surface is.
     pub(crate) in_place: Vec<bool>,
 }

@@ -16,7 +16,7 @@ use crate::error::{RelightError, Result};
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Lighting, LitEnvironment, LitScene, ShadedScene};
+use sgs_passes::pipeline::{Lighting, LitEnvironment, LitScene, Responder, ShadedScene};
 use sgs_passes::scene::FEATURES;
 use sgs_passes::shade::environment::latlong;
 use sgs_run::{
@@ -49,8 +49,26 @@ pub struct Relighter {
     /// Emitters of a run, as stored on disk.
     emitting: Option<LiveEmitters>,
     /// Emitters that light the scene, instead of the lights.
-    emitters: Option<(Emitting, EmitterTable)>,
+    emitters: Option<LitEmitters>,
     scene: LitScene,
+}
+
+/// Emitters that light the scene.
+struct LitEmitters {
+    emitting: Emitting,
+    table: EmitterTable,
+    /// Update of the responses of moved emitters.
+    responder: Responder,
+}
+
+impl LitEmitters {
+    /// Returns emitters for a scene with responses to them.
+    fn new(emitting: Emitting, scene: &LitScene) -> Result<Option<LitEmitters>> {
+        let Some(transport) = &scene.scene.transport else { return Ok(None) };
+        let responder = emitting.room.responder(transport)?;
+        let table = EmitterTable::new(&emitting);
+        Ok(Some(LitEmitters { emitting, table, responder }))
+    }
 }
 
 /// Emitters of a run, and the scene whose training views show its surfaces.
@@ -146,8 +164,11 @@ impl Relighter {
         let lights = run.light.lights.as_ref();
         let count = lights.map_or(0, |l| l.lights.len() as u32);
         let mut rows = LightTable::new(lights, if capacity == 0 { count + SPARE } else { capacity }, 1);
-        let emitters = emitting.as_ref().map(|live| (live.emitting.clone(), EmitterTable::new(&live.emitting)));
-        rows.set_emitters(emitters.as_ref().map(|(_, table)| table.frame()).unwrap_or_default());
+        let emitters = match &emitting {
+            Some(live) => LitEmitters::new(live.emitting.clone(), &scene)?,
+            None => None,
+        };
+        rows.set_emitters(emitters.as_ref().map(|e| e.table.frame()).unwrap_or_default());
         let environment = run.light.environment.clone();
         let (device, source) = (device.clone(), source.to_owned());
         let altered = None;
@@ -175,14 +196,14 @@ impl Relighter {
     /// If the emitter does not exist.
     pub fn emitter(&self, emitter: usize) -> Result<&EmitterRow> {
         match &self.emitters {
-            Some((_, table)) => table.file(emitter),
+            Some(e) => e.table.file(emitter),
             None => refused(format!("Emitter {emitter} does not exist, no emitters light the scene.")),
         }
     }
 
     /// Returns the number of lights.
     pub fn lights(&self) -> usize {
-        self.emitters.as_ref().map_or_else(|| self.rows.len(), |(_, table)| table.len())
+        self.emitters.as_ref().map_or_else(|| self.rows.len(), |e| e.table.len())
     }
 
     /// Returns a light.
@@ -190,7 +211,7 @@ impl Relighter {
     /// # Errors
     /// If the light does not exist.
     pub fn light(&self, light: usize) -> Result<LightParameters> {
-        self.emitters.as_ref().map_or_else(|| self.rows.get(light), |(_, table)| table.get(light))
+        self.emitters.as_ref().map_or_else(|| self.rows.get(light), |e| e.table.get(light))
     }
 
     /// Returns the linear color of a light, summed over all directions; its largest component is 1.
@@ -198,20 +219,35 @@ impl Relighter {
     /// # Errors
     /// If the light does not exist.
     pub fn light_color(&self, light: usize) -> Result<[f32; 3]> {
-        self.emitters.as_ref().map_or_else(|| self.rows.color(light), |(_, table)| table.color(light))
+        self.emitters.as_ref().map_or_else(|| self.rows.color(light), |e| e.table.color(light))
     }
 
-    /// Changes a light, without device memory or waiting. Emitters do not move.
+    /// Changes a light, without device memory or waiting.
+    ///
+    /// The next frame shows the direct light of a moved emitter. Its bounces follow [`Relighter::update`].
     ///
     /// # Errors
     /// If the light does not exist, or the values are invalid.
     pub fn set_light(&mut self, light: usize, light_parameters: LightParameters) -> Result<()> {
-        if let Some((_, table)) = &mut self.emitters {
+        if let Some(LitEmitters { table, .. }) = &mut self.emitters {
             table.set(light, light_parameters)?;
             self.rows.set_emitters(table.frame());
             return Ok(());
         }
         self.rows.set(light, light_parameters)
+    }
+
+    /// Submits the trace and the solve of one moved emitter. Returns false if the bounces of all are up to date.
+    ///
+    /// Frames that are submitted afterwards show its bounces. Call it once before each frame.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn update(&mut self) -> Result<bool> {
+        let Some(LitEmitters { emitting, table, responder }) = &mut self.emitters else { return Ok(false) };
+        let Some((i, light)) = table.take_stale() else { return Ok(false) };
+        responder.update(i as u32, &emitting.room.in_unit(&light))?;
+        Ok(true)
     }
 
     /// Adds a light and returns its index, or that of the first patch of a rectangle.
@@ -326,7 +362,7 @@ impl Relighter {
         let mut scene = None;
         let mut environment_map = None;
         if let Some(emitting) = &emitting {
-            let same = self.emitters.as_ref().is_some_and(|(now, _)| now.same_places(emitting));
+            let same = self.emitters.as_ref().is_some_and(|e| e.emitting.same_places(emitting));
             if !same || alters || self.altered.is_some() {
                 let splats = altered.as_ref().unwrap_or(&self.run.splats);
                 scene = Some(LitScene::new(&self.device, &self.tuning, emitting.live(&self.device, splats)?)?);
@@ -338,13 +374,26 @@ impl Relighter {
             environment_map = Some(environment.as_ref().map(|texels| self.filtered(texels)).transpose()?);
         }
         let model = self.rows.lighting().model;
+        let emitters = match (emitting, &scene, self.emitters.take()) {
+            // The responses stay, except those of moved emitters.
+            (Some(emitting), None, Some(before)) => {
+                let mut table = EmitterTable::new(&emitting);
+                table.mark_moved(&before.table);
+                Some(LitEmitters { emitting, table, ..before })
+            }
+            (Some(emitting), Some(scene), before) => match LitEmitters::new(emitting, scene) {
+                Ok(emitters) => emitters,
+                Err(error) => {
+                    self.emitters = before;
+                    return Err(error);
+                }
+            },
+            _ => None,
+        };
         // No call below fails.
         self.rows = LightTable::new(lights.as_ref(), model.lights, model.lobes);
-        self.emitters = emitting.map(|emitting| {
-            let table = EmitterTable::new(&emitting);
-            (emitting, table)
-        });
-        self.rows.set_emitters(self.emitters.as_ref().map(|(_, table)| table.frame()).unwrap_or_default());
+        self.emitters = emitters;
+        self.rows.set_emitters(self.emitters.as_ref().map(|e| e.table.frame()).unwrap_or_default());
         if let Some(scene) = scene {
             self.scene = scene;
         }

@@ -9,7 +9,7 @@ use crate::views::SeenViews;
 use glam::Vec3;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{FrameEmitter, Shaded, ShadedTransport, TransportOptions, TransportScene};
+use sgs_passes::pipeline::{FrameEmitter, Responder, Shaded, ShadedTransport, TransportOptions, TransportScene};
 use sgs_passes::transport::{AreaLight, Enclosure, Nearest, NearestOptions, SolveOptions, SurfelTree, nearest_surfels};
 use sgs_run::{Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Splats, Unit};
@@ -203,6 +203,20 @@ impl Room {
         let scaled: Vec<FrameEmitter> = lights.iter().zip(emitters).map(place).collect();
         let (device, scene) = (&self.device, Arc::clone(&self.scene));
         Ok(ShadedTransport::with_responses(device, scene, &scaled, &self.nearest, &responses, numbers)?)
+    }
+
+    /// Prepares the update of single responses of [`Room::respond`].
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn responder(&self, transport: &ShadedTransport) -> Result<Responder> {
+        let tuning = Tuning::for_device(self.device.info());
+        Ok(Responder::new(&self.device, tuning, transport, &self.reflectance())?)
+    }
+
+    /// Converts a light to the unit of the device.
+    pub fn in_unit(&self, light: &AreaLight) -> AreaLight {
+        light.scaled((1.0 / self.unit.length()) as f32)
     }
 
     /// Converts lights to the unit of the device, and checks them.

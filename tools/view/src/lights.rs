@@ -84,12 +84,11 @@ impl Handles {
         Ok(best.map(|(_, light)| light))
     }
 
-    /// Selects a light and starts dragging it. Emitters stay where they are.
+    /// Selects a light and starts dragging it.
     pub fn grab(&mut self, relighter: &Relighter, camera: &Camera, light: usize, at: DVec2) -> Result<()> {
         let light_parameters = relighter.light(light)?;
         self.chosen = Some(light);
-        let place = seen(&light_parameters, camera).filter(|_| !relighter.has_emitters());
-        self.held = place.map(|p| (light, depth(&light_parameters, camera), p - at));
+        self.held = seen(&light_parameters, camera).map(|p| (light, depth(&light_parameters, camera), p - at));
         Ok(())
     }
 
@@ -220,12 +219,13 @@ impl Handles {
         for (number, before) in self.before.iter().enumerate() {
             let now = relighter.light(number)?;
             if now != *before {
+                let by = [0, 1, 2].map(|k| now.position[k] - before.position[k]);
                 edit.change.push(EmitterChange {
                     emitter: Some(relighter.emitter(number)?.name.clone()),
                     on: (now.on != before.on).then_some(now.on),
                     intensity: (now.gain != before.gain).then(|| now.gain / before.gain),
                     color: (now.color != before.color).then_some(now.color),
-                    by: None,
+                    by: (by != [0.0; 3]).then_some(by),
                 });
             }
         }

@@ -164,6 +164,10 @@ impl Stage {
         if self.canvas.size().contains(&0) {
             return Ok(false);
         }
+        if let Some((relighter, _)) = &mut self.relighter {
+            // The bounces of moved emitters, which the frame shows.
+            while relighter.update()? {}
+        }
         let camera = self.seen_with();
         let (moving, seconds) = (self.is_moving() && !self.save_requested, self.seconds);
         let (shown, radius, gain) = (self.handles_shown(), self.handle_radius(), self.gain());

@@ -4,10 +4,12 @@
 //! [`TransportScene`] traces the matrix once per geometry. Its functions wait for the device: they run once per change of
 //! light. [`ShadedTransport`] holds the lights of a scene and the irradiance that bounces; [`super::Shader`] adds both to a view.
 
+mod responder;
 mod responses;
 mod scene;
 mod shaded;
 
+pub use responder::Responder;
 pub use responses::FrameEmitter;
 pub(super) use responses::{EmitterHandles, FrameUniforms};
 pub use scene::{TransportOptions, TransportScene};

@@ -131,6 +131,11 @@ impl EmitterResponses {
         })
     }
 
+    /// Returns the memory of the responses.
+    pub fn memory(&self) -> &DeviceBuffer {
+        &self.memory
+    }
+
     /// Returns the number of emitters.
     pub fn emitters(&self) -> u32 {
         self.shape.emitters

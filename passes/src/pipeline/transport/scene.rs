@@ -177,6 +177,21 @@ impl TransportScene {
         ShadowRays { tree, offset, clearance, samples, seed }
     }
 
+    /// Returns the shape of the matrix.
+    pub(super) fn shape(&self) -> MatrixShape {
+        self.shape
+    }
+
+    /// Returns the rows of the matrix.
+    pub(super) fn row_memory(&self) -> &DeviceBuffer {
+        &self.rows
+    }
+
+    /// Returns the records of the receivers.
+    pub(super) fn receiver_memory(&self) -> &DeviceBuffer {
+        &self.receivers
+    }
+
     /// Returns the shape of the tree.
     pub(super) fn tree_shape(&self) -> &SurfelTreeShape {
         &self.tree_shape

@@ -140,6 +140,16 @@ impl ShadedTransport {
         })
     }
 
+    /// Returns the surfels and their matrix.
+    pub(super) fn scene(&self) -> &TransportScene {
+        &self.scene
+    }
+
+    /// Returns the memory of the responses.
+    pub(super) fn response_memory(&self) -> Option<&DeviceBuffer> {
+        self.responses.as_ref().map(EmitterResponses::memory)
+    }
+
     /// Returns the number of emitters whose light changes with each frame.
     pub fn emitters(&self) -> u32 {
         self.responses.as_ref().map_or(0, EmitterResponses::emitters)

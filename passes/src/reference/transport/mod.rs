@@ -6,7 +6,7 @@ mod responses;
 
 pub use matrix::Matrix;
 pub use rays::{Bounds, Disc, Possible, direction, gather, gather_bwd};
-pub use responses::{gaussian_emission, response_sum};
+pub use responses::{gaussian_emission, response_source, response_sum};
 
 /// Three numbers.
 pub type V3 = [f64; 3];

@@ -18,3 +18,8 @@ pub fn gaussian_emission(numbers: &[u32], radiance: &[V3]) -> Vec<V3> {
     let of = |number: &u32| number.checked_sub(1).and_then(|i| radiance.get(i as usize)).copied();
     numbers.iter().map(|number| of(number).unwrap_or([0.0; 3])).collect()
 }
+
+/// Returns the radiosity of direct light: reflectance / pi times irradiance.
+pub fn response_source(unit: &[f64], reflectance: &[V3]) -> Vec<V3> {
+    unit.iter().zip(reflectance).map(|(e, r)| r.map(|r| r * e / std::f64::consts::PI)).collect()
+}
