@@ -11,6 +11,7 @@ mod intrinsic;
 mod labeler;
 mod lit;
 mod render;
+mod shaded;
 mod shading;
 mod status;
 mod surface;
@@ -30,7 +31,8 @@ pub use intrinsic::{
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use lit::{Lighting, LitEnvironment, LitFrame, LitLayer, LitOptions, LitScene, LitView};
 pub use render::{RenderedImage, Renderer};
-pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader};
+pub use shaded::{Shaded, ShadedEnvironment, ShadedLights, ShadedVisibility};
+pub use shading::{ShadedScene, Shader};
 pub use status::{RING, Status};
 pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape, WeightColumns};
 pub use transport::{FrameEmitter, Responder, ShadedTransport, TransportOptions, TransportScene};

@@ -62,24 +62,6 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // Stage of training: materials, lights and visibility on fixed geometry.
 #define SGS_STAGE_INTRINSIC 2
 
-// Emitter: point that emits equally in all directions.
-#define SGS_EMITTER_POINT 0
-
-// Emitter: sphere.
-#define SGS_EMITTER_SPHERE 1
-
-// Emitter: rectangle, which emits on the side of axis x side.
-#define SGS_EMITTER_RECTANGLE 2
-
-// Emitter: disk, which emits on the side of its normal.
-#define SGS_EMITTER_DISK 3
-
-// Emitter: point with a cone of light.
-#define SGS_EMITTER_SPOT 4
-
-// Emitter: light from a distant disk.
-#define SGS_EMITTER_DIRECTIONAL 5
-
 // Relighting: all light, over the background.
 #define SGS_LAYER_SHADED 16
 
@@ -112,6 +94,24 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 
 // Colors in linear light. Images whose format decodes sRGB hold encoded values with either encoding.
 #define SGS_ENCODING_LINEAR 1
+
+// Emitter: point that emits equally in all directions.
+#define SGS_EMITTER_POINT 0
+
+// Emitter: sphere.
+#define SGS_EMITTER_SPHERE 1
+
+// Emitter: rectangle, which emits on the side of axis x side.
+#define SGS_EMITTER_RECTANGLE 2
+
+// Emitter: disk, which emits on the side of its normal.
+#define SGS_EMITTER_DISK 3
+
+// Emitter: point with a cone of light.
+#define SGS_EMITTER_SPOT 4
+
+// Emitter: light from a distant disk.
+#define SGS_EMITTER_DIRECTIONAL 5
 
 // Result of a call.
 enum SgsResult
@@ -420,27 +420,6 @@ typedef struct {
   uint32_t emitters;
 } SgsRelightState;
 
-// Emitter of a run, in world units. Shape and color are those of emitters.json, or what an edit left.
-typedef struct {
-  // sizeof(SgsEmitter)
-  uint32_t struct_size;
-  // SGS_EMITTER_...
-  uint32_t shape;
-  // Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points and spots,
-  // irradiance of directional light.
-  float color[3];
-  // Center; the corner of a rectangle where both edges begin. 0 for directional light.
-  float position[3];
-  // First edge of a rectangle; else normal of a disk, axis of a spot, direction of directional light.
-  float axis[3];
-  // Second edge of a rectangle.
-  float side[3];
-  // Radius of a sphere or a disk.
-  float radius;
-  // Inner and outer angle of a spot in degrees; angular radius of directional light, and 0.
-  float angles[2];
-} SgsEmitter;
-
 // Light. sgs_relight_light_set applies every field: get a light, change it, set it.
 typedef struct {
   // sizeof(SgsLight)
@@ -481,6 +460,27 @@ typedef struct {
   // Exposure in stops. Light is multiplied by two to the power of this.
   float exposure;
 } SgsRelitInfo;
+
+// Emitter of a run, in world units. Shape and color are those of emitters.json, or what an edit left.
+typedef struct {
+  // sizeof(SgsEmitter)
+  uint32_t struct_size;
+  // SGS_EMITTER_...
+  uint32_t shape;
+  // Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points and spots,
+  // irradiance of directional light.
+  float color[3];
+  // Center; the corner of a rectangle where both edges begin. 0 for directional light.
+  float position[3];
+  // First edge of a rectangle; else normal of a disk, axis of a spot, direction of directional light.
+  float axis[3];
+  // Second edge of a rectangle.
+  float side[3];
+  // Radius of a sphere or a disk.
+  float radius;
+  // Inner and outer angle of a spot in degrees; angular radius of directional light, and 0.
+  float angles[2];
+} SgsEmitter;
 
 // Options for opening a trainer.
 typedef struct {
@@ -685,16 +685,6 @@ SgsResult sgs_relight_reset(const SgsContext *context, SgsRelight relight);
 // Returns the number of lights.
 SgsResult sgs_relight_light_count(const SgsContext *context, SgsRelight relight, uint32_t *count);
 
-// Returns an emitter of a run, numbered from 0 as in emitters.json. Emitters are the lights of such a run:
-// sgs_relight_light_count counts them, sgs_relight_light_set switches, dims and recolors them. `name`, if not null, has
-// space for `size` bytes and receives as much of the name as fits.
-SgsResult sgs_relight_emitter_get(const SgsContext *context,
-                                  SgsRelight relight,
-                                  uint32_t index,
-                                  SgsEmitter *emitter,
-                                  char *name,
-                                  size_t size);
-
 // Returns one of the lights, numbered from 0 as in lights.json.
 // If emitters light the scene, their numbers are those of emitters.json.
 SgsResult sgs_relight_light_get(const SgsContext *context, SgsRelight relight, uint32_t index, SgsLight *light);
@@ -747,6 +737,16 @@ SgsResult sgs_relight_render(const SgsContext *context,
                              const SgsRelitInfo *info,
                              float *pixels,
                              size_t count);
+
+// Returns an emitter of a run, numbered from 0 as in emitters.json. Emitters are the lights of such a run:
+// sgs_relight_light_count counts them, sgs_relight_light_set switches, dims and recolors them. `name`, if not null, has
+// space for `size` bytes and receives as much of the name as fits.
+SgsResult sgs_relight_emitter_get(const SgsContext *context,
+                                  SgsRelight relight,
+                                  uint32_t index,
+                                  SgsEmitter *emitter,
+                                  char *name,
+                                  size_t size);
 
 // Opens a dataset for training. Locks the run directory, if any, until the trainer is destroyed. Unless it resumes,
 // removes the files of an unfinished training in that directory.

@@ -86,19 +86,6 @@ pub const SGS_STAGE_GEOMETRY: u32 = 1;
 /// Stage of training: materials, lights and visibility on fixed geometry.
 pub const SGS_STAGE_INTRINSIC: u32 = 2;
 
-/// Emitter: point that emits equally in all directions.
-pub const SGS_EMITTER_POINT: u32 = 0;
-/// Emitter: sphere.
-pub const SGS_EMITTER_SPHERE: u32 = 1;
-/// Emitter: rectangle, which emits on the side of axis x side.
-pub const SGS_EMITTER_RECTANGLE: u32 = 2;
-/// Emitter: disk, which emits on the side of its normal.
-pub const SGS_EMITTER_DISK: u32 = 3;
-/// Emitter: point with a cone of light.
-pub const SGS_EMITTER_SPOT: u32 = 4;
-/// Emitter: light from a distant disk.
-pub const SGS_EMITTER_DIRECTIONAL: u32 = 5;
-
 /// Relighting: all light, over the background.
 pub const SGS_LAYER_SHADED: u32 = 16;
 /// Relighting: linear albedo.
