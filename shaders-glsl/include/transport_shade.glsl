@@ -17,7 +17,7 @@ IN(vec3, normals);        // unit or zero
 IN(float, coverage);
 IN(vec4, materials);      // linear albedo, roughness
 IN(float, metallic);
-IN(vec4, irradiance);     // gathered, rgb
+IN(vec4, irradiance);     // gathered, rgb; gain of all light that arrives
 IN(LightRecord, light_records);
 IN(vec3, light_colors);
 IN(float, unit);          // [lights * stride]
@@ -42,6 +42,7 @@ struct Pixel {
     vec2 split;    // factors of f0 and of f90 in the lobe's hemispherical albedo
     vec2 split_by_roughness;
     vec3 gathered; // irradiance over pi
+    float gain;    // factor on all reflected light
 };
 
 // Whether a pixel exists and has a surface with a normal.
@@ -64,6 +65,7 @@ Pixel load_pixel(uint i) {
     }
     p.split = split_sum_at(p.surface.roughness, clamp(p.surface.facing, SPLIT_SUM_NV_MIN, 1.0), p.split_by_roughness);
     p.gathered = irradiance[i].rgb / PI;
+    p.gain = irradiance[i].w;
     return p;
 }
 

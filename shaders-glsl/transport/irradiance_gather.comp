@@ -1,8 +1,9 @@
-// Irradiance of every Gaussian: a weighted sum over its nearest surfels. An invocation per Gaussian.
+// Irradiance of every Gaussian: a weighted sum over its nearest surfels; and its gain. An invocation per Gaussian.
 #version 460
 #include "common.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 1) const bool GAINS = false; // without them gains are 1
 layout(local_size_x_id = 0) in;
 
 layout(push_constant, scalar) uniform Push {
@@ -16,7 +17,8 @@ const uint NEIGHBORS = 8u;
 IN(uint, neighbors);         // [Gaussians][8]
 IN(float, neighbor_weights); // [Gaussians][8]
 IN(vec3, irradiance);        // [receivers][lights]
-OUT(vec4, values);           // [Gaussians]: red, green, blue, 0
+IN(float, log_gains);        // [Gaussians]
+OUT(vec4, values);           // [Gaussians]: red, green, blue, gain
 
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
@@ -27,5 +29,5 @@ void main() {
         // No surfel.
         if (from < push.receivers) sum += neighbor_weights[i * NEIGHBORS + k] * irradiance[from * push.lights];
     }
-    values[i] = vec4(sum, 0.0);
+    values[i] = vec4(sum, GAINS ? exp(log_gains[i]) : 1.0);
 }

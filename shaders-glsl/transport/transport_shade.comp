@@ -38,9 +38,9 @@ void main() {
                 grazing += h.specular * h.fresnel * e;
             }
         }
-        matte = (1.0 - p.metallic) / PI * p.albedo * sum;
-        glossy = p.f0 * plain + p.f90 * grazing;
-        bounced = hemispherical(p) * p.gathered;
+        matte = p.gain * (1.0 - p.metallic) / PI * p.albedo * sum;
+        glossy = p.gain * (p.f0 * plain + p.f90 * grazing);
+        bounced = p.gain * hemispherical(p) * p.gathered;
         if (EMISSION) own = emission[i].rgb;
     }
     radiance[i] = matte + glossy + bounced + own;

@@ -1,4 +1,4 @@
-// Gradients of materials, gathered irradiance, emission and light colors from those of pixels' radiance.
+// Gradients of materials, gathered irradiance, gain, emission and light colors from those of pixels' radiance.
 //
 // A workgroup, which is one subgroup, takes a range of blocks of pixels, a pixel a lane, and sums the gradients of the lights'
 // colors over them in a row of its own. Rows are summed afterwards, in order (lights_reduce).
@@ -20,7 +20,7 @@ layout(push_constant, scalar) uniform Push {
 IN(vec3, radiance_gradient);
 INOUT(vec4, materials_gradient);   // added to
 INOUT(float, metallic_gradient);   // added to, with METALLIC
-OUT(vec4, irradiance_gradient);
+OUT(vec4, irradiance_gradient);    // and the gain's
 OUT(vec4, emission_gradient);      // with EMISSION
 INOUT(float, partials);            // [workgroups * lights * 3], zeros to begin with
 
@@ -31,7 +31,8 @@ void main() {
         uint i = (folded_workgroup() * push.blocks + block) * SUBGROUP + lane;
         bool here = shaded(i);
         Pixel p = load_pixel(here ? i : 0u);
-        vec3 g = here ? radiance_gradient[i] : vec3(0.0);
+        vec3 by_radiance = here ? radiance_gradient[i] : vec3(0.0);
+        vec3 g = here ? p.gain * by_radiance : vec3(0.0);
         vec3 sum = vec3(0.0), plain = vec3(0.0), grazing = vec3(0.0), by_roughness = vec3(0.0);
         for (uint light = 0u; light < by_workgroup(push.lights); light++) {
             vec3 by_color = vec3(0.0);
@@ -67,8 +68,10 @@ void main() {
                 metallic_gradient[i] += dot(by_f0, p.albedo - 0.04) - dot(matte, p.albedo);
             }
             materials_gradient[i] += by_material;
-            irradiance_gradient[i] = vec4(g * hemispherical(p) / PI, 0.0);
-            if (EMISSION) emission_gradient[i] = vec4(g, 0.0);
+            vec3 reflected = (1.0 - p.metallic) / PI * p.albedo * sum + p.f0 * plain + p.f90 * grazing +
+                             hemispherical(p) * p.gathered;
+            irradiance_gradient[i] = vec4(g * hemispherical(p) / PI, dot(by_radiance, reflected));
+            if (EMISSION) emission_gradient[i] = vec4(by_radiance, 0.0);
         } else if (i < params.step.camera.size.x * params.step.camera.size.y) {
             irradiance_gradient[i] = vec4(0.0);
             if (EMISSION) emission_gradient[i] = vec4(0.0);

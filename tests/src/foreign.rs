@@ -26,6 +26,7 @@ pub fn sample(n: usize) -> Splats {
         metallic: Some(many(n, -9.0, 9.0)),
         semantic: Some((3, many(n * 3, -1.0, 1.0))),
         emitters: None,
+        light_gains: None,
     }
 }
 

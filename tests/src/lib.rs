@@ -9,6 +9,7 @@ pub mod busy;
 pub mod cli;
 pub mod compare;
 pub mod drawn;
+pub mod emitting;
 pub mod environment;
 pub mod feature_view;
 pub mod field;

@@ -8,7 +8,7 @@ use sgs_scene::{Camera, Image, write_exr, write_ids, write_png};
 use std::path::Path;
 
 /// Half the side lengths of the box.
-const WALLS: DVec3 = DVec3::new(1.4, 1.0, 1.6);
+pub const WALLS: DVec3 = DVec3::new(1.4, 1.0, 1.6);
 
 /// Albedo of each wall, sRGB, in the order of [`Room::walls`].
 pub const ALBEDO: [[f32; 3]; 6] =

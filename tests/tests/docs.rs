@@ -345,8 +345,8 @@ fn shell_blocks_run() {
         let bin = place.path().join("bin");
         std::fs::create_dir(&bin).expect("a folder");
         let wrapper = format!(
-            "#!/bin/sh\nif [ \"$1\" = train ]; then exec '{0}' \"$@\" --scale 0.5 --geometry-steps 30 --intrinsic-steps 4; \
-             fi\nexec '{0}' \"$@\"\n",
+            "#!/bin/sh\nif [ \"$1\" = train ]; then exec '{0}' \"$@\" --scale 0.5 --geometry-steps 30 --intrinsic-steps 4 \
+             --set transport.steps=2; fi\nexec '{0}' \"$@\"\n",
             program().display()
         );
         let tool = bin.join("sgs");

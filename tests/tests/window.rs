@@ -7,6 +7,7 @@ use sgs_run::read_lights;
 use sgs_scene::{Camera, Image};
 use sgs_tests::Place;
 use sgs_tests::cli::{sgs, start_with, wait};
+use sgs_tests::emitting::{EMITTERS, fabricate_emitting};
 use sgs_tests::rooms::Room;
 use sgs_tests::runs::{Parts, fabricate};
 use sgs_tests::screen::Screen;
@@ -217,6 +218,75 @@ fn mouse_and_keys_control_the_view() {
     key("Escape");
     let output = wait(child).ok().json();
     assert_eq!(output["files"].as_array().map(Vec::len), Some(7), "{output}");
+}
+
+#[test]
+fn emitters_are_moved_switched_dimmed_and_recolored_with_their_bounces() {
+    let Some(screen) = Screen::start([500, 400]) else { return };
+    let place = Place::new(Room { views: 4, ..Room::default() });
+    fabricate_emitting(place.path("").as_path());
+    std::fs::create_dir(place.path("out")).unwrap();
+    let seen_with = Room::default().cameras()[1].scaled(SIZE[0], SIZE[1]);
+    Camera::write_transforms(&place.path("cameras.json"), std::slice::from_ref(&seen_with)).unwrap();
+    let (run, cameras, out) = (place.text("run"), place.text("cameras.json"), place.text("out"));
+    let rendered = |edit: &[&str]| {
+        let fixed = ["relight", &run, "--cameras", &cameras, "-o", &place.text("relit"), "--force"];
+        sgs(&[&fixed[..], edit].concat()).ok();
+        place.path(&format!("relit/{}_relit.png", seen_with.name))
+    };
+    // The window without input.
+    let saved = place.text("saved.png");
+    let mut a = vec!["view", &run, "--cameras", &cameras, "--channel", "pbr", "--json", "--validate"];
+    a.extend(["--size", "240x160"]);
+    let all = [&a[..], &["--frames", "8", "--save", &saved]].concat();
+    let output = wait(start_with(&all, &[("DISPLAY", screen.name())])).ok().json();
+    assert_eq!(output["made_later"], 0, "frames make something: {output}");
+    // The command solves all emitters at once, to a tolerance.
+    let (most, _) = apart(&place.path("saved.png"), &rendered(&[]));
+    assert!(most <= 2, "{most}");
+
+    let a = [&a[..], &["-o", &out]].concat();
+    let mut child = start_with(&a, &[("DISPLAY", screen.name())]);
+    let window = screen.window("sgs view");
+    let key = |name: &str| drop(screen.act(&["key", name]));
+    let saved = |number: u32| {
+        key("p");
+        screen.file(&place.path(&format!("out/view-{number:03}.json"))).with_extension("png")
+    };
+    let geometry = screen.act(&["getwindowgeometry", "--shell", &window]);
+    let [left, top] = ["X=", "Y="]
+        .map(|n| geometry.lines().find_map(|l| l.strip_prefix(n)?.parse::<f64>().ok()).expect("a place of the window"));
+    let first = saved(0);
+    assert!(apart(&first, &place.path("saved.png")).0 == 0);
+    // A bulb is moved by its handle, recolored and dimmed.
+    let at = seen_with.project(DVec3::new(0.4, -0.3, 0.4)).expect("in front");
+    screen.drag("1", [left + at.x, top + at.y], [left + at.x - 20.0, top + at.y + 5.0]);
+    ["bracketright", "bracketright"].into_iter().for_each(key);
+    screen.act(&["click", "5"]);
+    key("e");
+    let file = screen.file(&place.path("out/edit-000.json"));
+    let changed = saved(1);
+    let edit = Edit::read(&file).unwrap();
+    let [change] = &edit.emitters.change[..] else { panic!("{edit:?}") };
+    assert_eq!((change.emitter.as_deref(), change.on), (Some(EMITTERS[1]), None), "{edit:?}");
+    let by = DVec3::from(change.by.expect("it was moved").map(f64::from));
+    let seen = seen_with.project(DVec3::new(0.4, -0.3, 0.4) + by).expect("in front");
+    assert!((seen.x - at.x + 20.0).abs() < 1.01 && (seen.y - at.y - 5.0).abs() < 1.01, "{seen} {at}");
+    assert!(change.intensity.is_some_and(|v| v < 0.95) && change.color.is_some(), "{edit:?}");
+    assert!(apart(&changed, &rendered(&["--edit", &file.display().to_string()])).0 <= 2);
+    assert!(apart(&changed, &first).1 > 0.02, "the edit changes nothing");
+    // It is switched off and on; what emitters do not have changes nothing.
+    key("o");
+    let off = saved(2);
+    assert!(apart(&off, &changed).1 > 0.02);
+    ["o", "k", "i"].into_iter().for_each(key);
+    assert!(apart(&saved(3), &changed).0 == 0);
+    key("z");
+    assert!(apart(&saved(4), &first).0 <= 1);
+    assert!(child.try_wait().unwrap().is_none());
+    key("Escape");
+    let output = wait(child).ok().json();
+    assert_eq!(output["files"].as_array().map(Vec::len), Some(6), "{output}");
 }
 
 #[test]

@@ -177,7 +177,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let view = View { camera: CAMERA.map(f64::from), lights: &records, colors: &colors, split_sum: &table };
     for i in (0..n).step_by((n / CHECKED).max(1)) {
         let unit = (0..lights.len()).map(|l| f64::from(found_unit[l * n + i])).collect();
-        let incoming = Incoming { unit, irradiance: [0.5; 3], emission: [0.0; 3] };
+        let incoming = Incoming { unit, irradiance: [0.5; 3], gain: 0.5, emission: [0.0; 3] };
         let terms = shade(&view, &lit.pixel(i), &incoming);
         let gradient = lit.gradient[i].map(f64::from);
         for k in 0..3 {

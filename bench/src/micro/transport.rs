@@ -1,4 +1,4 @@
-//! Benchmark of transport: rays, a solve, its adjoint and the irradiance of Gaussians.
+//! Benchmark of transport: rays, a solve, its adjoint, the source of light, sums of responses and the irradiance of Gaussians.
 //!
 //! A furnished room of 8192 surfels in an enclosure, 64 rays each. Some rays are checked against all discs. The solve is
 //! checked by one more bounce of the reference; the adjoint by the identity of scalar products with the solve.
@@ -10,12 +10,17 @@ use crate::stats::Summary;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::cost::Counts;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::reference::transport::{Disc, Matrix, V3, direction};
+use sgs_passes::reference::transport::{
+    self as reference, Disc, Matrix, RoomParameters, SurfelMaterial, V3, direction, source,
+};
+use sgs_passes::shade::PixelMaterials;
 use sgs_passes::transport::{
-    AdjointInputs, Enclosure, GatherColumns, GatherInputs, MatrixColumns, MatrixRows, MatrixShape, NearestOptions,
-    Solution, SolveGradients, SolveInputs, SolveOptions, SurfelTree, Surfels, TransportRays, irradiance_gather,
-    irradiance_gather_bwd, nearest_surfels, receivers, transport_adjoint, transport_rays, transport_rows,
-    transport_solve, transposed,
+    AdjointInputs, Enclosure, GatherColumns, GatherInputs, GaussianEmitters, MatrixColumns, MatrixRows, MatrixShape,
+    NearestOptions, ParameterGradients, ResponseSource, Responses, Solution, SolveGradients, SolveInputs, SolveOptions,
+    SourceGradients, SourceInputs, Sources, SurfelTree, Surfels, TransportRays, gaussian_emission, irradiance_gather,
+    irradiance_gather_bwd, nearest_surfels, receivers, response_source, response_store, response_sum,
+    transport_adjoint, transport_rays, transport_rows, transport_solve, transport_source, transport_source_bwd,
+    transposed,
 };
 use std::time::Instant;
 
@@ -23,8 +28,12 @@ use std::time::Instant;
 const SURFELS: usize = 8192;
 /// Number of rays of a receiver.
 const RAYS: u32 = 64;
+/// Number of lights.
+const LIGHTS: usize = 8;
 /// Number of rays that the reference traces.
 const CHECKED: usize = 512;
+/// Number of emitters whose responses are added.
+const EMITTERS: u32 = 8;
 /// Corners of the room, in meters.
 const ROOM: [[f32; 3]; 2] = [[0.0; 3], [6.0, 5.0, 2.7]];
 /// Distance above surfels at which rays begin.
@@ -42,7 +51,77 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         case.solve(c, report, accelerated)?;
     }
     case.adjoint(c, report)?;
+    sources(c, report, shape.receivers)?;
+    case.responses(c, report)?;
     case.gather(c, report, &surfels)
+}
+
+/// Measures reflectance and source of all receivers, and their gradients.
+fn sources(c: &Context<'_>, report: &mut Report, receivers: u32) -> anyhow::Result<()> {
+    let mut rng = Pcg::new(19);
+    let (surfels, patches) = (SURFELS, receivers as usize - SURFELS);
+    let mut color = |low: f64, high: f64| [0; 3].map(|_| f64::from(rng.range(low, high) as f32));
+    let room = RoomParameters {
+        surfels: (0..surfels)
+            .map(|_| SurfelMaterial { albedo: color(0.05, 0.9), roughness: color(0.1, 1.0)[0], metallic: 0.0 })
+            .collect(),
+        enclosure: (0..6).map(|_| color(-1.0, 1.0)).collect(),
+        faces: (0..patches).map(|i| i * 6 / patches.max(1)).collect(),
+        unit: (0..LIGHTS).map(|_| (0..receivers).map(|_| color(0.0, 1.0)[0]).collect()).collect(),
+        log_colors: (0..LIGHTS).map(|_| color(-1.0, 2.0)).collect(),
+    };
+    let gradient: Vec<V3> = (0..receivers).map(|_| color(-1.0, 1.0)).collect();
+    let mut g = Graph::new("transport_source");
+    let mut inputs = Vec::new();
+    let mut input = |g: &mut Graph, name: &str, data: Vec<u8>| {
+        let buffer = g.input(name, data.len() as u64);
+        inputs.push((buffer, data));
+        buffer
+    };
+    let materials = room.surfels.iter().flat_map(|m| [m.albedo[0], m.albedo[1], m.albedo[2], m.roughness]);
+    let narrow = |values: Vec<f64>| bytes(&values.iter().map(|x| *x as f32).collect::<Vec<_>>());
+    let faces: Vec<u32> = room.faces.iter().map(|face| *face as u32).collect();
+    let a = SourceInputs {
+        receivers,
+        surfels: surfels as u32,
+        lights: LIGHTS as u32,
+        materials: PixelMaterials {
+            materials: input(&mut g, "materials", narrow(materials.collect())),
+            metallic: None,
+        },
+        enclosure: input(&mut g, "enclosure", narrow(room.enclosure.concat())),
+        faces: input(&mut g, "faces", bytes(&faces)),
+        unit: input(&mut g, "unit", narrow(room.unit.concat())),
+        log_colors: input(&mut g, "log_colors", narrow(room.log_colors.concat())),
+    };
+    let by_source = input(&mut g, "by_source", narrow(gradient.concat()));
+    let by_reflectance = input(&mut g, "by_reflectance", narrow(vec![0.0; 3 * receivers as usize]));
+    let by_colors = input(&mut g, "by_colors", narrow(vec![0.0; 3 * LIGHTS]));
+    let n = u64::from(receivers);
+    let into = Sources {
+        reflectance: g.external("reflectance", 12 * n),
+        source: g.external("source", 12 * n),
+        colors: g.external("colors", 12 * LIGHTS as u64),
+    };
+    transport_source(&mut g, &c.tuning, &a, &into)?;
+    let gradients = SourceGradients { reflectance: by_reflectance, source: by_source, colors: by_colors };
+    let back = ParameterGradients {
+        materials: PixelMaterials { materials: g.external("materials_gradient", 16 * surfels as u64), metallic: None },
+        log_colors: g.external("colors_gradient", 12 * LIGHTS as u64),
+        enclosure: g.external("enclosure_gradient", 72),
+    };
+    transport_source_bwd(&mut g, &c.tuning, &a, &gradients, &back)?;
+    let mut rig = Rig::new(c.device, g, inputs, true)?;
+    let (times, _) = rig.measure(c.warmup, c.repeats)?;
+    add_passes(report, rig.plan(), &times, &Counts::default(), &c.ceiling);
+    // The source is linear in the colors: its gradients by log colors add up to its product with the gradient.
+    let right: f64 =
+        source(&room).source.iter().zip(&gradient).map(|(s, g)| s[0] * g[0] + s[1] * g[1] + s[2] * g[2]).sum();
+    let found: f64 = rig.get::<f32>(back.log_colors)?.iter().map(|x| f64::from(*x)).sum();
+    let scale: f64 = source(&room).source.iter().flatten().sum();
+    anyhow::ensure!((found - right).abs() < 1e-4 * scale, "Gradients by log colors add up to {found}, not {right}.");
+    report.check(format!("transport: gradients of {LIGHTS} lights add up to those of the reference"));
+    Ok(())
 }
 
 /// Draws surfels on the walls of a room and on boxes in it.
@@ -272,6 +351,56 @@ impl Case {
         Ok(())
     }
 
+    /// Measures the sum of responses, and the emission of Gaussians.
+    fn responses(&self, c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
+        let (receivers, count) = (self.shape.receivers, c.workload.start.len() as u32);
+        let mut g = Graph::new("response_sum");
+        let a = Responses {
+            lights: EMITTERS,
+            receivers,
+            responses: g.input("responses", 12 * u64::from(EMITTERS) * u64::from(receivers)),
+            colors: g.input("colors", 12 * u64::from(EMITTERS)),
+        };
+        let emitters = GaussianEmitters {
+            gaussians: count,
+            emitters: EMITTERS,
+            numbers: g.input("numbers", 4 * u64::from(count)),
+            radiance: a.colors,
+        };
+        let irradiance = g.external("irradiance", 12 * u64::from(receivers));
+        let values = g.external("values", 16 * u64::from(count));
+        response_sum(&mut g, &c.tuning, &a, irradiance)?;
+        gaussian_emission(&mut g, &c.tuning, &emitters, values)?;
+        // The response to one of the emitters of another scene.
+        let again = Responses { responses: g.external("stored", 12 * u64::from(EMITTERS) * u64::from(receivers)), ..a };
+        let index = g.input("emitter", 4);
+        let unit = g.input("unit", 4 * u64::from(receivers));
+        let source = g.external("source", 12 * u64::from(receivers));
+        let from_unit = ResponseSource { receivers, unit, reflectance: irradiance, source };
+        response_source(&mut g, &c.tuning, &from_unit)?;
+        response_store(&mut g, &c.tuning, &again, index, source)?;
+        let mut rng = Pcg::new(19);
+        let mut random = |n: u32| (0..n).map(|_| [0; 3].map(|_| rng.range(0.0, 2.0))).collect::<Vec<V3>>();
+        let (responses, colors) = (random(EMITTERS * receivers), random(EMITTERS));
+        let numbers: Vec<u32> = (0..count).map(|i| i % (EMITTERS + 1)).collect();
+        let inputs = vec![
+            (a.responses, floats(&responses)),
+            (a.colors, floats(&colors)),
+            (emitters.numbers, bytes(&numbers)),
+            (index, bytes(&[1_u32])),
+            (unit, bytes(&vec![1.0_f32; receivers as usize])),
+        ];
+        let rig = Case::measure(c, report, "sum of responses", g, inputs)?;
+        let by_emitter: Vec<Vec<V3>> = responses.chunks(receivers as usize).map(<[V3]>::to_vec).collect();
+        let expected = reference::response_sum(&by_emitter, &colors, receivers as usize);
+        let found = triples(&rig.get::<f32>(irradiance)?);
+        let apart = |a: &V3, b: &V3| (0..3).map(|k| (a[k] - b[k]).abs() / b[k].max(1e-3)).fold(0.0, f64::max);
+        let off = found.iter().zip(&expected).map(|(a, b)| apart(a, b)).fold(0.0, f64::max);
+        anyhow::ensure!(off < 1e-5, "The sum of responses differs by {off} from the reference.");
+        report.check(format!("transport: the sum of {EMITTERS} responses differs by {off:.1e} from the reference"));
+        Ok(())
+    }
+
     /// Measures the irradiance of Gaussians and its transpose.
     fn gather(&self, c: &Context<'_>, report: &mut Report, surfels: &Surfels) -> anyhow::Result<()> {
         let mut rng = Pcg::new(17);
@@ -298,6 +427,7 @@ impl Case {
             neighbors: input(&mut g, "neighbors", bytes(&nearest.neighbors)),
             weights: input(&mut g, "weights", bytes(&nearest.weights)),
             irradiance: input(&mut g, "irradiance", floats(&self.source)),
+            log_gains: Some(input(&mut g, "log_gains", bytes(&vec![0.0_f32; count]))),
         };
         let back = GatherColumns {
             receivers: self.shape.receivers,

@@ -47,9 +47,38 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
             ((40.0 + read) * values + 12.0 * receivers, 9.0 * values)
         }
         // Neighbors and weights, the irradiance of all receivers once, four numbers written.
-        "irradiance_gather" => (80.0 * receivers + 12.0 * push(1) * push(2), 48.0 * receivers),
+        "irradiance_gather" => {
+            let gains = 4.0 * (s.specs)("GAINS");
+            ((80.0 + gains) * receivers + 12.0 * push(1) * push(2), 48.0 * receivers)
+        }
+        // A material by surfel, a number by pair of light and receiver, six numbers written.
+        "transport_source" => {
+            let (surfels, lights) = (push(1), push(2));
+            let material = 16.0 + 4.0 * (s.specs)("METALLIC");
+            let bytes = material * surfels + (4.0 * lights + 24.0) * receivers + 24.0 * lights;
+            (bytes, 60.0 * surfels + (6.0 * lights + 12.0) * receivers)
+        }
+        // The same, six gradients read, the material's written.
+        "transport_source_bwd" => {
+            let (surfels, lights) = (push(1), push(2));
+            let material = 32.0 + 8.0 * (s.specs)("METALLIC");
+            (
+                material * surfels + (4.0 * lights + 24.0) * receivers,
+                90.0 * surfels + (15.0 * lights + 20.0) * receivers,
+            )
+        }
+        // A number read by color, one by sum, one written.
+        "transport_parameters_bwd" => (48.0 * push(0) + 144.0, 9.0 * push(0)),
+        // Entries, and the gradients of pixels once; five numbers written.
+        "irradiance_blend_bwd" => (8.0 * c.weights + 16.0 * c.pixels + 28.0 * receivers, 10.0 * c.weights),
         // Eight entries per Gaussian; the gradients once.
         "irradiance_gather_bwd" => (80.0 * c.gaussians + 16.0 * receivers, 48.0 * c.gaussians),
+        // Responses of all emitters, colors, and the sum.
+        "response_sum" => (12.0 * (values + receivers + lights), 6.0 * values),
+        "response_source" => (28.0 * receivers, 4.0 * receivers),
+        "response_store" => (24.0 * receivers, 0.0),
+        // A number read and four written; behind the Gaussians, the number of emitters.
+        "gaussian_emission" => (20.0 * receivers + 12.0 * lights, receivers),
         _ => return None,
     };
     Some(Cost { bytes, operations })

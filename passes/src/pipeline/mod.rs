@@ -11,6 +11,7 @@ mod intrinsic;
 mod labeler;
 mod lit;
 mod render;
+mod shaded;
 mod shading;
 mod status;
 mod surface;
@@ -25,15 +26,19 @@ pub use geometry::{
 pub use intrinsic::{
     COPIES, EnvironmentMemory, EnvironmentRefresh, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters,
     IntrinsicRates, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, LightTrainables, RelitOptions,
-    RelitView, StoredEnvironment,
+    RelitView, StoredEnvironment, TransportTrainables, TransportTraining,
 };
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use lit::{Lighting, LitEnvironment, LitFrame, LitLayer, LitOptions, LitScene, LitView};
 pub use render::{RenderedImage, Renderer};
-pub use shading::{Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader};
+pub use shaded::{Shaded, ShadedEnvironment, ShadedLights, ShadedVisibility};
+pub use shading::{ShadedScene, Shader};
 pub use status::{RING, Status};
 pub use surface::{Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape, WeightColumns};
-pub use transport::{ShadedTransport, TransportOptions, TransportScene};
+pub use transport::{
+    FrameEmitter, Responder, ShadedTransport, TransportContents, TransportMemory, TransportOptions, TransportScene,
+    TransportShape, ViewLights,
+};
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{

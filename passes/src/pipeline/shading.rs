@@ -2,17 +2,18 @@
 //!
 //! Light comes from point lights and an environment map.
 
-use super::transport::{ShadedTransport, Terms};
-use super::{EnvironmentMemory, Step, Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
+use super::shaded::{Shaded, ShadedEnvironment, ShadedLights, ShadedVisibility};
+use super::transport::{EmitterHandles, FrameEmitter, ShadedTransport, Terms};
+use super::{Step, Surface, SurfaceBuilder, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
 use crate::scene::{Gaussians, Trainable, TrainableHandles};
 use crate::shade::environment::{
-    Environment, EnvironmentTables, EnvironmentView, environment as ambient_light, environment_background,
-    environment_diffuse, environment_filter,
+    EnvironmentTables, EnvironmentView, environment as ambient_light, environment_background, environment_diffuse,
+    environment_filter,
 };
-use crate::shade::lights::{LightModel, LightParameters, Lights, Shape, lights_prepare, lights_split};
-use crate::shade::traced::{Traced, TracedMemory, TracedShape, lights_split_traced};
-use crate::shade::visibility::{FieldHandles, View as VisibilityView, VisibilityField, lights_split_field, visibility};
+use crate::shade::lights::{LightParameters, Lights, Shape, lights_prepare, lights_split};
+use crate::shade::traced::{Traced, lights_split_traced};
+use crate::shade::visibility::{FieldHandles, View as VisibilityView, lights_split_field, visibility};
 use crate::shade::{ALBEDO_RANGE, PixelMaterials, Pixels, RawMaterials, materials, values};
 use crate::splat::Screen;
 use sgs_engine::exec::{ExecOptions, Executor};
@@ -58,86 +59,16 @@ impl ShadedScene {
         camera.near *= by;
         camera
     }
-}
 
-/// Visibility of lights in device memory.
-#[derive(Debug)]
-pub enum ShadedVisibility {
-    /// Learned visibility field.
-    Field {
-        /// Hash tables and network layers.
-        field: VisibilityField,
-        /// Box of the field; the remaining fields of the uniform are filled in per view.
-        place: FieldStep,
-    },
-    /// Visibility by tracing rays through the Gaussians.
-    Traced {
-        /// Tree over the Gaussians.
-        memory: TracedMemory,
-        /// Shape of the tree.
-        shape: TracedShape,
-    },
-}
-
-/// Point lights in device memory.
-#[derive(Debug)]
-pub struct ShadedLights {
-    /// Number of lights and layout of their parameters.
-    pub model: LightModel,
-    /// Factor on the light of all lights.
-    pub normalizer: f32,
-    /// `[lights * 3]`: positions.
-    pub positions: Trainable,
-    /// Rows of lobes.
-    pub lobes: Trainable,
-    /// `[lights]`: gains; 0 is off.
-    pub gains: Trainable,
-}
-
-/// Environment map in device memory.
-#[derive(Debug)]
-pub struct ShadedEnvironment {
-    /// Filter tables.
-    pub tables: Environment,
-    /// Device memory of the tables.
-    pub memory: EnvironmentMemory,
-    /// Texels.
-    pub texels: Trainable,
-}
-
-/// Shaded view on the host.
-///
-/// Floats by pixel, row by row. Light is the linear radiance of the surfaces, before compositing over a background.
-#[derive(Clone, Debug, Default)]
-pub struct Shaded {
-    /// Columns and rows.
-    pub size: [u32; 2],
-    /// Positions in world units, 3 floats per pixel.
-    pub points: Vec<f32>,
-    /// Normals in world space, unit or zero, 3 floats per pixel.
-    pub normals: Vec<f32>,
-    /// Opacity, 1 float per pixel.
-    pub coverage: Vec<f32>,
-    /// Linear albedo and roughness, 4 floats per pixel.
-    pub materials: Vec<f32>,
-    /// Metallic, 1 float per pixel; empty if the scene has none.
-    pub metallic: Vec<f32>,
-    /// Light of point lights and physical lights, 3 floats per pixel.
-    pub direct: Vec<f32>,
-    /// Diffuse term of `direct`, 3 floats per pixel.
-    pub direct_diffuse: Vec<f32>,
-    /// Light of the environment map, 3 floats per pixel.
-    pub ambient: Vec<f32>,
-    /// Diffuse term of `ambient`, 3 floats per pixel.
-    pub ambient_diffuse: Vec<f32>,
-    /// Environment map along each camera ray, 3 floats per pixel.
-    pub background: Vec<f32>,
-    /// Visibility of the lights, mean over all lights, 1 float per pixel; empty without occlusion.
-    pub visibility: Vec<f32>,
-    /// Light that bounced between surfaces, 3 floats per pixel; empty without transport.
-    pub indirect: Vec<f32>,
-    /// Light that the surfaces emit, 3 floats per pixel; empty without transport.
-    pub emission: Vec<f32>,
+    /// Changes the emitters of a scene with responses, in world units.
+    ///
+    /// Frames of [`super::LitView`] bring their own. Does nothing unless there are as many emitters in the scene.
+    pub fn set_emitters(&mut self, emitters: &[FrameEmitter]) {
+        let by = 1.0 / self.unit;
+        if let Some(t) = self.transport.as_mut().filter(|t| t.emitters() as usize == emitters.len()) {
+            t.set_emitters(emitters.iter().map(|e| e.scaled(by)).collect());
+        }
+    }
 }
 
 /// Reusable shader of views.
@@ -165,6 +96,8 @@ struct State {
     outputs: Vec<DeviceBuffer>,
     /// Terms of physical lights and of bounced light, in the order of [`TERMS`].
     terms: Vec<DeviceBuffer>,
+    /// Uniforms of emitters whose light changes.
+    emitters: Option<EmitterHandles>,
 }
 
 /// Names of the terms of physical lights and of bounced light.
@@ -218,6 +151,20 @@ impl Shader {
             self.seen = None;
         }
         shaded
+    }
+
+    /// Shades the last view again under the current lights and downloads all outputs.
+    ///
+    /// Reuses the surface of that view if `camera` is its camera.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn shade_again(&mut self, scene: &ShadedScene, camera: &Camera) -> Result<Shaded> {
+        if self.again(scene, camera)?.is_none() {
+            return self.shade(scene, camera);
+        }
+        let (Some(state), Some(surface)) = (&self.state, &self.surface) else { return Ok(Shaded::default()) };
+        state.download(&self.device, scene, surface, &scene.camera(camera))
     }
 
     /// Shades a view without readback and returns the duration.
@@ -454,7 +401,8 @@ impl State {
             memory.bind(&mut exec, handles)?;
         }
         let field = field.map(|f| f.field.step);
-        Ok(State { shape, exec, step, surface, field, hidden, outputs, terms: term_memory })
+        let emitters = transport.as_ref().and_then(|(_, declared, _)| declared.emitters());
+        Ok(State { shape, exec, step, surface, field, hidden, outputs, terms: term_memory, emitters })
     }
 
     /// Computes all outputs for a view of a surface.
@@ -474,6 +422,10 @@ impl State {
         let mut uniforms = vec![(self.step, bytemuck::bytes_of(&step))];
         if let Some(field) = self.field {
             uniforms.push((field, bytemuck::bytes_of(&place)));
+        }
+        let frame = scene.transport.as_ref().map(ShadedTransport::uniforms);
+        if let (Some(handles), Some(frame)) = (&self.emitters, &frame) {
+            uniforms.extend(frame.of(handles));
         }
         self.exec.submit(&uniforms)?;
         self.exec.finish()

@@ -40,6 +40,8 @@ pub struct Incoming {
     pub unit: Vec<f64>,
     /// Gathered irradiance.
     pub irradiance: V3,
+    /// Factor on all light that arrives.
+    pub gain: f64,
     /// Emitted radiance.
     pub emission: V3,
 }
@@ -128,6 +130,9 @@ pub fn shade(view: &View<'_>, p: &Pixel, incoming: &Incoming) -> Terms {
     let f90 = (25.0 * dot(f0, [0.212671, 0.715160, 0.072169])).min(1.0);
     t.indirect =
         std::array::from_fn(|k| ((1.0 - m.metallic) * m.albedo[k] + f0[k] * a + f90 * b) * incoming.irradiance[k] / PI);
+    for term in [&mut t.diffuse, &mut t.specular, &mut t.indirect] {
+        term.iter_mut().for_each(|x| *x *= incoming.gain);
+    }
     t.emission = incoming.emission;
     t
 }
@@ -157,7 +162,7 @@ mod tests {
             let receiver = Receiver { point: pixel.point, normal: pixel.normal };
             let view = View { camera: [0.0, 0.0, 9.0], lights: &[light], colors: &[[1.0; 3]], split_sum: &split_sum };
             let unit = vec![irradiance(&light, &receiver)];
-            let t = shade(&view, &pixel, &Incoming { unit, irradiance: [0.0; 3], emission: [0.0; 3] });
+            let t = shade(&view, &pixel, &Incoming { unit, irradiance: [0.0; 3], gain: 1.0, emission: [0.0; 3] });
             assert!((t.specular[0] / radiance - 1.0).abs() < 0.1, "{shape:?}: {t:?}");
         }
     }

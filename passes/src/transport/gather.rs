@@ -105,9 +105,11 @@ pub struct GatherInputs {
     pub weights: Buffer,
     /// Irradiance, `[receivers * lights * 3]` floats.
     pub irradiance: Buffer,
+    /// Logarithms of the gains of the Gaussians, `[Gaussians]` floats; gains are 1 without them.
+    pub log_gains: Option<Buffer>,
 }
 
-/// Computes the irradiance of all Gaussians: `values` is `[Gaussians * 4]` floats, red, green, blue and 0.
+/// Computes the irradiance of all Gaussians: `values` is `[Gaussians * 4]` floats, red, green, blue and the gain.
 ///
 /// The pass `materials` blends them to pixels.
 ///
@@ -118,9 +120,10 @@ pub fn irradiance_gather(g: &mut Graph, t: &Tuning, a: &GatherInputs, values: Bu
         neighbors: a.neighbors.into(),
         neighbor_weights: a.weights.into(),
         irradiance: a.irradiance.into(),
+        log_gains: a.log_gains.unwrap_or(a.weights).into(),
         values: values.into(),
     };
-    let specs = kernel::Specs { workgroup: t.workgroup };
+    let specs = kernel::Specs { workgroup: t.workgroup, gains: a.log_gains.is_some() };
     let push = kernel::Push { gaussians: a.gaussians, receivers: a.receivers, lights: a.lights };
     stage(g, "irradiance_gather", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch(groups(a.gaussians.into(), t.workgroup))

@@ -11,8 +11,10 @@ mod lights;
 mod matrix;
 mod nearest;
 mod rays;
+mod responses;
 mod shade;
 mod solve;
+mod source;
 mod tree;
 
 pub use area_light::{AreaLight, AreaLightError, AreaLights, LightShape};
@@ -25,9 +27,16 @@ pub use lights::{LIGHT_SAMPLES, LightReceivers, ShadowRays, transport_lights};
 pub use matrix::{MatrixColumns, MatrixRows, MatrixShape, Transposed, transport_rows, transposed};
 pub use nearest::NO_NEIGHBOR;
 pub use rays::{TransportRays, transport_rays};
+pub use responses::{
+    GaussianEmitters, ResponseSource, Responses, gaussian_emission, response_source, response_store, response_sum,
+};
 pub use shade::{ShadeGradients, ShadeTerms, TransportShading, split_sum_table, transport_shade, transport_shade_bwd};
 pub use solve::{
     AdjointInputs, Solution, SolveGradients, SolveInputs, SolveOptions, transport_adjoint, transport_bounce,
     transport_solve,
+};
+pub use source::{
+    BlendGradients, ParameterGradients, SourceGradients, SourceInputs, Sources, irradiance_blend_bwd, transport_source,
+    transport_source_bwd,
 };
 pub use tree::{SurfelHandles, SurfelMemory, SurfelTree, SurfelTreeShape, Surfels, TreeError};

@@ -1,12 +1,12 @@
 //! `transport_shade` and `transport_shade_bwd`: radiance of pixels under physical lights and gathered irradiance.
 //!
-//! Radiance is `(k_d + k_s) E / pi + sum over lights of color unit (k_d / pi + specular BRDF) + emission`. `k_d` is albedo
+//! Radiance is `gain ((k_d + k_s) E / pi + sum over lights of color unit (k_d / pi + specular BRDF)) + emission`. `k_d` is albedo
 //! (1 - metallic), `k_s` the hemispherical albedo of the specular lobe from the split-sum table, E the gathered irradiance,
 //! `unit` the irradiance of [`super::transport_lights`]. The BRDF is that of `brdf.glsl`. Highlights of lights with an
 //! extent use the representative point of Karis (2013): the point of the light closest to the mirrored ray, and a lobe
 //! that the light's size widens. A mirror at normal incidence reflects the light's own radiance.
 //!
-//! Gradients: materials, gathered irradiance, emission and light colors. Points, normals and `unit` are constants. Sums over
+//! Gradients: materials, gathered irradiance, gain, emission and light colors. Points, normals and `unit` are constants. Sums over
 //! pixels have a fixed order, so that results are bit-identical from run to run. Pixels without a surface or a normal are
 //! zero, and so are their gradients.
 //!
@@ -31,7 +31,7 @@ pub struct TransportShading {
     pub lights: AreaLights,
     /// Irradiance of color 1, `[lights * pixels]`. [`super::transport_lights`] writes it.
     pub unit: Buffer,
-    /// Gathered irradiance, `[pixels * 4]` floats: rgb, unused.
+    /// Gathered irradiance and gain of all light, `[pixels * 4]` floats: rgb, gain.
     pub irradiance: Buffer,
     /// Emitted radiance, `[pixels * 4]` floats: rgb, unused; 0 everywhere if `None`.
     pub emission: Option<Buffer>,
@@ -59,7 +59,7 @@ pub struct ShadeGradients {
     pub materials: Buffer,
     /// Gradients of metallic, `[pixels]`; added to. Not computed if `None`.
     pub metallic: Option<Buffer>,
-    /// Gradients of the gathered irradiance, `[pixels * 4]`; overwritten.
+    /// Gradients of the gathered irradiance and of the gain, `[pixels * 4]`; overwritten.
     pub irradiance: Buffer,
     /// Gradients of the emission, `[pixels * 4]`; overwritten. Not computed if `None`.
     pub emission: Option<Buffer>,

@@ -55,17 +55,24 @@ fn scene(folder: &Path) -> PathBuf {
     path
 }
 
+/// Compiles an example and returns the command that runs it.
+fn compiled(name: &str, compiler: &[&str], link: &[String], prefix: &Path) -> Command {
+    let program = prefix.join(name);
+    let mut command = Command::new(compiler[0]);
+    command.args(&compiler[1..]).arg(capi().join(format!("examples/{name}.c"))).arg("-o").arg(&program);
+    ok(run(command.args(link).arg("-lm")));
+    let mut command = Command::new(&program);
+    command.env("LD_LIBRARY_PATH", prefix.join("lib"));
+    command
+}
+
 /// Compiles the example and runs it.
 fn works(compiler: &[&str], link: &[String], prefix: &Path) {
-    let program = prefix.join("host");
-    let mut command = Command::new(compiler[0]);
-    command.args(&compiler[1..]).arg(capi().join("examples/host.c")).arg("-o").arg(&program);
-    ok(run(command.args(link).arg("-lm")));
+    let mut host = compiled("host", compiler, link, prefix);
     let ppm = prefix.join("out.ppm");
-    let mut host = Command::new(&program);
     let lit = prefix.join("run");
     sgs_tests::runs::fabricate(&lit, sgs_tests::runs::Parts::ALL);
-    host.arg(scene(prefix)).arg(&ppm).arg(&lit).env("LD_LIBRARY_PATH", prefix.join("lib"));
+    host.arg(scene(prefix)).arg(&ppm).arg(&lit);
     let printed = ok(run(&mut host));
     assert!(
         printed.starts_with("4 lights, ")
@@ -89,6 +96,20 @@ const WARNINGS: [&str; 7] =
 fn a_c_program_shows_splats_in_its_own_image() {
     let prefix = installed();
     works(&WARNINGS, &flags(prefix.path(), &[]), prefix.path());
+}
+
+#[test]
+fn a_c_program_lists_and_switches_emitters() {
+    let prefix = installed();
+    let prefix = prefix.path();
+    sgs_tests::emitting::fabricate_emitting(prefix);
+    let mut program = compiled("emitters", &WARNINGS, &flags(prefix, &[]), prefix);
+    let printed = ok(run(program.arg(prefix.join("run")).args(["0", "0", "-0.8"])));
+    let lines: Vec<&str> = printed.lines().collect();
+    assert_eq!(lines[0], "window 1: rectangle, color 0.5 0.6 1", "{printed}");
+    assert_eq!(lines[1], "light 1: sphere, color 12 9 6", "{printed}");
+    assert_eq!(lines[2], "light 2: point, off, color 0.2 0.6 0.3", "{printed}");
+    assert!(lines[3].starts_with("3 emitters, up to "), "{printed}");
 }
 
 #[test]

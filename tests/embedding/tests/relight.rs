@@ -7,10 +7,12 @@ use sgs_engine::exec::Recording;
 use sgs_engine::graph::ImageState;
 use sgs_engine::{Device, DeviceImage, ImageFormat};
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{LitFrame, LitLayer, LitOptions, LitView, ViewError};
+use sgs_passes::pipeline::{Camera, LitFrame, LitLayer, LitOptions, LitView, ShadedScene, ViewError};
 use sgs_passes::splat::{Encoding, TexelFormat};
 use sgs_relight::{Edit, LightParameters, NewLight, Relighter, Relit};
 use sgs_run::{ShadedView, Shading};
+use sgs_tests::emitting::{EMITTERS, fabricate_emitting};
+use sgs_tests::rooms::Room;
 use sgs_tests::runs::{self, Parts};
 use sgs_tests::scenes;
 use std::path::Path;
@@ -29,6 +31,7 @@ struct Stage {
     image: Owned<vk::Image>,
     back: Owned<vk::Buffer>,
     bytes: u64,
+    camera: Camera,
 }
 
 impl Stage {
@@ -43,7 +46,8 @@ impl Stage {
         let back = host.buffer(bytes);
         // SAFETY: the host made the image with this size and format, and destroys it after the engine.
         let target = unsafe { device.wrap_image("window", image.raw, SIZE, format, false) }.unwrap();
-        Stage { host, device, image, back, target: Some(target), bytes }
+        let camera = scenes::gpu_camera(&scenes::camera(SIZE));
+        Stage { host, device, image, back, target: Some(target), bytes, camera }
     }
 
     fn view(&self, relighter: &Relighter, options: LitOptions) -> Result<LitView, ViewError> {
@@ -55,8 +59,7 @@ impl Stage {
         let commands = self.host.begin();
         self.host.transition(commands, self.image.raw, L::UNDEFINED, L::TRANSFER_DST_OPTIMAL);
         self.host.clear(commands, self.image.raw, [9.0, 0.0, 9.0, 1.0]);
-        let camera = scenes::gpu_camera(&scenes::camera(SIZE));
-        let frame = LitFrame { camera, background: BEHIND, exposure };
+        let frame = LitFrame { camera: self.camera, background: BEHIND, exposure };
         let target = self.target.as_ref().unwrap();
         let recorded = view.frame(r.scene(), r.lighting(), target, &frame, |exec, uniforms| {
             // SAFETY: the commands are being recorded here and submitted once; the image is in the entry's layout.
@@ -125,8 +128,11 @@ fn expected(device: &Device, r: &Relighter, layer: LitLayer) -> Vec<[f32; 3]> {
 }
 
 fn of_relit(device: &Device, relit: &Relit, layer: LitLayer) -> Vec<[f32; 3]> {
-    let mut shading = Shading::new(device, relit.upload(device).unwrap()).unwrap();
-    let view: ShadedView = shading.shade_from(&scenes::gpu_camera(&scenes::camera(SIZE))).unwrap();
+    of_scene(device, relit.upload(device).unwrap(), &scenes::gpu_camera(&scenes::camera(SIZE)), layer)
+}
+
+fn of_scene(device: &Device, scene: ShadedScene, camera: &Camera, layer: LitLayer) -> Vec<[f32; 3]> {
+    let view: ShadedView = Shading::new(device, scene).unwrap().shade_from(camera).unwrap();
     let behind = BEHIND.map(sgs_scene::linear_to_srgb);
     let image = match layer {
         LitLayer::Shaded => view.radiance(behind),
@@ -367,6 +373,100 @@ fn submitted_frames_match_sgs_relight() {
         let texels = bytemuck::pod_collect_to_vec::<u8, [f32; 4]>(&stage.host.read(&stage.back, stage.bytes));
         let off = apart(&texels, &expected(&stage.device, &r, LitLayer::Shaded));
         assert!(off < 1e-5, "{off}");
+    }
+    drop((view, r));
+    stage.done();
+}
+
+#[test]
+fn emitters_match_shading_and_need_no_plan() {
+    let folder = tempfile::tempdir().unwrap();
+    fabricate_emitting(folder.path());
+    let mut stage = Stage::new();
+    stage.camera = sgs_run::camera(&Room::default().cameras()[1].scaled(SIZE[0], SIZE[1]));
+    let mut r = Relighter::open(&stage.device, &folder.path().join("run"), 0).unwrap();
+    assert!(r.has_emitters());
+    let names: Vec<&str> = (0..r.lights()).map(|i| r.emitter(i).unwrap().name.as_str()).collect();
+    assert_eq!(names, EMITTERS);
+    for layer in [LitLayer::Shaded, LitLayer::Albedo, LitLayer::Diffuse, LitLayer::Specular, LitLayer::Direct] {
+        let mut view = stage.view(&r, options(layer)).unwrap();
+        let expected = |r: &Relighter| of_scene(&stage.device, r.shaded().unwrap(), &stage.camera, layer);
+        let all = stage.show(&mut view, &r, 1.0);
+        let (plans, memory, activity) = (view.plans(), stage.device.memory_use(), stage.device.activity());
+        r.set_light(0, changed_light(&r, 0, |l| (l.gain, l.color) = (0.5, [1.0, 0.5, 0.0]))).unwrap();
+        r.set_light(1, changed_light(&r, 1, |l| l.on = false)).unwrap();
+        r.set_light(2, changed_light(&r, 2, |l| l.on = true)).unwrap();
+        let changed = stage.show(&mut view, &r, 1.0);
+        let now = stage.device.activity();
+        assert_eq!((now.made, now.uploads), (activity.made, activity.uploads));
+        assert_eq!((view.plans(), stage.device.memory_use()), (plans, memory));
+        let off = apart(&changed, &expected(&r));
+        assert!(off < 1e-5, "changed {layer:?}: {off}");
+        r.reset().unwrap();
+        let off = apart(&all, &expected(&r));
+        assert!(off < 1e-5, "{layer:?}: {off}");
+        assert!(apart(&all, &thirds(&changed)) > 0.01 || layer == LitLayer::Albedo);
+        drop(view);
+    }
+    // The image without each emitter plus the image of that emitter alone is the whole image.
+    let mut view = stage.view(&r, LitOptions { capacity: [1 << 14; 2], ..options(LitLayer::Shaded) }).unwrap();
+    let all = stage.show(&mut view, &r, 1.0);
+    let mut sum = vec![[0.0; 3]; PIXELS];
+    for lit in [0, 1] {
+        for light in [0, 1] {
+            r.set_light(light, changed_light(&r, light, |l| l.on = light == lit)).unwrap();
+        }
+        let alone = stage.show(&mut view, &r, 1.0);
+        // The second image brings the background, too.
+        let behind = |t: &[f32; 4], k: usize| if lit == 0 { BEHIND[k] * (1.0 - t[3]) } else { 0.0 };
+        sum.iter_mut().zip(&alone).for_each(|(s, t)| (0..3).for_each(|k| s[k] += t[k] - behind(t, k)));
+    }
+    let off = apart(&all, &sum);
+    assert!(off < 1e-5, "{off}");
+    let parse = |text: &str| Edit::parse(text, Path::new("")).unwrap();
+    // A moved emitter needs neither memory nor a plan. Its bounces are those of an edit.
+    r.reset().unwrap();
+    stage.show(&mut view, &r, 1.0);
+    let (plans, memory, activity) = (view.plans(), stage.device.memory_use(), stage.device.activity());
+    assert!(!r.update().unwrap());
+    r.set_light(1, changed_light(&r, 1, |l| l.position[1] += 0.2)).unwrap();
+    let direct = stage.show(&mut view, &r, 1.0);
+    assert!(r.update().unwrap() && !r.update().unwrap());
+    let dragged = stage.show(&mut view, &r, 1.0);
+    assert_eq!((view.plans(), stage.device.memory_use()), (plans, memory));
+    assert_eq!(stage.device.activity().made, activity.made);
+    assert!(apart(&all, &thirds(&direct)) > 0.01 && apart(&direct, &thirds(&dragged)) > 1e-4);
+    let shaded = of_scene(&stage.device, r.shaded().unwrap(), &stage.camera, LitLayer::Shaded);
+    assert!(apart(&dragged, &shaded) < 1e-5);
+    r.reset().unwrap();
+    assert!(r.update().unwrap());
+    let off = apart(&stage.show(&mut view, &r, 1.0), &thirds(&all));
+    assert!(off < 1e-5, "{off}");
+    r.edit(&parse(r#"{"emitters": {"change": [{"emitter": "light 1", "by": [0, 0.2, 0]}]}}"#)).unwrap();
+    let off = apart(&stage.show(&mut view, &r, 1.0), &thirds(&dragged));
+    assert!(off < 1e-5, "{off}");
+    // An edit that moves an emitter computes all responses again.
+    r.edit(&parse(r#"{"emitters": {"only": ["light 1"], "change": [{"emitter": "light 1", "by": [0, 0.2, 0]}]}}"#))
+        .unwrap();
+    let moved = stage.show(&mut view, &r, 1.0);
+    assert!(apart(&all, &thirds(&moved)) > 0.01);
+    // Lights of the published model replace the emitters, and the other way round.
+    r.edit(&parse(r#"{"lights": {"add": [{"position": [0, 0, 0], "intensity": [1, 1, 1]}]}}"#)).unwrap();
+    assert!(!r.has_emitters() && r.lights() == 1);
+    let published = stage.show(&mut view, &r, 1.0);
+    let shaded = |r: &Relighter| of_scene(&stage.device, r.shaded().unwrap(), &stage.camera, LitLayer::Shaded);
+    assert!(apart(&published, &thirds(&all)) > 0.01 && apart(&published, &shaded(&r)) < 1e-5);
+    r.reset().unwrap();
+    assert!(apart(&stage.show(&mut view, &r, 1.0), &thirds(&all)) == 0.0);
+    for refused in [
+        r.add_light(&NewLight::default()).map(drop),
+        r.remove_light(0),
+        r.set_environment_gain([1.0; 3]),
+        r.set_light(0, changed_light(&r, 0, |l| l.position[0] = f32::NAN)),
+        r.set_light(3, changed_light(&r, 0, |_| {})),
+        r.edit(&parse(r#"{"emitters": {"off": true}, "lights": {"off": true}}"#)),
+    ] {
+        assert!(refused.is_err());
     }
     drop((view, r));
     stage.done();

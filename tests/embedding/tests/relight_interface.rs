@@ -7,6 +7,7 @@ use SgsResult::{SGS_ERROR_ARGUMENT as ARGUMENT, SGS_ERROR_FILE as FILE, SGS_ERRO
 use SgsResult::{SGS_ERROR_NULL as NULL, SGS_ERROR_SPACE as SPACE, SGS_ERROR_STRUCT_SIZE as SIZE};
 use sgs::*;
 use sgs_tests::runs::{self, Parts};
+use std::ffi::{CStr, c_char};
 use std::path::Path;
 use std::ptr::{null, null_mut};
 use support::{Context, camera, text};
@@ -264,5 +265,72 @@ fn invalid_calls_return_error_codes() {
         context.refused(sgs_relight_reset(c, relight), HANDLE, "belongs to no relighting");
         context.ok(sgs_view_wait(c, view));
         context.ok(sgs_destroy(c, view));
+    }
+}
+
+/// Renders all light of a room, seen from within.
+fn render_layer_of_room(context: &Context, relight: SgsRelight) -> Vec<f32> {
+    let info = sized!(SgsRelitInfo { layer: SGS_LAYER_SHADED });
+    let mut camera = camera([40, 30]);
+    camera.world_to_camera = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.8];
+    let mut pixels = vec![f32::NAN; 3 * PIXELS];
+    // SAFETY: all pointers are valid.
+    context.ok(unsafe { sgs_relight_render(context.0, relight, &camera, &info, pixels.as_mut_ptr(), pixels.len()) });
+    pixels
+}
+
+#[test]
+fn emitters_are_listed_and_refuse_what_lights_can() {
+    let folder = tempfile::tempdir().unwrap();
+    sgs_tests::emitting::fabricate_emitting(folder.path());
+    let context = Context::new();
+    let (c, relight) = (context.0, opened(&context, &folder.path().join("run")));
+    let about = state(&context, relight);
+    assert_eq!((about.lights, about.emitters, about.environment, about.visibility), (3, 1, 0, 0));
+    let mut emitter = sized!(SgsEmitter {});
+    let mut name = [b'x' as c_char; 9];
+    // SAFETY: all pointers are valid or null.
+    unsafe {
+        context.ok(sgs_relight_emitter_get(c, relight, 0, &mut emitter, null_mut(), 0));
+        assert_eq!((emitter.shape, emitter.color, emitter.radius), (SGS_EMITTER_RECTANGLE, [0.5, 0.6, 1.0], 0.0));
+        assert_eq!((emitter.axis, emitter.side), ([0.0, -1.0, 0.0], [1.0, 0.0, 0.0]));
+        context.ok(sgs_relight_emitter_get(c, relight, 1, &mut emitter, name.as_mut_ptr(), 9));
+        assert_eq!((emitter.shape, emitter.position, emitter.radius), (SGS_EMITTER_SPHERE, [0.4, -0.3, 0.4], 0.1));
+        assert_eq!(CStr::from_ptr(name.as_ptr()), c"light 1");
+        context.ok(sgs_relight_emitter_get(c, relight, 1, &mut emitter, name.as_mut_ptr(), 4));
+        assert_eq!(CStr::from_ptr(name.as_ptr()), c"lig");
+        let get = |index: u32, into: *mut SgsEmitter| sgs_relight_emitter_get(c, relight, index, into, null_mut(), 0);
+        context.refused(get(3, &mut emitter), ARGUMENT, "there are emitters 0 to 2");
+        assert_eq!(get(0, null_mut()), NULL);
+        emitter.struct_size = 3;
+        context.refused(get(0, &mut emitter), SIZE, "SgsEmitter.struct_size");
+        let mut light = light(&context, relight, 1);
+        let before = render_layer_of_room(&context, relight);
+        light.position[0] -= 0.5;
+        context.ok(sgs_relight_light_set(c, relight, 1, &light));
+        let moved = render_layer_of_room(&context, relight);
+        assert!(apart(&before, moved.iter().copied()) > 0.01);
+        let same = cr#"{"emitters": {"change": [{"emitter": "light 1", "by": [-0.5, 0, 0]}]}}"#;
+        context.ok(sgs_relight_edit(c, relight, same.as_ptr(), null()));
+        assert!(apart(&moved, render_layer_of_room(&context, relight).into_iter()) < 1e-5);
+        context.ok(sgs_relight_reset(c, relight));
+        assert!(apart(&before, render_layer_of_room(&context, relight).into_iter()) < 1e-5);
+        light.position[0] = f32::NAN;
+        context.refused(sgs_relight_light_set(c, relight, 1, &light), ARGUMENT, "\"light 1\" is not finite");
+        let new = sized!(SgsNewLight { intensity: [1.0; 3] });
+        context.refused(sgs_relight_light_add(c, relight, &new, null_mut()), ARGUMENT, "use \"emitters\" in an edit");
+        context.refused(sgs_relight_light_remove(c, relight, 0), ARGUMENT, "switch them off");
+        context.refused(sgs_relight_environment_gain(c, relight, [1.0f32; 3].as_ptr()), ARGUMENT, "no environment map");
+        // Edits of emitters, and of the lights that they replace.
+        let edit = |json: &CStr| sgs_relight_edit(c, relight, json.as_ptr(), null());
+        context.ok(edit(cr#"{"emitters": {"only": ["light 2"]}}"#));
+        context.refused(edit(cr#"{"emitters": {"only": ["sun"]}}"#), ARGUMENT, "the emitter \"sun\"");
+        context.ok(edit(cr#"{"lights": {"add": [{"position": [0, 0, 0], "intensity": [1, 1, 1]}]}}"#));
+        context.refused(
+            sgs_relight_emitter_get(c, relight, 0, &mut sized!(SgsEmitter {}), null_mut(), 0),
+            ARGUMENT,
+            "no emitters light",
+        );
+        assert_eq!((state(&context, relight).emitters, state(&context, relight).lights), (0, 1));
     }
 }

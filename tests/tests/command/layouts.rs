@@ -44,7 +44,7 @@ fn assert_same(scene: &Scene, other: &Scene, test: &str) {
     );
     let (truth, theirs) = (GroundTruth::of(scene), GroundTruth::of(other));
     let relit = theirs.relit_names();
-    assert!(relit.len() == 3 && truth.relit_names() == relit, "{:?}", truth.relit_names());
+    assert!(relit.len() == 4 && truth.relit_names() == relit, "{:?}", truth.relit_names());
     for j in 0..5 {
         let name = if j < 4 { format!("train_00{j}") } else { format!("{test}_000") };
         let i = scene.views.iter().position(|view| view.camera.name == name).unwrap();

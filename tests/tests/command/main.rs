@@ -2,6 +2,7 @@
 
 mod classes;
 mod cli;
+mod emitters;
 mod exchange;
 mod layouts;
 mod lpips;

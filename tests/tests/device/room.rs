@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use sgs_engine::Device;
+use sgs_passes::pipeline::FrameEmitter;
 use sgs_passes::transport::{AreaLight, LightShape};
 use sgs_run::{Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Image, NEAR, Splats, linear_to_srgb};
@@ -10,8 +11,6 @@ use sgs_transport::{Bounces, Explained, Room, RoomOptions, SeenViews};
 
 /// Half the side lengths of the room.
 const HALF: Vec3 = Vec3::new(2.0, 1.5, 2.5);
-/// Distance of neighboring Gaussians of a wall.
-const SPACING: f32 = 0.25;
 /// Columns and rows of a view.
 const SIZE: [u32; 2] = [48, 36];
 /// Linear albedo of the walls: low x, high x, low y, high y, low z, high z.
@@ -20,40 +19,9 @@ const ALBEDO: [[f32; 3]; 6] = [[0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.5; 3], [0.7;
 const BULB: AreaLight =
     AreaLight { shape: LightShape::Sphere { center: [0.5, 1.0, 0.25], radius: 0.1 }, color: [40.0, 30.0, 20.0] };
 
-fn logit(value: f32) -> f32 {
-    (value / (1.0 - value)).ln()
-}
-
 /// Returns the inside of a box as flat Gaussians with materials.
 fn walls() -> Splats {
-    let mut s = Splats::default();
-    let (mut normals, mut albedo) = (Vec::new(), Vec::new());
-    for (wall, color) in ALBEDO.iter().enumerate() {
-        let axis = wall / 2;
-        let sign = if wall.is_multiple_of(2) { -1.0 } else { 1.0 };
-        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
-        let [rows, columns] = [u, v].map(|k| (2.0 * HALF[k] / SPACING) as u32);
-        for i in 0..rows * columns {
-            let mut place = Vec3::ZERO;
-            place[axis] = sign * HALF[axis];
-            place[u] = SPACING * ((i % rows) as f32 + 0.5) - HALF[u];
-            place[v] = SPACING * ((i / rows) as f32 + 0.5) - HALF[v];
-            let mut scale = Vec3::splat(0.6 * SPACING);
-            scale[axis] = 0.01;
-            let mut normal = Vec3::ZERO;
-            normal[axis] = -sign;
-            s.means.push(place.into());
-            s.log_scales.push(scale.map(f32::ln).into());
-            s.rotations.push([1.0, 0.0, 0.0, 0.0]);
-            s.opacity_logits.push(logit(0.99));
-            normals.push(normal.into());
-            albedo.push(color.map(logit));
-        }
-    }
-    s.sh[0] = vec![0.0; 3 * s.len()];
-    s.roughness = Some(vec![logit(0.8); s.len()]);
-    (s.normals, s.albedo) = (Some(normals), Some(albedo));
-    s
+    sgs_tests::emitting::walls(HALF, &ALBEDO)
 }
 
 /// Returns cameras in the room, all around.
@@ -162,6 +130,44 @@ fn bounces_add_light_and_light_is_linear() {
     assert!(close(&twice[0], &all[0]) && close(&twice[1], &all[1]));
     let unlit = lit.radiance(&[], Bounces::All);
     assert!(unlit.iter().flatten().all(|v| *v == 0.0));
+}
+
+/// More emitters than one solve takes, some of them off.
+#[test]
+fn responses_of_emitters_add_up_to_one_solve() {
+    let gpu = Gpu::new();
+    let lit = Lit::new(&gpu);
+    let light = |i: usize| {
+        let center = [0.15 * i as f32 - 1.4, 0.9, 0.1 * (i % 7) as f32];
+        let color = if i % 4 == 1 { [0.0; 3] } else { [10.0, i as f32, 20.0 - i as f32] };
+        AreaLight { shape: LightShape::Sphere { center, radius: 0.1 }, color }
+    };
+    let lights: Vec<AreaLight> = (0..19).map(light).collect();
+    let expected = lit.radiance(&lights, Bounces::All);
+    let frame: Vec<FrameEmitter> = lights.iter().map(|light| FrameEmitter::of(*light)).collect();
+    let mut scene = shaded_scene(&lit.device, &lit.splats, None, None, &Visibility::None).unwrap();
+    // The Gaussians of one wall emit what the third emitter does.
+    let numbers: Vec<u32> = lit.splats.means.iter().map(|m| if m[0] == HALF.x { 3 } else { 0 }).collect();
+    scene.transport = Some(lit.room.respond(&frame, &numbers).unwrap());
+    let mut shading = Shading::new(&lit.device, scene).unwrap().without_visibility();
+    let close = |a: &[f32], b: &[f32], by: f32| a.iter().zip(b).all(|(a, b)| (a - b).abs() <= by * a.abs() + 1e-6);
+    let mut emitted = 0.0;
+    for (i, camera) in lit.cameras.iter().enumerate() {
+        let view = shading.shade(camera).unwrap().0;
+        let part = |term: &[f32]| term[i * view.direct.len()..][..view.direct.len()].to_vec();
+        assert!(close(&view.direct, &part(&expected[0]), 1e-5));
+        assert!(close(&view.indirect, &part(&expected[1]), 5e-3));
+        emitted += sum(&view.emission);
+        // Without light it is dark, also when the same view is shaded again.
+        let off: Vec<FrameEmitter> =
+            lights.iter().map(|light| FrameEmitter::of(AreaLight { color: [0.0; 3], ..*light })).collect();
+        shading.set_emitters(&off);
+        let dark = shading.shade_again(camera).unwrap().0;
+        assert!([&dark.direct, &dark.indirect, &dark.emission].into_iter().flatten().all(|v| *v == 0.0));
+        shading.set_emitters(&frame);
+        assert!(shading.shade_again(camera).unwrap().0.indirect == view.indirect);
+    }
+    assert!(emitted > 0.0);
 }
 
 /// The fit takes a sphere for a point, and compares diffuse direct light only.

@@ -346,6 +346,7 @@ fn gaussians_gather_irradiance_and_its_gradient() {
         let lights = 2;
         let irradiance = random_values(receivers, [0.0, 3.0], &mut rng);
         let gradient = random_values(gaussians, [-1.0, 1.0], &mut rng);
+        let log_gains: Vec<f32> = (0..gaussians).map(|_| rng.range(-2.0, 2.0) as f32).collect();
         let columns = nearest.columns(receivers as u32);
 
         let mut g = Graph::new("gather");
@@ -366,6 +367,7 @@ fn gaussians_gather_irradiance_and_its_gradient() {
             neighbors: input(&mut g, "neighbors", bytes(&nearest.neighbors)),
             weights: input(&mut g, "weights", bytes(&nearest.weights)),
             irradiance: input(&mut g, "irradiance", bytes(&lit)),
+            log_gains: (count > 1).then(|| input(&mut g, "log_gains", bytes(&log_gains))),
         };
         let c = GatherColumns {
             receivers: receivers as u32,
@@ -382,7 +384,8 @@ fn gaussians_gather_irradiance_and_its_gradient() {
 
         let right: Vec<f64> = gather(&nearest.neighbors, &weights, NEIGHBORS, &irradiance)
             .iter()
-            .flat_map(|e| [e[0], e[1], e[2], 0.0])
+            .zip(&log_gains)
+            .flat_map(|(e, gain)| [e[0], e[1], e[2], if count > 1 { f64::from(*gain).exp() } else { 1.0 }])
             .collect();
         let tolerance = Tolerance::new(1e-6, 1e-5);
         assert_close("irradiance", &right, &out.get::<f32>(values), tolerance);

@@ -65,7 +65,8 @@ impl Case {
         let incoming = (0..PIXELS)
             .map(|_| {
                 let unit = lights.iter().map(|_| color(2.0)).map(|c| if c[1] < 0.4 { 0.0 } else { c[0] }).collect();
-                Incoming { unit, irradiance: color(3.0), emission: if emission { color(0.5) } else { [0.0; 3] } }
+                let gain = 0.5 + color(1.0)[0];
+                Incoming { unit, irradiance: color(3.0), gain, emission: if emission { color(0.5) } else { [0.0; 3] } }
             })
             .collect();
         Case { lit, lights, incoming, emission }
@@ -83,16 +84,16 @@ impl Case {
             bound.inputs.push((buffer, data));
             buffer
         };
-        let four = |c: V3| [c[0], c[1], c[2], f64::NAN];
+        let four = |c: V3, last: f64| [c[0], c[1], c[2], last];
         let by_light = |l: usize| {
             let row = self.incoming.iter().map(move |p| p.unit[l]);
             row.chain(std::iter::repeat_n(f64::NAN, ROOM - PIXELS))
         };
         let unit = bytes((0..self.lights.len()).flat_map(by_light));
         let unit = input(&mut g, "unit", unit, 4 * ROOM * self.lights.len().max(1));
-        let irradiance = bytes(self.incoming.iter().flat_map(|p| four(p.irradiance)));
+        let irradiance = bytes(self.incoming.iter().flat_map(|p| four(p.irradiance, p.gain)));
         let irradiance = input(&mut g, "irradiance", irradiance, 16 * ROOM);
-        let emission = bytes(self.incoming.iter().flat_map(|p| four(p.emission)));
+        let emission = bytes(self.incoming.iter().flat_map(|p| four(p.emission, f64::NAN)));
         let emission = self.emission.then(|| input(&mut g, "emission", emission, 16 * ROOM));
         // Gradients of materials are added to.
         let mut begun = |g: &mut Graph, name: &str, width: usize| {
@@ -142,7 +143,7 @@ impl Case {
         self.lit.pixels.iter().zip(&self.incoming).map(|(p, i)| shade(&view, p, i)).collect()
     }
 
-    /// Returns the loss of one pixel at other parameters: albedo, roughness, metallic, irradiance, emission, then colors.
+    /// Returns the loss of one pixel at other parameters: albedo, roughness, metallic, irradiance, gain, emission, then colors.
     fn loss(&self, view: &View<'_>, i: usize, x: &[f64]) -> f64 {
         let mut pixel = self.lit.pixels[i];
         pixel.material.albedo = [x[0], x[1], x[2]];
@@ -150,9 +151,10 @@ impl Case {
         let incoming = Incoming {
             unit: self.incoming[i].unit.clone(),
             irradiance: [x[5], x[6], x[7]],
-            emission: [x[8], x[9], x[10]],
+            gain: x[8],
+            emission: [x[9], x[10], x[11]],
         };
-        let colors: Vec<V3> = x[11..].chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+        let colors: Vec<V3> = x[12..].chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
         let radiance = shade(&View { colors: &colors, ..*view }, &pixel, &incoming).radiance();
         (0..3).map(|k| self.lit.gradient[3 * i + k] * radiance[k]).sum()
     }
@@ -182,7 +184,8 @@ impl Case {
         for (i, p) in self.lit.pixels.iter().enumerate() {
             let (m, incoming) = (p.material, &self.incoming[i]);
             let mut x: Vec<f64> =
-                [&m.albedo[..], &[m.roughness, m.metallic], &incoming.irradiance, &incoming.emission].concat();
+                [&m.albedo[..], &[m.roughness, m.metallic], &incoming.irradiance, &[incoming.gain], &incoming.emission]
+                    .concat();
             x.extend(self.lights.iter().flat_map(|l| l.color.map(f64::from)));
             for k in 0..x.len() {
                 let slope = finite_difference(&mut x, k, 1e-6, |x| self.loss(&view, i, x));
@@ -193,19 +196,18 @@ impl Case {
                         assert_eq!(found.metallic[i], BEFORE);
                         continue;
                     }
-                    5..8 => found.irradiance[4 * i + k - 5],
-                    8..11 if self.emission => found.emission[4 * i + k - 8],
-                    8..11 => continue,
+                    5..9 => found.irradiance[4 * i + k - 5],
+                    9..12 if self.emission => found.emission[4 * i + k - 9],
+                    9..12 => continue,
                     _ => {
-                        colors[k - 11] += slope;
-                        sizes[k - 11] += slope.abs();
+                        colors[k - 12] += slope;
+                        sizes[k - 12] += slope.abs();
                         continue;
                     }
                 };
                 let bound = tolerance * (slope.abs() + 0.05);
                 assert!((slope - f64::from(is)).abs() < bound, "pixel {i} {p:?}, {k}: {slope} {is}");
             }
-            assert_eq!(found.irradiance[4 * i + 3], 0.0);
         }
         for (k, (slope, size)) in colors.iter().zip(&sizes).enumerate() {
             let is = f64::from(found.colors[k]);

@@ -195,6 +195,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
         lights: Some((LightModel::default(), 1.0 / 64.0)),
         visibility: Some(FieldConfig::new(16, 19, 32, 4096)),
         traced: None,
+        transport: None,
         visibility_jitter: true,
         visibility_sample: 1,
         light_regularizers: [1e-6, 1e-4],

@@ -4,6 +4,7 @@
 
 use serde_json::Value;
 use sgs_config::{OwnPrior, Settings};
+use sgs_run::StageKind;
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::cli::sgs;
 use sgs_tests::intrinsic::{place, settings};
@@ -131,7 +132,7 @@ fn interruption_does_not_change_the_log() {
     let logged = |training: &mut Intrinsic, until: u32, lines: &mut Vec<String>| {
         let runs = training.logged_losses();
         let report = |r: &sgs_passes::pipeline::IntrinsicReport| {
-            lines.push(serde_json::to_string(&IntrinsicLog::of(r, &runs, 1.0)).unwrap());
+            lines.push(serde_json::to_string(&IntrinsicLog::of((StageKind::Intrinsic, 0), r, &runs, 1.0)).unwrap());
         };
         training.train(until, report, || true).unwrap();
     };

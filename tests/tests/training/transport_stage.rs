@@ -1,9 +1,10 @@
 //! The transport stage: refusals, files, resuming, and removal with its materials.
 
+use serde_json::{Value, json};
 use sgs_config::Settings;
 use sgs_run::{RunDirectory, StageKind, read_emitters};
-use sgs_scene::{Scene, SceneOptions, Splats};
-use sgs_tests::cli::{Finished, sgs};
+use sgs_scene::{Image, Scene, SceneOptions, Splats, write_exr};
+use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
 use sgs_tests::rooms::Room;
 use sgs_tests::{Gpu, Place, files};
 use sgs_train::{Requirement, StartGeometry, TrainError, Trainer, TrainerOptions};
@@ -25,6 +26,7 @@ fn train(place: &Place, more: &[&str]) -> Finished {
         "intrinsic.lights.grid=2",
         "intrinsic.visibility.levels=2",
         "intrinsic.visibility.log2_table=8",
+        "transport.steps=0",
     ];
     let small = if more.contains(&"--resume") { &[][..] } else { &small[..] };
     let sets = small.iter().flat_map(|pair| ["--set", pair]);
@@ -69,7 +71,7 @@ fn stage_writes_emitters_and_keeps_materials() {
     assert_eq!((file.surfels, file.rays), (512, 64));
     let emitters = after.emitters.clone().unwrap();
     assert!(emitters.iter().all(|e| *e as usize <= file.emitters.len()));
-    assert!(Splats { emitters: None, ..after } == before, "the stage changed Gaussians or materials");
+    assert!(Splats { emitters: None, ..after } == before, "a stage without training changed Gaussians or materials");
     let settings = run.settings().unwrap();
     assert_eq!((settings.transport.surfels, settings.geometry.steps, settings.intrinsic.steps), (512, 20, 2));
     let all = StageKind::ALL.to_vec();
@@ -115,6 +117,81 @@ fn stage_writes_emitters_and_keeps_materials() {
     assert!(!String::from_utf8(place.read("run/log.jsonl")).unwrap().contains("transport"));
 }
 
+/// A training that is killed twice ends with the files of one that is not.
+#[test]
+fn training_of_materials_resumes_bit_by_bit() {
+    let place = place();
+    materials(&place);
+    let before = Splats::read_ply(&place.path("run/scene.ply")).unwrap();
+    let whole =
+        ["--set", "transport.steps=24", "--set", "transport.surfels=256", "--set", "train.checkpoint_interval=4"];
+    let stage = [&["--stage", "transport"][..], &whole].concat();
+    let copy = |name: &str| {
+        std::fs::create_dir(place.path(name)).unwrap();
+        for (from, bytes) in files(&place.path("run")) {
+            let to = place.path(name).join(from.strip_prefix(place.path("run")).unwrap());
+            std::fs::create_dir_all(to.parent().unwrap()).unwrap();
+            std::fs::write(to, bytes).unwrap();
+        }
+    };
+    copy("killed");
+    train(&place, &stage).ok();
+    let (scene, killed) = (place.text("scene"), place.text("killed"));
+    let begin = [&["train", &scene, "-o", &killed, "-q"][..], &stage].concat();
+    let resume = ["train", &scene, "-o", &killed, "-q", "--stage", "transport", "--resume"];
+    for (arguments, step) in [(&begin[..], 9), (&resume[..], 17)] {
+        let arguments: Vec<String> = arguments.iter().map(|a| (*a).to_owned()).collect();
+        let mut child = start(&arguments);
+        let saved = || {
+            let log = std::fs::read_to_string(place.path("killed/log.jsonl")).unwrap_or_default();
+            let of = |line: &str| serde_json::from_str::<serde_json::Value>(line).unwrap_or_default();
+            let last = log
+                .lines()
+                .map(of)
+                .filter(|l| l["stage"] == "transport")
+                .filter_map(|l| l["step"].as_u64())
+                .next_back();
+            last >= Some(step)
+        };
+        assert!(until(&mut child, saved), "it ended before step {step}");
+        signal(&child, "KILL");
+        wait(child);
+    }
+    sgs(&resume).ok();
+    for name in ["scene.ply", "emitters.json", "log.jsonl", "config.toml"] {
+        let [a, b] = ["run", "killed"].map(|run| place.read(&format!("{run}/{name}")));
+        assert!(a == b, "{name} differs");
+    }
+    let log = String::from_utf8(place.read("run/log.jsonl")).unwrap();
+    let last: serde_json::Value = serde_json::from_str(log.lines().last().unwrap()).unwrap();
+    assert_eq!((&last["stage"], &last["step"]), (&"transport".into(), &25.into()), "{log}");
+    // Materials and gains are trained; all else keeps its bits.
+    let after = Splats::read_ply(&place.path("run/scene.ply")).unwrap();
+    assert!(after.albedo != before.albedo && after.light_gains.as_ref().is_some_and(|g| g.iter().all(|g| *g > 0.0)));
+    let Splats { albedo, roughness, metallic, .. } = after.clone();
+    assert!(
+        Splats {
+            albedo,
+            roughness,
+            metallic,
+            light_gains: after.light_gains.clone(),
+            emitters: after.emitters.clone(),
+            ..before
+        } == after
+    );
+    assert_eq!(summary(&place)["transport"]["steps"], 25);
+    // A checkpoint that says another step is refused.
+    let path = place.path("killed/checkpoint/transport.safetensors");
+    let bytes = std::fs::read(&path).unwrap();
+    let text = b"\"step\":\"25\"";
+    let at = bytes.windows(text.len()).position(|w| w == text).unwrap();
+    let mut wrong = bytes.clone();
+    wrong[at + 8..at + 10].copy_from_slice(b"24");
+    std::fs::write(&path, wrong).unwrap();
+    std::fs::remove_file(place.path("killed/training.json")).unwrap();
+    sgs(&resume).refused(&["damaged", "step 24"]);
+}
+
 #[test]
 fn library_names_what_is_missing() {
     let (gpu, place) = (Gpu::new(), place());
@@ -129,6 +206,45 @@ fn library_names_what_is_missing() {
     assert!(matches!(run(None), TrainError::Requirement(Requirement::Geometry)));
     assert!(matches!(run(Some(splats)), TrainError::Requirement(Requirement::Materials)));
     assert!(matches!(run(Some(Splats::default())), TrainError::Requirement(Requirement::NotEmpty)));
+}
+
+/// Sets: the lights of the photographs, none of them, and one more.
+#[test]
+fn report_shows_a_view_as_in_each_relit_set() {
+    let place = place();
+    materials(&place);
+    train(&place, &["--stage", "transport", "--set", "transport.surfels=512", "--set", "transport.steps=2"]).ok();
+    let read = |name: &str| serde_json::from_slice::<Value>(&place.read(name)).unwrap();
+    let mut lights = read("scene/gt/lights.json");
+    let same = lights["training"].as_array().unwrap().clone();
+    let (mut off, mut new) = (same.clone(), same.clone());
+    off.iter_mut().for_each(|light| light["on"] = false.into());
+    new.push(json!({"name": "new", "on": true, "position": [0, 1, 0.5], "radius": 0.05, "radiance": [50, 90, 200]}));
+    lights["relight"] = json!({"new": new, "off": off, "same": same});
+    std::fs::write(place.path("scene/gt/lights.json"), lights.to_string()).unwrap();
+    let truth = Image { width: 32, height: 24, channels: 3, data: vec![0.2; 3 * 32 * 24] };
+    let split = read("scene/split.json");
+    let stems: Vec<&str> = split["test"].as_array().unwrap().iter().map(|stem| stem.as_str().unwrap()).collect();
+    for set in ["new", "off", "same"] {
+        std::fs::create_dir_all(place.path(&format!("scene/gt/relit/{set}"))).unwrap();
+        for stem in &stems {
+            write_exr(&place.path(&format!("scene/gt/relit/{set}/{stem}.exr")), &truth, &["R", "G", "B"]).unwrap();
+        }
+    }
+    let (run, page) = (place.text("run"), place.text("page.html"));
+    sgs(&["report", &run, "-o", &page]).ok();
+    let measured = read("run/metrics.json")["test"]["mean"]["relit_bounces"].clone();
+    let learned = |set: &str| measured[set]["learned_emitters"].as_f64().unwrap();
+    assert!((learned("new") - learned("same")).abs() > 0.1, "the new light changes nothing: {measured}");
+    assert!((learned("off") - learned("same")).abs() > 0.1, "switching off changes nothing: {measured}");
+    let html = String::from_utf8(place.read("page.html")).unwrap();
+    let section = html.split("<section id=\"relit\">").nth(1).and_then(|s| s.split("</section>").next()).unwrap();
+    let count = |text: &str| section.matches(text).count();
+    assert_eq!(["photograph", "relit", "truth"].map(|name| count(&format!("<figcaption>{name}"))), [3; 3]);
+    for set in ["new", "off", "same"] {
+        assert!(section.contains(&format!("<h3>{set}</h3>")), "{set}");
+        assert_eq!(count(&format!(", {:.2} dB in the mean", learned(set))), 1, "{set}: {measured}");
+    }
 }
 
 #[test]

@@ -86,7 +86,7 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // Relighting: light of the environment map, over the environment map itself.
 #define SGS_LAYER_ENVIRONMENT 23
 
-// Relighting: light of the point lights, over black.
+// Relighting: light of the point lights or emitters, over black, without bounces and emission.
 #define SGS_LAYER_DIRECT 24
 
 // Colors as blended, which is sRGB-encoded.
@@ -94,6 +94,24 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 
 // Colors in linear light. Images whose format decodes sRGB hold encoded values with either encoding.
 #define SGS_ENCODING_LINEAR 1
+
+// Emitter: point that emits equally in all directions.
+#define SGS_EMITTER_POINT 0
+
+// Emitter: sphere.
+#define SGS_EMITTER_SPHERE 1
+
+// Emitter: rectangle, which emits on the side of axis x side.
+#define SGS_EMITTER_RECTANGLE 2
+
+// Emitter: disk, which emits on the side of its normal.
+#define SGS_EMITTER_DISK 3
+
+// Emitter: point with a cone of light.
+#define SGS_EMITTER_SPOT 4
+
+// Emitter: light from a distant disk.
+#define SGS_EMITTER_DIRECTIONAL 5
 
 // Result of a call.
 enum SgsResult
@@ -398,6 +416,8 @@ typedef struct {
   uint32_t environment;
   // Texels along an edge of the environment map's cube.
   uint32_t environment_size;
+  // Not 0 if emitters with bounces light the scene. They are its lights.
+  uint32_t emitters;
 } SgsRelightState;
 
 // Light. sgs_relight_light_set applies every field: get a light, change it, set it.
@@ -440,6 +460,27 @@ typedef struct {
   // Exposure in stops. Light is multiplied by two to the power of this.
   float exposure;
 } SgsRelitInfo;
+
+// Emitter of a run, in world units. Shape and color are those of emitters.json, or what an edit left.
+typedef struct {
+  // sizeof(SgsEmitter)
+  uint32_t struct_size;
+  // SGS_EMITTER_...
+  uint32_t shape;
+  // Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points and spots,
+  // irradiance of directional light.
+  float color[3];
+  // Center; the corner of a rectangle where both edges begin. 0 for directional light.
+  float position[3];
+  // First edge of a rectangle; else normal of a disk, axis of a spot, direction of directional light.
+  float axis[3];
+  // Second edge of a rectangle.
+  float side[3];
+  // Radius of a sphere or a disk.
+  float radius;
+  // Inner and outer angle of a spot in degrees; angular radius of directional light, and 0.
+  float angles[2];
+} SgsEmitter;
 
 // Options for opening a trainer.
 typedef struct {
@@ -620,7 +661,8 @@ SgsResult sgs_view_wait(const SgsContext *context, SgsView view);
 SgsResult sgs_view_report(const SgsContext *context, SgsView view, SgsViewReport *report);
 
 // Opens a run directory with trained materials, or a PLY file with materials. A run directory has scene.ply,
-// lights.json, environment.exr and visibility.safetensors. A PLY file has no light of its own. `info` may be null.
+// lights.json, environment.exr and visibility.safetensors. A PLY file has no light of its own. A run with emitters.json
+// is lit by its emitters with bounces if its scene is there; opening it waits for their solve. `info` may be null.
 SgsResult sgs_relight_open(const SgsContext *context,
                            const char *run,
                            const SgsRelightInfo *info,
@@ -644,9 +686,11 @@ SgsResult sgs_relight_reset(const SgsContext *context, SgsRelight relight);
 SgsResult sgs_relight_light_count(const SgsContext *context, SgsRelight relight, uint32_t *count);
 
 // Returns one of the lights, numbered from 0 as in lights.json.
+// If emitters light the scene, their numbers are those of emitters.json.
 SgsResult sgs_relight_light_get(const SgsContext *context, SgsRelight relight, uint32_t index, SgsLight *light);
 
 // Changes a light. Takes effect in frames that are recorded or submitted from now on. Neither allocates nor waits.
+// A moved emitter also submits the trace and the solve of its bounces to the queue; later frames show them.
 SgsResult sgs_relight_light_set(const SgsContext *context,
                                 SgsRelight relight,
                                 uint32_t index,
@@ -693,6 +737,16 @@ SgsResult sgs_relight_render(const SgsContext *context,
                              const SgsRelitInfo *info,
                              float *pixels,
                              size_t count);
+
+// Returns an emitter of a run, numbered from 0 as in emitters.json. Emitters are the lights of such a run:
+// sgs_relight_light_count counts them, sgs_relight_light_set switches, dims and recolors them. `name`, if not null, has
+// space for `size` bytes and receives as much of the name as fits.
+SgsResult sgs_relight_emitter_get(const SgsContext *context,
+                                  SgsRelight relight,
+                                  uint32_t index,
+                                  SgsEmitter *emitter,
+                                  char *name,
+                                  size_t size);
 
 // Opens a dataset for training. Locks the run directory, if any, until the trainer is destroyed. Unless it resumes,
 // removes the files of an unfinished training in that directory.

@@ -153,6 +153,7 @@ structs!(
     SgsViewReport,
     SgsRelightInfo,
     SgsRelightState,
+    SgsEmitter,
     SgsLight,
     SgsNewLight,
     SgsRelitInfo,

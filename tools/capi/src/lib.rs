@@ -10,6 +10,7 @@
 
 mod border;
 mod context;
+mod emitter;
 mod host;
 mod object;
 mod relight;
@@ -20,6 +21,7 @@ pub mod types;
 mod view;
 
 pub use context::*;
+pub use emitter::*;
 pub use host::*;
 pub use relight::*;
 pub use scene::*;

@@ -42,6 +42,12 @@ fn check_layer(relight: &Relighter, layer: LitLayer) -> Outcome<()> {
     Ok(())
 }
 
+/// Submits the bounces of moved emitters.
+fn follow(relight: &mut Relighter) -> Outcome<()> {
+    while relight.update()? {}
+    Ok(())
+}
+
 fn exposure(stops: f32) -> Outcome<f32> {
     let factor = stops.exp2();
     if !(stops.is_finite() && factor.is_finite()) {
@@ -54,7 +60,8 @@ fn exposure(stops: f32) -> Outcome<f32> {
 }
 
 /// Opens a run directory with trained materials, or a PLY file with materials. A run directory has scene.ply,
-/// lights.json, environment.exr and visibility.safetensors. A PLY file has no light of its own. `info` may be null.
+/// lights.json, environment.exr and visibility.safetensors. A PLY file has no light of its own. A run with emitters.json
+/// is lit by its emitters with bounces if its scene is there; opening it waits for their solve. `info` may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_open(
     context: *const SgsContext,
@@ -99,6 +106,7 @@ pub unsafe extern "C" fn sgs_relight_get(
                 visibility: u32::from(scene.scene.visibility.is_some()),
                 environment: u32::from(scene.environment.is_some()),
                 environment_size: relight.environment_size(),
+                emitters: u32::from(relight.has_emitters()),
             };
             write(state, &value)
         })
@@ -125,7 +133,8 @@ pub unsafe extern "C" fn sgs_relight_edit(
                 code: SgsResult::SGS_ERROR_ARGUMENT,
                 text: format!("The edit cannot be applied: {reason}."),
             })?;
-            Ok(relight.edit(&edit)?)
+            relight.edit(&edit)?;
+            follow(&mut relight)
         })
     }
 }
@@ -134,7 +143,13 @@ pub unsafe extern "C" fn sgs_relight_edit(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_reset(context: *const SgsContext, relight: SgsRelight) -> SgsResult {
     // SAFETY: by the caller's contract.
-    unsafe { with(context, |inner| Ok(inner.relight(relight)?.hold().reset()?)) }
+    unsafe {
+        with(context, |inner| {
+            let mut relight = inner.relight(relight)?.hold();
+            relight.reset()?;
+            follow(&mut relight)
+        })
+    }
 }
 
 /// Returns the number of lights.
@@ -158,6 +173,7 @@ pub unsafe extern "C" fn sgs_relight_light_count(
 }
 
 /// Returns one of the lights, numbered from 0 as in lights.json.
+/// If emitters light the scene, their numbers are those of emitters.json.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_get(
     context: *const SgsContext,
@@ -175,6 +191,7 @@ pub unsafe extern "C" fn sgs_relight_light_get(
 }
 
 /// Changes a light. Takes effect in frames that are recorded or submitted from now on. Neither allocates nor waits.
+/// A moved emitter also submits the trace and the solve of its bounces to the queue; later frames show them.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_set(
     context: *const SgsContext,
@@ -187,7 +204,8 @@ pub unsafe extern "C" fn sgs_relight_light_set(
         with(context, |inner| {
             let mut relight = inner.relight(relight)?.hold();
             let SgsLight { on, position, gain, color, .. } = read(light)?;
-            Ok(relight.set_light(index as usize, LightParameters { on: on != 0, position, gain, color })?)
+            relight.set_light(index as usize, LightParameters { on: on != 0, position, gain, color })?;
+            follow(&mut relight)
         })
     }
 }
@@ -364,7 +382,7 @@ pub unsafe extern "C" fn sgs_relight_render(
                 let text = format!("The image takes {needed} floats, but there is room for {count}.");
                 return fail(SgsResult::SGS_ERROR_SPACE, text);
             }
-            let scene = held.relit().upload(&inner.device)?;
+            let scene = held.shaded()?;
             let shaded = Shading::new(&inner.device, scene)?.shade_from(&view)?;
             let rendered = rendered(&shaded, layer, info.background, factor);
             std::ptr::copy_nonoverlapping(rendered.as_ptr(), pixels, needed);

@@ -102,7 +102,7 @@ pub const SGS_LAYER_SPECULAR: u32 = 21;
 pub const SGS_LAYER_VISIBILITY: u32 = 22;
 /// Relighting: light of the environment map, over the environment map itself.
 pub const SGS_LAYER_ENVIRONMENT: u32 = 23;
-/// Relighting: light of the point lights, over black.
+/// Relighting: light of the point lights or emitters, over black, without bounces and emission.
 pub const SGS_LAYER_DIRECT: u32 = 24;
 
 /// Colors as blended, which is sRGB-encoded.
@@ -376,6 +376,31 @@ pub struct SgsRelightState {
     pub environment: u32,
     /// Texels along an edge of the environment map's cube.
     pub environment_size: u32,
+    /// Not 0 if emitters with bounces light the scene. They are its lights.
+    pub emitters: u32,
+}
+
+/// Emitter of a run, in world units. Shape and color are those of emitters.json, or what an edit left.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct SgsEmitter {
+    /// sizeof(SgsEmitter)
+    pub struct_size: u32,
+    /// SGS_EMITTER_...
+    pub shape: u32,
+    /// Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points and spots,
+    /// irradiance of directional light.
+    pub color: [f32; 3],
+    /// Center; the corner of a rectangle where both edges begin. 0 for directional light.
+    pub position: [f32; 3],
+    /// First edge of a rectangle; else normal of a disk, axis of a spot, direction of directional light.
+    pub axis: [f32; 3],
+    /// Second edge of a rectangle.
+    pub side: [f32; 3],
+    /// Radius of a sphere or a disk.
+    pub radius: f32,
+    /// Inner and outer angle of a spot in degrees; angular radius of directional light, and 0.
+    pub angles: [f32; 2],
 }
 
 /// Light. sgs_relight_light_set applies every field: get a light, change it, set it.

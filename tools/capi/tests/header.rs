@@ -7,7 +7,7 @@ fn generated() -> String {
     let config = cbindgen::Config::from_file(root.join("cbindgen.toml")).expect("cbindgen.toml");
     let mut builder = cbindgen::Builder::new().with_config(config);
     // File by file, so that cbindgen runs neither cargo nor a download.
-    for file in ["types", "context", "host", "scene", "view", "relight", "trainer"] {
+    for file in ["types", "context", "host", "scene", "view", "relight", "emitter", "trainer"] {
         builder = builder.with_src(root.join("src").join(file).with_extension("rs"));
     }
     let mut text = Vec::new();

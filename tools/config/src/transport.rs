@@ -9,8 +9,11 @@ use serde::{Deserialize, Serialize};
 pub struct TransportSettings {
     /// Number of surfels at most: 64 to 65536.
     pub surfels: u32,
-    /// Rays per surfel, which meet the surfels that light it: 1 to 1024.
+    /// Rays per surfel, which meet the surfels that light it: 1 to 1024. Not a setting.
+    #[serde(skip)]
     pub rays: u32,
+    /// Number of steps that train materials and lights after the fit of the emitters; 0 leaves the materials as they are.
+    pub steps: u32,
 }
 
 impl TransportSettings {
@@ -30,6 +33,9 @@ impl TransportSettings {
         if !(least..=most).contains(&self.surfels) {
             return Err(ConfigError::range("transport.surfels", self.surfels, format!("{least} to {most}")));
         }
+        if self.steps == u32::MAX {
+            return Err(ConfigError::range("transport.steps", self.steps, "less than 4294967295"));
+        }
         if !(1..=rays).contains(&self.rays) {
             return Err(ConfigError::range("transport.rays", self.rays, format!("1 to {rays}")));
         }
@@ -39,12 +45,13 @@ impl TransportSettings {
 
 impl Default for TransportSettings {
     fn default() -> Self {
-        TransportSettings { surfels: 8192, rays: 64 }
+        TransportSettings { surfels: 8192, rays: 64, steps: 500 }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::TransportSettings;
     use crate::Settings;
 
     #[test]
@@ -53,12 +60,18 @@ mod tests {
             let table = format!("[transport]\n{text}").parse().unwrap();
             Settings::from_table(table).and_then(|s| s.check()).map_err(|e| e.to_string())
         };
-        assert_eq!(check("surfels = 64\nrays = 1"), Ok(()));
-        assert_eq!(check("surfels = 65536\nrays = 1024"), Ok(()));
+        assert_eq!(check("surfels = 64\nsteps = 0"), Ok(()));
+        assert_eq!(check("surfels = 65536\nsteps = 4294967294"), Ok(()));
         let error = check("surfels = 63").unwrap_err();
         assert_eq!(error, "transport.surfels is 63, but must be 64 to 65536.");
         assert!(check("surfels = 65537").unwrap_err().contains("transport.surfels is 65537"));
-        assert_eq!(check("rays = 0").unwrap_err(), "transport.rays is 0, but must be 1 to 1024.");
-        assert!(check("rays = 1025").is_err() && check("ray = 1").unwrap_err().contains("transport.rays"));
+        assert!(check("steps = 4294967295").unwrap_err().contains("less than 4294967295"));
+        assert!(check("step = 1").unwrap_err().contains("transport.steps"));
+        let rays = |rays| TransportSettings { rays, ..TransportSettings::default() }.check().map_err(|e| e.to_string());
+        assert_eq!((rays(1), rays(64), rays(1024)), (Ok(()), Ok(()), Ok(())));
+        assert_eq!(rays(0).unwrap_err(), "transport.rays is 0, but must be 1 to 1024.");
+        assert!(rays(1025).is_err());
+        let read = Settings::from_table("[transport]\nsurfels = 64".parse().unwrap()).unwrap();
+        assert_eq!(read.transport.rays, 64);
     }
 }

@@ -3,17 +3,19 @@
 //! The true lights of a set replace the learned emitters. They cast shadows and bounce. The Gaussians of a learned emitter
 //! take the radiance that the true light nearest to the emitter has in the set. Each set of lights is measured four times:
 //! under direct light alone, with one bounce, with all bounces, and with all bounces under the learned emitters. The color of
-//! a learned emitter changes by the factor by which its nearest true light changes from the photographs to the set.
+//! a learned emitter changes by the factor by which its nearest true light changes from the photographs to the set. A light that
+//! the photographs lack is added to the learned emitters.
 
 use super::emitting::Emitting;
 use super::materials::edit_materials;
-use super::painted::{LEARNED, key_of, painted_of};
+use super::painted::{LEARNED, key_of, painted_of, read};
 use super::true_light::{TrueLight, TrueLights, center};
 use crate::error::Result;
+use glam::Vec3;
 use sgs_engine::Device;
 use sgs_evaluate::{BouncesPsnr, Evaluation, RelitMetrics, RelitSet, ShadedMetrics, mean, measure_relit};
 use sgs_passes::pipeline::ShadedScene;
-use sgs_passes::transport::AreaLight;
+use sgs_passes::transport::{AreaLight, LightShape};
 use sgs_run::Shading;
 use sgs_scene::{GroundTruth, Image, Scene, Splats};
 use sgs_transport::Bounces;
@@ -169,10 +171,52 @@ fn true_lights(list: &[TrueLight], known: &TrueLights, emitting: &Emitting) -> O
     Some(Lights { radiance: radiance.collect(), lights })
 }
 
+/// View of a relit set. Both images are linear.
+#[derive(Clone, Debug)]
+pub struct RelitView {
+    /// Name of the set.
+    pub name: String,
+    /// Image under the learned emitters, changed as the true lights change.
+    pub ours: Image,
+    /// True image.
+    pub truth: Image,
+}
+
+/// Relights a view as in each relit set whose lights are known.
+///
+/// The learned emitters change as the true lights do, and all light bounces. Empty without emitters. The images are those of which `relit_bounces` has the PSNR of `learned_emitters`.
+///
+/// # Errors
+/// If the device fails or the ground truth is damaged.
+pub fn relit_views(
+    device: &Device,
+    scene: &Scene,
+    splats: &Splats,
+    emitting: &Emitting,
+    view: usize,
+) -> Result<Vec<RelitView>> {
+    let truth = GroundTruth::of(scene);
+    let Some(path) = truth.lights() else { return Ok(Vec::new()) };
+    let known: TrueLights = read(&path, "lights")?;
+    let mut all = Vec::new();
+    for name in truth.relit_names() {
+        let Some(lights) = known.relight.get(&name).and_then(|list| changed_emitters(list, &known, emitting)) else {
+            continue;
+        };
+        let Some(theirs) = truth.relit(&name, view)? else { continue };
+        let shaded = emitting.shaded(device, splats, &lights.lights, &lights.radiance, Bounces::All)?;
+        let mut shading = Shading::new(device, shaded)?.without_visibility();
+        let ours = shading.shade(&scene.views[view].camera)?.radiance([0.0; 3]);
+        all.push(RelitView { name, ours, truth: theirs });
+    }
+    Ok(all)
+}
+
 /// Returns the learned emitters, changed as their true lights change.
 ///
-/// The factor per color is the color of the nearest true light in the set over its color in the photographs. Returns `None`
-/// without learned emitters.
+/// Lights that the photographs lack follow them. The factor per color is the color of the nearest true light in the set over
+/// its color in the photographs. Returns `None` without learned emitters, or if the shape or brightness of a light that the
+/// photographs lack is unknown.
 fn changed_emitters(list: &[TrueLight], known: &TrueLights, emitting: &Emitting) -> Option<Lights> {
     let [low, high] = [emitting.file.enclosure.low, emitting.file.enclosure.high].map(glam::Vec3::from);
     let most = MATCHED * low.distance(high);
@@ -187,17 +231,38 @@ fn changed_emitters(list: &[TrueLight], known: &TrueLights, emitting: &Emitting)
         let by = [0, 1, 2].map(|c| if before[c] > 0.0 { after[c] / before[c] } else { 1.0 });
         AreaLight { color: [0, 1, 2].map(|c| emitter.color[c] * by[c]), ..*emitter }
     };
-    let lights: Vec<AreaLight> = emitting.lights().iter().map(change).collect();
-    (!lights.is_empty()).then(|| Lights { radiance: lights.iter().map(|l| l.color).collect(), lights })
+    let mut lights: Vec<AreaLight> = emitting.lights().iter().map(change).collect();
+    if lights.is_empty() {
+        return None;
+    }
+    let radiance = lights.iter().map(|l| l.color).collect();
+    lights.extend(added(list, known)?);
+    Some(Lights { radiance, lights })
 }
 
-/// Returns whether two entries are the same light in different sets: by name, else by place.
+/// Returns the lights of a set that are on and that the photographs lack.
+///
+/// Returns `None` if one has no known shape or brightness.
+fn added(list: &[TrueLight], known: &TrueLights) -> Option<Vec<AreaLight>> {
+    let new = list.iter().filter(|l| l.on && !known.training.iter().any(|t| same(l, t)));
+    new.map(TrueLight::as_area).collect()
+}
+
+/// Returns whether two entries are the same light in different sets: by name, else by place or direction.
 fn same(a: &TrueLight, b: &TrueLight) -> bool {
     if !a.name.is_empty() || !b.name.is_empty() {
         return a.name == b.name;
     }
-    let place = |l: &TrueLight| l.as_area().as_ref().and_then(center);
-    place(a).zip(place(b)).is_some_and(|(a, b)| a.distance(b) < 1e-3)
+    let along = |l: &AreaLight| match l.shape {
+        LightShape::Directional { direction, .. } => Vec3::from(direction).normalize_or_zero(),
+        _ => Vec3::ZERO,
+    };
+    let (Some(a), Some(b)) = (a.as_area(), b.as_area()) else { return false };
+    match (center(&a), center(&b)) {
+        (Some(a), Some(b)) => a.distance(b) < 1e-3,
+        (None, None) => along(&a).distance(along(&b)) < 1e-3,
+        _ => false,
+    }
 }
 
 /// Returns the light of a list that is nearest to an emitter, and its distance.
@@ -209,3 +274,27 @@ fn nearest(emitter: &AreaLight, list: &[TrueLight]) -> Option<(usize, f32)> {
 
 #[cfg(test)]
 mod closures;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn counted(set: &str) -> Option<usize> {
+        let training = r#"[{"on": true, "name": "a", "position": [0,0,0], "intensity": [1,1,1]},
+            {"on": true, "direction": [0,-1,0], "irradiance": [1,1,1]}, {"on": true, "position": [5,0,0], "intensity": [1,1,1]}]"#;
+        let known = TrueLights { training: serde_json::from_str(training).unwrap(), ..Default::default() };
+        added(&serde_json::from_str::<Vec<TrueLight>>(set).unwrap(), &known).map(|l| l.len())
+    }
+
+    #[test]
+    fn lights_that_the_photographs_lack_are_added() {
+        let old = r#"{"on": true, "name": "a", "position": [9,9,9], "intensity": [2,2,2]},
+            {"on": true, "direction": [0,-2,0], "irradiance": [2,1,1]}, {"on": true, "position": [5,0,0], "intensity": [1,1,1]}"#;
+        assert_eq!(counted(&format!("[{old}]")), Some(0));
+        let new =
+            |on: bool| format!(r#"[{old}, {{"on": {on}, "name": "b", "position": [1,1,1], "intensity": [1,1,1]}}]"#);
+        assert_eq!((counted(&new(true)), counted(&new(false))), (Some(1), Some(0)));
+        assert_eq!(counted(r#"[{"on": true, "direction": [0,0,1], "irradiance": [2,1,1]}]"#), Some(1));
+        assert_eq!(counted(r#"[{"on": true, "name": "dark", "position": [0,0,0]}]"#), None);
+    }
+}

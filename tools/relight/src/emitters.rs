@@ -115,7 +115,7 @@ pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result
     Ok(EditedEmitters { file, in_place })
 }
 
-fn moved(shape: ShapeRow, by: [f32; 3]) -> ShapeRow {
+pub(crate) fn moved(shape: ShapeRow, by: [f32; 3]) -> ShapeRow {
     let to = |place: [f32; 3]| (Vec3::from(place) + Vec3::from(by)).to_array();
     match shape {
         ShapeRow::Point { position } => ShapeRow::Point { position: to(position) },

@@ -3,19 +3,21 @@
 use super::emitters::{EditedEmitters, EmitterEdit, edit_emitters};
 use crate::error::Result;
 use sgs_engine::Device;
-use sgs_passes::pipeline::ShadedScene;
+use sgs_passes::pipeline::{FrameEmitter, ShadedScene};
 use sgs_passes::transport::AreaLight;
 use sgs_run::{EmitterFile, RunDirectory, Visibility, read_emitters, shaded_scene};
 use sgs_scene::{Scene, Splats};
 use sgs_transport::{Bounces, Room, room_of};
+use std::sync::Arc;
 
 /// Emitters of a run, and the room in which their light bounces.
+#[derive(Clone)]
 pub struct Emitting {
     /// Emitters and enclosure.
     pub file: EmitterFile,
-    pub(crate) room: Room,
+    pub(crate) room: Arc<Room>,
     /// Whether each emitter is where its surface is.
-    in_place: Vec<bool>,
+    pub(crate) in_place: Vec<bool>,
 }
 
 impl Emitting {
@@ -37,7 +39,7 @@ impl Emitting {
             return Ok(None);
         }
         let file = read_emitters(&path)?;
-        let room = room_of(device, scene, splats, &file, seed as u32)?;
+        let room = Arc::new(room_of(device, scene, splats, &file, seed as u32)?);
         let in_place = vec![true; file.emitters.len()];
         Ok(Some(Emitting { file, room, in_place }))
     }
@@ -51,6 +53,12 @@ impl Emitting {
         Ok(Emitting { file, in_place, room: self.room })
     }
 
+    /// Returns whether others have the same room, shapes and places.
+    pub(crate) fn same_places(&self, other: &Emitting) -> bool {
+        let shapes = |e: &Emitting| e.file.emitters.iter().map(|row| row.shape).collect::<Vec<_>>();
+        Arc::ptr_eq(&self.room, &other.room) && shapes(self) == shapes(other)
+    }
+
     /// Returns the same emitters in the room of other Gaussians.
     ///
     /// For Gaussians with edited materials: the new materials reflect the light that bounces.
@@ -58,7 +66,7 @@ impl Emitting {
     /// # Errors
     /// If the Gaussians have no materials, or the device fails.
     pub fn of_splats(&self, device: &Device, scene: &Scene, splats: &Splats, seed: u64) -> Result<Emitting> {
-        let room = room_of(device, scene, splats, &self.file, seed as u32)?;
+        let room = Arc::new(room_of(device, scene, splats, &self.file, seed as u32)?);
         Ok(Emitting { file: self.file.clone(), room, in_place: self.in_place.clone() })
     }
 
@@ -93,10 +101,29 @@ impl Emitting {
     /// # Errors
     /// If the device fails.
     pub fn own(&self, device: &Device, splats: &Splats) -> Result<ShadedScene> {
-        let lights = self.lights();
-        let here = |(light, in_place): (&AreaLight, &bool)| if *in_place { light.color } else { [0.0; 3] };
-        let radiance: Vec<[f32; 3]> = lights.iter().zip(&self.in_place).map(here).collect();
-        self.shaded(device, splats, &lights, &radiance, Bounces::All)
+        let frame = self.frame();
+        let radiance: Vec<[f32; 3]> = frame.iter().map(|e| e.surface).collect();
+        self.shaded(device, splats, &self.lights(), &radiance, Bounces::All)
+    }
+
+    /// Returns the emitters of a frame.
+    pub fn frame(&self) -> Vec<FrameEmitter> {
+        let dark = |light| FrameEmitter { surface: [0.0; 3], ..FrameEmitter::of(light) };
+        let of = |(light, in_place): (AreaLight, &bool)| if *in_place { FrameEmitter::of(light) } else { dark(light) };
+        self.lights().into_iter().zip(&self.in_place).map(of).collect()
+    }
+
+    /// Returns the Gaussians under the run's own emitters, with responses.
+    ///
+    /// Solves the bounces of each emitter. Other colors then need no solve.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn live(&self, device: &Device, splats: &Splats) -> Result<ShadedScene> {
+        let numbers = splats.emitters.clone().unwrap_or_else(|| vec![0; splats.len()]);
+        let mut scene = shaded_scene(device, splats, None, None, &Visibility::None)?;
+        scene.transport = Some(self.room.respond(&self.frame(), &numbers)?);
+        Ok(scene)
     }
 }
 

@@ -6,6 +6,7 @@
 mod bake;
 mod bounced;
 mod edit;
+mod emitter_table;
 mod emitters;
 mod emitting;
 mod environment;
@@ -22,6 +23,7 @@ mod true_light;
 mod truth;
 
 pub use bake::{BakeOptions, Baked, bake, bake_cameras, baked_psnr};
+pub use bounced::{RelitView, relit_views};
 pub use edit::{
     Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
 };

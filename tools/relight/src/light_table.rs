@@ -6,7 +6,7 @@
 use super::edit::NewLight;
 use super::lights::{MOST_AMPLITUDE, new_light};
 use crate::error::{RelightError, Result};
-use sgs_passes::pipeline::Lighting;
+use sgs_passes::pipeline::{FrameEmitter, Lighting};
 use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_run::{LightFile, LightRow, LobeRow, raw_lobe};
 
@@ -56,6 +56,7 @@ impl LightTable {
             lobes: Vec::new(),
             gains: Vec::new(),
             environment: [1.0; 3],
+            emitters: Vec::new(),
         };
         let mut all = LightTable { rows, lighting };
         all.write_all();
@@ -70,6 +71,11 @@ impl LightTable {
     /// Returns the shading parameters.
     pub fn lighting(&self) -> &Lighting {
         &self.lighting
+    }
+
+    /// Sets the emitters, which replace the lights and the environment map.
+    pub fn set_emitters(&mut self, emitters: Vec<FrameEmitter>) {
+        self.lighting.emitters = emitters;
     }
 
     /// Sets the factors on the light of the environment map.

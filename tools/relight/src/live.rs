@@ -5,6 +5,9 @@
 //! [`sgs_passes::pipeline::LitView`] renders frames; [`Relighter::relit`] yields images on the host.
 
 use super::edit::{Edit, Insert, NewLight};
+use super::emitter_table::EmitterTable;
+use super::emitters::EmitterEdit;
+use super::emitting::Emitting;
 use super::environment::edit_environment;
 use super::light_table::{LightParameters, LightTable};
 use super::lights::edit_lights;
@@ -13,15 +16,18 @@ use crate::error::{RelightError, Result};
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Lighting, LitEnvironment, LitScene};
+use sgs_passes::pipeline::{Lighting, LitEnvironment, LitScene, Responder, ShadedScene};
 use sgs_passes::scene::FEATURES;
 use sgs_passes::shade::environment::latlong;
 use sgs_run::{
-    RunDirectory, RunLight, SemanticHead, Texels, light_of, read_light, read_splats, shaded_environment, shaded_scene,
+    EmitterRow, RunDirectory, RunLight, SemanticHead, Texels, Visibility, light_of, read_light, read_splats,
+    shaded_environment, shaded_scene,
 };
 use sgs_scene::{Scene, Splats};
 use std::path::{Path, PathBuf};
 
+/// Reason why the environment map of a scene with emitters cannot be changed.
+const NO_ENVIRONMENT: &str = "Emitters light the scene, which has no environment map.";
 /// Default number of lights that may be added before the capacity grows.
 const SPARE: u32 = 16;
 
@@ -40,7 +46,64 @@ pub struct Relighter {
     altered: Option<Splats>,
     environment: Option<Texels>,
     rows: LightTable,
+    /// Emitters of a run, as stored on disk.
+    emitting: Option<LiveEmitters>,
+    /// Emitters that light the scene, instead of the lights.
+    emitters: Option<LitEmitters>,
     scene: LitScene,
+}
+
+/// Emitters that light the scene.
+struct LitEmitters {
+    emitting: Emitting,
+    table: EmitterTable,
+    /// Update of the responses of moved emitters.
+    responder: Responder,
+}
+
+impl LitEmitters {
+    /// Returns emitters for a scene with responses to them.
+    fn new(emitting: Emitting, scene: &LitScene) -> Result<Option<LitEmitters>> {
+        let Some(transport) = &scene.scene.transport else { return Ok(None) };
+        let responder = emitting.room.responder(transport)?;
+        let table = EmitterTable::new(&emitting);
+        Ok(Some(LitEmitters { emitting, table, responder }))
+    }
+}
+
+/// Emitters of a run, and the scene whose training views show its surfaces.
+struct LiveEmitters {
+    emitting: Emitting,
+    views: Scene,
+    seed: u64,
+}
+
+impl LiveEmitters {
+    /// Opens the emitters of a run. Returns `None` if the run has none or its scene is not there.
+    fn open(device: &Device, source: &Path, settings: &Settings, splats: &Splats) -> Result<Option<LiveEmitters>> {
+        let run = RunDirectory::open(source)?;
+        if !run.emitters().is_file() {
+            return Ok(None);
+        }
+        let views = match Scene::open(&settings.scene, &settings.scene_options()) {
+            Ok(views) => views,
+            Err(error) => {
+                tracing::warn!(%error, "the run's scene is not there; its lights are shown instead of its emitters");
+                return Ok(None);
+            }
+        };
+        let emitting = Emitting::open(device, &run, &views, splats, settings.seed)?;
+        Ok(emitting.map(|emitting| LiveEmitters { emitting, views, seed: settings.seed }))
+    }
+
+    /// Returns the emitters after an edit. `altered`: Gaussians that the edit changed.
+    fn edited(&self, device: &Device, edit: &EmitterEdit, altered: Option<&Splats>) -> Result<Emitting> {
+        let emitting = match altered {
+            Some(splats) => self.emitting.of_splats(device, &self.views, splats, self.seed)?,
+            None => self.emitting.clone(),
+        };
+        emitting.edited(edit)
+    }
 }
 
 /// Reads the Gaussians of a run directory, or of a PLY or glTF file.
@@ -90,13 +153,26 @@ impl Relighter {
         };
         let run = Relit { splats, light };
         let tuning = Tuning::for_device(device.info());
-        let scene = placed(device, &tuning, &run)?;
+        let emitting = match &settings {
+            Some(settings) => LiveEmitters::open(device, source, settings, &run.splats)?,
+            None => None,
+        };
+        let scene = match &emitting {
+            Some(live) => LitScene::new(device, &tuning, live.emitting.live(device, &run.splats)?)?,
+            None => with_light(device, &tuning, &run.splats, run.light.environment.as_ref(), &run.light)?,
+        };
         let lights = run.light.lights.as_ref();
         let count = lights.map_or(0, |l| l.lights.len() as u32);
-        let rows = LightTable::new(lights, if capacity == 0 { count + SPARE } else { capacity }, 1);
+        let mut rows = LightTable::new(lights, if capacity == 0 { count + SPARE } else { capacity }, 1);
+        let emitters = match &emitting {
+            Some(live) => LitEmitters::new(live.emitting.clone(), &scene)?,
+            None => None,
+        };
+        rows.set_emitters(emitters.as_ref().map(|e| e.table.frame()).unwrap_or_default());
         let environment = run.light.environment.clone();
         let (device, source) = (device.clone(), source.to_owned());
-        Ok(Relighter { device, tuning, source, settings, run, altered: None, environment, rows, scene })
+        let altered = None;
+        Ok(Relighter { device, tuning, source, settings, run, altered, environment, rows, emitting, emitters, scene })
     }
 
     /// Returns the scene, for frames.
@@ -109,9 +185,25 @@ impl Relighter {
         self.rows.lighting()
     }
 
+    /// Returns whether emitters with bounces light the scene. They then are its lights.
+    pub fn has_emitters(&self) -> bool {
+        self.emitters.is_some()
+    }
+
+    /// Returns an emitter as in `emitters.json`, or as an edit left it.
+    ///
+    /// # Errors
+    /// If the emitter does not exist.
+    pub fn emitter(&self, emitter: usize) -> Result<&EmitterRow> {
+        match &self.emitters {
+            Some(e) => e.table.file(emitter),
+            None => refused(format!("Emitter {emitter} does not exist, no emitters light the scene.")),
+        }
+    }
+
     /// Returns the number of lights.
     pub fn lights(&self) -> usize {
-        self.rows.len()
+        self.emitters.as_ref().map_or_else(|| self.rows.len(), |e| e.table.len())
     }
 
     /// Returns a light.
@@ -119,7 +211,7 @@ impl Relighter {
     /// # Errors
     /// If the light does not exist.
     pub fn light(&self, light: usize) -> Result<LightParameters> {
-        self.rows.get(light)
+        self.emitters.as_ref().map_or_else(|| self.rows.get(light), |e| e.table.get(light))
     }
 
     /// Returns the linear color of a light, summed over all directions; its largest component is 1.
@@ -127,15 +219,35 @@ impl Relighter {
     /// # Errors
     /// If the light does not exist.
     pub fn light_color(&self, light: usize) -> Result<[f32; 3]> {
-        self.rows.color(light)
+        self.emitters.as_ref().map_or_else(|| self.rows.color(light), |e| e.table.color(light))
     }
 
-    /// Changes a light, without allocating or waiting.
+    /// Changes a light, without device memory or waiting.
+    ///
+    /// The next frame shows the direct light of a moved emitter. Its bounces follow [`Relighter::update`].
     ///
     /// # Errors
     /// If the light does not exist, or the values are invalid.
     pub fn set_light(&mut self, light: usize, light_parameters: LightParameters) -> Result<()> {
+        if let Some(LitEmitters { table, .. }) = &mut self.emitters {
+            table.set(light, light_parameters)?;
+            self.rows.set_emitters(table.frame());
+            return Ok(());
+        }
         self.rows.set(light, light_parameters)
+    }
+
+    /// Submits the trace and the solve of one moved emitter. Returns false if the bounces of all are up to date.
+    ///
+    /// Frames that are submitted afterwards show its bounces. Call it once before each frame.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn update(&mut self) -> Result<bool> {
+        let Some(LitEmitters { emitting, table, responder }) = &mut self.emitters else { return Ok(false) };
+        let Some((i, light)) = table.take_stale() else { return Ok(false) };
+        responder.update(i as u32, &emitting.room.in_unit(&light))?;
+        Ok(true)
     }
 
     /// Adds a light and returns its index, or that of the first patch of a rectangle.
@@ -145,6 +257,7 @@ impl Relighter {
     /// # Errors
     /// If the light is invalid.
     pub fn add_light(&mut self, new: &NewLight) -> Result<usize> {
+        self.without_emitters("Lights are not added to emitters; use \"emitters\" in an edit.")?;
         self.rows.add(new)
     }
 
@@ -153,6 +266,7 @@ impl Relighter {
     /// # Errors
     /// If the light does not exist.
     pub fn remove_light(&mut self, light: usize) -> Result<()> {
+        self.without_emitters("Emitters are not removed; switch them off.")?;
         self.rows.remove(light)
     }
 
@@ -163,6 +277,7 @@ impl Relighter {
     /// # Errors
     /// If a factor is negative or not finite.
     pub fn set_environment_gain(&mut self, gain: [f32; 3]) -> Result<()> {
+        self.without_emitters(NO_ENVIRONMENT)?;
         self.rows.set_environment(gain)
     }
 
@@ -174,6 +289,7 @@ impl Relighter {
     /// # Errors
     /// If the size is invalid, values are not finite, or memory runs out.
     pub fn set_environment(&mut self, map: &[f32], size: [u32; 2]) -> Result<()> {
+        self.without_emitters(NO_ENVIRONMENT)?;
         let [width, height] = size;
         if height == 0 || u64::from(width) != 2 * u64::from(height) || width > 1 << 14 {
             let message =
@@ -195,6 +311,11 @@ impl Relighter {
         Ok(())
     }
 
+    /// Refuses what scenes lit by emitters do not have.
+    fn without_emitters(&self, otherwise: &str) -> Result<()> {
+        if self.has_emitters() { refused(otherwise.to_owned()) } else { Ok(()) }
+    }
+
     /// Returns the number of texels along an edge of the environment map.
     pub fn environment_size(&self) -> u32 {
         let current = self.environment.as_ref().or(self.run.light.environment.as_ref()).map(|e| e.size);
@@ -213,6 +334,15 @@ impl Relighter {
     /// If the edit names something that does not exist. Nothing changes then.
     pub fn edit(&mut self, edit: &Edit) -> Result<()> {
         edit.check().map_err(|reason| RelightError::Edit(format!("The edit cannot be applied: {reason}.")))?;
+        if edit.emitters != EmitterEdit::default() {
+            if self.emitting.is_none() {
+                let source = self.source.display();
+                return refused(format!("\"{source}\" has no emitters, or its scene is not there."));
+            }
+            if edit.changes_published_light() {
+                return refused("An edit of \"emitters\" takes no \"lights\" or \"environment\".".to_owned());
+            }
+        }
         let size = self.run.light.environment.as_ref().map_or_else(|| self.environment_size(), |e| e.size);
         let alters = !edit.materials.is_empty() || !edit.insert.is_empty();
         let initial = &self.run.light;
@@ -223,17 +353,47 @@ impl Relighter {
             let lights = edit_lights(&edit.lights, initial.lights.clone())?;
             (lights, edit_environment(&edit.environment, initial.environment.clone(), size)?, None)
         };
+        let emitting = match &self.emitting {
+            Some(live) if !edit.changes_published_light() => {
+                Some(live.edited(&self.device, &edit.emitters, altered.as_ref())?)
+            }
+            _ => None,
+        };
         let mut scene = None;
         let mut environment_map = None;
-        if alters || self.altered.is_some() {
+        if let Some(emitting) = &emitting {
+            let same = self.emitters.as_ref().is_some_and(|e| e.emitting.same_places(emitting));
+            if !same || alters || self.altered.is_some() {
+                let splats = altered.as_ref().unwrap_or(&self.run.splats);
+                scene = Some(LitScene::new(&self.device, &self.tuning, emitting.live(&self.device, splats)?)?);
+            }
+        } else if alters || self.altered.is_some() || self.emitters.is_some() {
             let splats = altered.as_ref().unwrap_or(&self.run.splats);
             scene = Some(with_light(&self.device, &self.tuning, splats, environment.as_ref(), initial)?);
         } else if environment != self.environment {
             environment_map = Some(environment.as_ref().map(|texels| self.filtered(texels)).transpose()?);
         }
         let model = self.rows.lighting().model;
+        let emitters = match (emitting, &scene, self.emitters.take()) {
+            // The responses stay, except those of moved emitters.
+            (Some(emitting), None, Some(before)) => {
+                let mut table = EmitterTable::new(&emitting);
+                table.mark_moved(&before.table);
+                Some(LitEmitters { emitting, table, ..before })
+            }
+            (Some(emitting), Some(scene), before) => match LitEmitters::new(emitting, scene) {
+                Ok(emitters) => emitters,
+                Err(error) => {
+                    self.emitters = before;
+                    return Err(error);
+                }
+            },
+            _ => None,
+        };
         // No call below fails.
         self.rows = LightTable::new(lights.as_ref(), model.lights, model.lobes);
+        self.emitters = emitters;
+        self.rows.set_emitters(self.emitters.as_ref().map(|e| e.table.frame()).unwrap_or_default());
         if let Some(scene) = scene {
             self.scene = scene;
         }
@@ -271,7 +431,22 @@ impl Relighter {
         self.run.clone().edited(edit, size, &mut select, load)
     }
 
-    /// Returns the current state on the host, the input of `sgs relight`.
+    /// Returns the current state for a [`sgs_passes::pipeline::Shader`].
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn shaded(&self) -> Result<ShadedScene> {
+        if !self.has_emitters() {
+            return self.relit().upload(&self.device);
+        }
+        let splats = self.altered.as_ref().unwrap_or(&self.run.splats);
+        let mut scene = shaded_scene(&self.device, splats, None, None, &Visibility::None)?;
+        scene.transport = self.scene.scene.transport.clone();
+        scene.set_emitters(&self.lighting().emitters);
+        Ok(scene)
+    }
+
+    /// Returns the current state on the host, without emitters.
     pub fn relit(&self) -> Relit {
         let splats = self.altered.as_ref().unwrap_or(&self.run.splats).clone();
         let mut environment = self.environment.clone();
@@ -284,8 +459,8 @@ impl Relighter {
     }
 }
 
-fn placed(device: &Device, tuning: &Tuning, run: &Relit) -> Result<LitScene> {
-    with_light(device, tuning, &run.splats, run.light.environment.as_ref(), &run.light)
+fn refused<T>(text: String) -> Result<T> {
+    Err(RelightError::Edit(text))
 }
 
 fn with_light(

@@ -97,7 +97,7 @@ impl RunDirectory {
         let wanted = [
             (StageKind::Geometry, &summary, settings.geometry.steps),
             (StageKind::Intrinsic, &summary["intrinsic"], settings.intrinsic.steps),
-            (StageKind::Transport, &summary["transport"], 1),
+            (StageKind::Transport, &summary["transport"], settings.transport.steps.saturating_add(1)),
         ];
         let whole = wanted.into_iter().filter(|(_, of, steps)| of["steps"].as_u64() == Some(u64::from(*steps)));
         whole.map(|(stage, ..)| stage).collect()

@@ -184,7 +184,7 @@ impl EmitterRow {
 impl EmitterFile {
     /// Creates a file of some emitters.
     pub fn new(enclosure: EnclosureRow, settings: TransportSettings, emitters: Vec<EmitterRow>) -> EmitterFile {
-        let TransportSettings { surfels, rays } = settings;
+        let TransportSettings { surfels, rays, .. } = settings;
         EmitterFile { format: FORMAT.to_owned(), enclosure, surfels, rays, emitters }
     }
 
@@ -216,7 +216,7 @@ impl EmitterFile {
             return Err(format!("its format is \"{}\", not \"{FORMAT}\"", self.format));
         }
         self.enclosure.check()?;
-        let settings = TransportSettings { surfels: self.surfels, rays: self.rays };
+        let settings = TransportSettings { surfels: self.surfels, rays: self.rays, ..TransportSettings::default() };
         settings.check().map_err(|e| e.to_string().trim_end_matches('.').to_owned())?;
         if self.emitters.len() > MOST_EMITTERS as usize {
             return Err(format!("there are {} emitters; use {MOST_EMITTERS} at most", self.emitters.len()));

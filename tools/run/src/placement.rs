@@ -8,13 +8,13 @@ use sgs_scene::{Placement, Splats, srgb_to_linear};
 /// Roughness of inserted splats that have none.
 const ROUGHNESS: f32 = 0.5;
 
-/// Scales, rotates and translates splats. Emitters belong to another scene and are dropped.
+/// Scales, rotates and translates splats. Emitters and light gains belong to another scene and are dropped.
 pub fn placed(mut guest: Splats, how: &Placement) -> Splats {
     let [w, x, y, z] = how.rotation;
     let q = DQuat::from_xyzw(x, y, z, w).normalize();
     let (scale, to) = (how.scale, DVec3::from(how.translation));
     let turn = |v: [f32; 3]| q * DVec3::from(v.map(f64::from));
-    guest.emitters = None;
+    (guest.emitters, guest.light_gains) = (None, None);
     guest.means.iter_mut().for_each(|m| *m = (turn(*m) * scale + to).as_vec3().to_array());
     guest.log_scales.iter_mut().flatten().for_each(|s| *s += (how.scale as f32).ln());
     for r in &mut guest.rotations {
@@ -68,6 +68,9 @@ pub fn join(host: &mut Splats, mut guest: Splats) {
     }
     if let Some(emitters) = &mut host.emitters {
         emitters.resize(old + new, 0);
+    }
+    if let Some(gains) = &mut host.light_gains {
+        gains.resize(old + new, 1.0);
     }
     host.means.append(&mut guest.means);
     host.log_scales.append(&mut guest.log_scales);

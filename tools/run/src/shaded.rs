@@ -10,7 +10,8 @@ use sgs_config::{Settings, VisibilityKind};
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    EnvironmentMemory, Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader, Surface,
+    EnvironmentMemory, FrameEmitter, Shaded, ShadedEnvironment, ShadedLights, ShadedScene, ShadedVisibility, Shader,
+    Surface,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::environment::{Environment, EnvironmentOptions, latlong};
@@ -207,6 +208,25 @@ impl Shading {
         let view = ShadedView(self.shader.shade(&self.scene, view)?);
         self.covered = view.covered();
         Ok(view)
+    }
+
+    /// Shades the last view again as [`Shading::shade`], under other light.
+    ///
+    /// [`Shading::set_emitters`] and [`Shading::set_gains`] change it.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn shade_again(&mut self, view: &sgs_scene::Camera) -> Result<ShadedView> {
+        let view = ShadedView(self.shader.shade_again(&self.scene, &camera(view))?);
+        self.covered = view.covered();
+        Ok(view)
+    }
+
+    /// Sets the emitters of a scene with responses, in world units.
+    ///
+    /// Their number and shapes must be those of the scene.
+    pub fn set_emitters(&mut self, emitters: &[FrameEmitter]) {
+        self.scene.set_emitters(emitters);
     }
 
     /// Shades a view without readback and returns the elapsed seconds.

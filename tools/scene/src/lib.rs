@@ -41,9 +41,9 @@ pub use error::{Result, SceneError};
 pub use gltf::{GltfScene, Placement, PointLight, write_gltf};
 pub use ground_truth::GroundTruth;
 pub use image::{
-    ExrImage, Image, NpyArray, encode_jpeg, encode_png, linear_to_srgb, read_environment, read_exr, read_ids, resize,
-    resize_valid, srgb_to_linear, undistort, undistort_coverage, write_environment, write_exr, write_ids,
-    write_npy_f16, write_npy_f32, write_png,
+    ExrImage, Image, NpyArray, encode_jpeg, encode_png, linear_to_srgb, names_exr_layer, read_environment, read_exr,
+    read_ids, resize, resize_valid, srgb_to_linear, undistort, undistort_coverage, write_environment, write_exr,
+    write_exr_layers, write_ids, write_npy_f16, write_npy_f32, write_png,
 };
 pub use map_file::NormalFrame;
 pub use maps::{FeatureMap, MaskedMap, RegionMap};

@@ -9,6 +9,7 @@ mod commands;
 mod common;
 mod failure;
 mod images;
+mod lit;
 mod output;
 mod palette;
 mod report;

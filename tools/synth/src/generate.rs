@@ -23,6 +23,7 @@ use crate::scene::classes::CLASSES;
 use crate::scene::{MAX_GROUPS, Scene};
 use crate::trace::camera::Camera;
 use crate::trace::denoise::{self, Image};
+use crate::trace::film::Film;
 use crate::trace::path::PathOptions;
 use crate::trace::render::render;
 use crate::views;
@@ -75,9 +76,11 @@ pub fn generate(
     let stage = Stage::open(out, options.replace)?;
     let mut scene = Scene::build(options.scene, options.seed);
     let views = views::place(&scene, options);
-    let progress = Progress::new(((options.views + options.test_views) * options.height) as u64, progress);
     expose::expose(&mut scene, &views.train, options.seed);
     let relightings = if options.relit { lights::relightings(&scene) } else { Vec::new() };
+    let rooms = relightings.iter().filter(|r| r.room.is_some()).count();
+    let renders = options.views + options.test_views * (1 + rooms);
+    let progress = Progress::new((renders * options.height) as u64, progress);
     let embeddings = semantic::embeddings();
     let job = Job {
         scene: &scene,
@@ -133,10 +136,7 @@ impl Job<'_> {
     /// Renders one view and writes its files. Returns its linear image.
     fn view(&self, index: usize, camera: &Camera, train: bool) -> Result<Image, SynthError> {
         let (options, stage) = (self.options, self.stage);
-        let key = rng::key(&[options.seed, 0x5a11, index as u64]);
-        let film = render(self.scene, camera, key, options.samples_per_pixel, &PathOptions::default(), &|| {
-            self.progress.advance()
-        });
+        let film = self.film(self.scene, camera, &[options.seed, 0x5a11, index as u64]);
         let footprint = 1.0 / camera.focal;
         let image = denoise::image(&film, footprint, &[Vec3::ONE; MAX_GROUPS], options.denoise);
         let names = Names::new(options.layout, index, options.views);
@@ -153,11 +153,20 @@ impl Job<'_> {
             view::semantic(stage, &stem, &features)?;
         } else {
             for relighting in self.relightings {
-                let relit = denoise::image(&film, footprint, &relighting.weights, options.denoise);
-                names.relit(stage, relighting.name, &film, &relit)?;
+                let other =
+                    relighting.room.as_ref().map(|room| self.film(room, camera, &[options.seed, 0xadd, index as u64]));
+                let film = other.as_ref().unwrap_or(&film);
+                let relit = denoise::image(film, footprint, &relighting.weights, options.denoise);
+                names.relit(stage, relighting.name, film, &relit)?;
             }
         }
         Ok(image)
+    }
+
+    /// Renders a view of a scene. Samples depend on the key alone.
+    fn film(&self, scene: &Scene, camera: &Camera, key: &[u64]) -> Film {
+        let samples = self.options.samples_per_pixel;
+        render(scene, camera, rng::key(key), samples, &PathOptions::default(), &|| self.progress.advance())
     }
 
     /// Writes the files that belong to no single view.
@@ -179,7 +188,8 @@ impl Job<'_> {
                 "lighting": relighting.name,
                 "group_weights": lights["light_groups_weights"][relighting.name],
                 "lights": lights["relight"][relighting.name],
-                "note": "group_weights are factors on the training lighting; materials are unchanged",
+                "note": "group_weights are factors on the training lighting; materials are unchanged; a light that \
+                         training lacks is in lights alone",
             });
             let path = format!("gt/relit/{}.json", relighting.name);
             stage.write(path, &meta::text(&about))?;

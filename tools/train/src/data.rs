@@ -85,6 +85,11 @@ impl Packed {
         self.normals.as_deref()
     }
 
+    /// Returns all photographs.
+    pub fn images(&self) -> &[Vec<u32>] {
+        &self.images
+    }
+
     /// Returns the photograph of a view.
     pub fn image(&self, view: usize) -> &[u32] {
         &self.images[view]

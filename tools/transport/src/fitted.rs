@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::explain::Explained;
 use crate::room::{Room, RoomOptions};
+use crate::training::TrainingRoom;
 use sgs_config::TransportSettings;
 use sgs_engine::Device;
 use sgs_passes::transport::{AreaLight, LightShape};
@@ -51,8 +52,10 @@ pub fn fit_room(device: &Device, scene: &Scene, splats: &Splats, options: RoomOp
     let (room, views) = Room::new(device, splats, &cameras, options)?;
     let explained = room.explain(&views, &photographs, splats)?;
     let [low, high] = room.bounds();
+
     let enclosure = EnclosureRow { low, high, albedo: explained.enclosure };
-    let settings = TransportSettings { surfels: options.surfels as u32, rays: options.rays };
+    let settings =
+        TransportSettings { surfels: options.surfels as u32, rays: options.rays, ..TransportSettings::default() };
     let Explained { emitters, of_gaussians, psnr, .. } = explained;
     let emitters = EmitterFile::new(enclosure, settings, named(&emitters));
     Ok(FittedRoom { emitters, of_gaussians, psnr })
@@ -84,4 +87,28 @@ pub fn room_of(device: &Device, scene: &Scene, splats: &Splats, emitters: &Emitt
         RoomOptions { surfels: emitters.surfels as usize, rays: emitters.rays, seed, ..RoomOptions::default() };
     let (room, _) = Room::new(device, splats, &cameras_of(&reduced(scene)), options)?;
     Ok(room.with_enclosure(emitters.enclosure.albedo))
+}
+
+/// Prepares the training of materials and lights in a fitted room.
+///
+/// Lengths of the scene and the splats are in the scene's unit.
+///
+/// # Errors
+/// If the splats have no materials, or the device fails.
+pub fn training_room(
+    device: &Device,
+    scene: &Scene,
+    splats: &Splats,
+    fitted: &FittedRoom,
+    seed: u32,
+) -> Result<TrainingRoom> {
+    let lights = fitted.emitters.lights();
+    let plain = Splats { light_gains: None, ..splats.clone() };
+    let room = room_of(device, scene, &plain, &fitted.emitters, seed)?;
+    let of = |number: &u32| match *number {
+        0 => [0.0; 3],
+        number => lights.get(number as usize - 1).map_or([0.0; 3], |light| light.color),
+    };
+    let emission: Vec<[f32; 3]> = fitted.of_gaussians.iter().map(of).collect();
+    room.training(&plain, &lights, &emission)
 }

@@ -9,7 +9,7 @@ use crate::views::SeenViews;
 use glam::Vec3;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Shaded, ShadedTransport, TransportOptions, TransportScene};
+use sgs_passes::pipeline::{FrameEmitter, Responder, Shaded, ShadedTransport, TransportOptions, TransportScene};
 use sgs_passes::transport::{AreaLight, Enclosure, Nearest, NearestOptions, SolveOptions, SurfelTree, nearest_surfels};
 use sgs_run::{Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Splats, Unit};
@@ -91,6 +91,8 @@ pub struct Room {
     nearest: Nearest,
     /// Albedo of each face of the enclosure.
     albedo: [[f32; 3]; FACES],
+    /// Logarithm of each Gaussian's gain on the light that arrives, if they have any.
+    log_gains: Option<Vec<f32>>,
 }
 
 impl Room {
@@ -149,6 +151,7 @@ impl Room {
             scene: Arc::new(scene),
             nearest,
             albedo: [mean; FACES],
+            log_gains: splats.light_gains.as_ref().map(|gains| gains.iter().map(|g| g.ln()).collect()),
         };
         Ok((room, SeenViews::new(views, cameras)))
     }
@@ -163,6 +166,25 @@ impl Room {
     /// Returns the corners of the enclosure in world units.
     pub fn bounds(&self) -> [[f32; 3]; 2] {
         [self.enclosure.low(), self.enclosure.high()].map(|corner| self.unit.inverse().place(corner))
+    }
+
+    pub(crate) fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Returns the nearest surfels of each Gaussian.
+    pub(crate) fn nearest(&self) -> &Nearest {
+        &self.nearest
+    }
+
+    /// Returns the albedo of each face of the enclosure.
+    pub(crate) fn albedo(&self) -> &[[f32; 3]; FACES] {
+        &self.albedo
+    }
+
+    /// Returns the diagonal of the enclosure in the room's unit.
+    pub(crate) fn diagonal(&self) -> f32 {
+        Vec3::from(self.enclosure.low()).distance(self.enclosure.high().into())
     }
 
     /// Returns the number of surfels.
@@ -217,11 +239,51 @@ impl Room {
         let lit = LitRoom { scene, surfels, enclosure, lights: &lights, reflectance, source };
         let irradiance = bounced(&lit)?;
         let (device, scene) = (&self.device, Arc::clone(&self.scene));
-        Ok(ShadedTransport::new(device, scene, &lights, &self.nearest, &irradiance, emission)?)
+        self.with_gains(ShadedTransport::new(device, scene, &lights, &self.nearest, &irradiance, emission)?)
+    }
+
+    /// Returns what shading under emitters of changing color needs.
+    ///
+    /// Traces the shadow rays and solves the bounces of each emitter once. `numbers` holds the emitter of each Gaussian,
+    /// from 1, or 0. Emitters are in world units.
+    ///
+    /// # Errors
+    /// If a light is invalid or the device fails.
+    pub fn respond(&self, emitters: &[FrameEmitter], numbers: &[u32]) -> Result<ShadedTransport> {
+        let lights: Vec<AreaLight> = emitters.iter().map(|e| e.light).collect();
+        let lights = self.scaled(&lights)?;
+        let unit = self.scene.unit_light(&lights)?;
+        let responses = self.scene.responses(&self.reflectance(), &unit, &SolveOptions::default())?;
+        let place = |(light, e): (&AreaLight, &FrameEmitter)| FrameEmitter { light: *light, ..*e };
+        let scaled: Vec<FrameEmitter> = lights.iter().zip(emitters).map(place).collect();
+        let (device, scene) = (&self.device, Arc::clone(&self.scene));
+        self.with_gains(ShadedTransport::with_responses(device, scene, &scaled, &self.nearest, &responses, numbers)?)
+    }
+
+    /// Adds the gains of the Gaussians, if they have any.
+    fn with_gains(&self, shaded: ShadedTransport) -> Result<ShadedTransport> {
+        Ok(match &self.log_gains {
+            Some(log_gains) => shaded.with_gains(&self.device, log_gains)?,
+            None => shaded,
+        })
+    }
+
+    /// Prepares the update of single responses of [`Room::respond`].
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn responder(&self, transport: &ShadedTransport) -> Result<Responder> {
+        let tuning = Tuning::for_device(self.device.info());
+        Ok(Responder::new(&self.device, tuning, transport, &self.reflectance())?)
+    }
+
+    /// Converts a light to the unit of the device.
+    pub fn in_unit(&self, light: &AreaLight) -> AreaLight {
+        light.scaled((1.0 / self.unit.length()) as f32)
     }
 
     /// Converts lights to the unit of the device, and checks them.
-    fn scaled(&self, lights: &[AreaLight]) -> Result<Vec<AreaLight>> {
+    pub(crate) fn scaled(&self, lights: &[AreaLight]) -> Result<Vec<AreaLight>> {
         let by = (1.0 / self.unit.length()) as f32;
         lights
             .iter()

@@ -1,12 +1,14 @@
 //! Light handles: drawing, picking, dragging, dimming, coloring; and the resulting edit.
 //!
-//! Guarantees: handles lie at the projected positions of their lights. An edit gives `sgs relight` the lights of the
+//! Emitters of a run take the place of lights. Guarantees: handles lie at the projected positions of their lights. An edit gives `sgs relight` the lights of the
 //! window. [`Relighter`] owns the lights.
 
 use crate::error::Result;
 use glam::{DVec2, DVec3};
 use sgs_passes::splat::{MARK_HOLLOW, MARK_RINGED, Mark};
-use sgs_relight::{Edit, EnvironmentEdit, LightChange, LightEdit, LightParameters, NewLight, Relighter};
+use sgs_relight::{
+    Edit, EmitterChange, EmitterEdit, EnvironmentEdit, LightChange, LightEdit, LightParameters, NewLight, Relighter,
+};
 use sgs_scene::{Camera, linear_to_srgb};
 
 /// Largest number of drawn handles.
@@ -181,6 +183,9 @@ impl Handles {
 
     /// Returns the edit for `sgs relight --edit`.
     pub fn edit(&self, relighter: &Relighter) -> Result<Edit> {
+        if relighter.has_emitters() {
+            return Ok(Edit { emitters: self.emitter_edit(relighter)?, ..Default::default() });
+        }
         let mut lights = LightEdit::default();
         for (number, before) in self.before.iter().enumerate() {
             let now = relighter.light(number)?;
@@ -206,6 +211,25 @@ impl Handles {
         }
         let scale = (self.sky != 1.0).then_some(self.sky);
         Ok(Edit { lights, environment: EnvironmentEdit { scale, ..Default::default() }, ..Default::default() })
+    }
+
+    /// Returns the changes of emitters.
+    fn emitter_edit(&self, relighter: &Relighter) -> Result<EmitterEdit> {
+        let mut edit = EmitterEdit::default();
+        for (number, before) in self.before.iter().enumerate() {
+            let now = relighter.light(number)?;
+            if now != *before {
+                let by = [0, 1, 2].map(|k| now.position[k] - before.position[k]);
+                edit.change.push(EmitterChange {
+                    emitter: Some(relighter.emitter(number)?.name.clone()),
+                    on: (now.on != before.on).then_some(now.on),
+                    intensity: (now.gain != before.gain).then(|| now.gain / before.gain),
+                    color: (now.color != before.color).then_some(now.color),
+                    by: (by != [0.0; 3]).then_some(by),
+                });
+            }
+        }
+        Ok(edit)
     }
 }
 

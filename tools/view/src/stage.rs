@@ -96,6 +96,7 @@ impl Stage {
             Drawn::Lit(_) => relighter.as_ref().is_some_and(|(r, _)| match c {
                 Channel::Metallic => r.scene().scene.metallic.is_some(),
                 Channel::Visibility => r.scene().scene.visibility.is_some(),
+                Channel::Env => !r.has_emitters(),
                 _ => true,
             }),
         };
@@ -163,6 +164,10 @@ impl Stage {
         if self.canvas.size().contains(&0) {
             return Ok(false);
         }
+        if let Some((relighter, _)) = &mut self.relighter {
+            // The bounces of moved emitters, which the frame shows.
+            while relighter.update()? {}
+        }
         let camera = self.seen_with();
         let (moving, seconds) = (self.is_moving() && !self.save_requested, self.seconds);
         let (shown, radius, gain) = (self.handles_shown(), self.handle_radius(), self.gain());
@@ -196,8 +201,10 @@ impl Stage {
             if let Some((light, light_parameters)) = chosen {
                 let ([r, g, b], [x, y, z]) = (light_parameters.color, light_parameters.position);
                 let on = if light_parameters.on { "" } else { " off" };
+                let emitter = relighter.filter(|r| r.has_emitters()).and_then(|r| r.emitter(light).ok());
+                let name = emitter.map_or_else(|| format!("light {light}"), |row| row.name.clone());
                 page.line(format_args!(
-                    "light {light}{on}  gain {:.3}  color {r:.2} {g:.2} {b:.2}  at {x:.2} {y:.2} {z:.2}",
+                    "{name}{on}  gain {:.3}  color {r:.2} {g:.2} {b:.2}  at {x:.2} {y:.2} {z:.2}",
                     light_parameters.gain
                 ));
             }

@@ -3,7 +3,7 @@
 use super::across::{Other, across_views};
 use super::inputs::Declared;
 use super::priors::{PriorLosses, compared, priors};
-use super::{IntrinsicOptions, Steps};
+use super::{IntrinsicOptions, Steps, transport};
 use crate::Tuning;
 use crate::kernel::stage;
 use crate::loss::{Compose, compose, compose_bwd, material_images_bwd, material_sum};
@@ -138,10 +138,18 @@ pub(super) fn build(g: &mut Graph, t: &Tuning, all: &StepResources<'_>, o: &Intr
         _ => None,
     };
 
+    let frame = Frame { t, steps, screen, seen, inputs, o };
+    let bounced = match (&o.transport, &inputs.transport) {
+        (Some(training), Some(d)) => {
+            Some((training, d, transport::forward(g, &frame, d, &shaded, &of_gaussians, weights, training)?))
+        }
+        _ => None,
+    };
+
     // Shaded image, its loss, and the gradient of radiance.
     let composed = Compose {
         step,
-        direct: lit.as_ref().map(|l| l.2),
+        direct: lit.as_ref().map(|l| l.2).or(bounced.as_ref().map(|b| b.2.radiance)),
         ambient: around.as_ref().map(|a| a.5),
         coverage: seen.coverage,
         largest: o.shape.largest,
@@ -153,7 +161,6 @@ pub(super) fn build(g: &mut Graph, t: &Tuning, all: &StepResources<'_>, o: &Intr
     compose_bwd(g, *t, &composed, grad_image, radiance_gradient)?;
 
     // Other losses of materials.
-    let frame = Frame { t, steps, screen, seen, inputs, o };
     let mut prior_losses = priors(g, &frame, &of_pixels, gradient.metallic, saturated)?;
     let others = across_views(g, &frame, pseudo, &of_gaussians, &mut prior_losses)?;
     let PriorLosses { shown, by_image: of_images, losses, stats: of_priors, .. } = prior_losses;
@@ -165,6 +172,10 @@ pub(super) fn build(g: &mut Graph, t: &Tuning, all: &StepResources<'_>, o: &Intr
     if let Some((_, _, _, sums, _)) = &lit {
         lights_materials_bwd(g, *t, &shaded, sums, radiance_gradient, gradient.materials, gradient.metallic)?;
     }
+    let by_pixels = bounced.as_ref();
+    let by_pixels = by_pixels
+        .map(|(_, _, b)| transport::pixels_backward(g, &frame, b, radiance_gradient, &gradient))
+        .transpose()?;
     let words_of = StepWords { step, flags: words.flags, skipped: words.skipped };
     let mut moves = Vec::new();
     let (mut light_losses, mut jitter) = (None, None);
@@ -246,6 +257,12 @@ pub(super) fn build(g: &mut Graph, t: &Tuning, all: &StepResources<'_>, o: &Intr
         materials_bwd(g, t, &bare, &weights, n, &gradient, true, &RawMaterials { metallic: None, ..grads })?;
     }
     g.set_prefix("");
+    if let (Some((training, d, bounced)), Some(by_pixels)) = (&bounced, by_pixels) {
+        let into = transport::Into { raw: &raw, gradients: &grads };
+        for (what, gradient, rate) in transport::backward(g, &frame, d, bounced, by_pixels, &into, training)? {
+            moves.push((what, gradient, rate, EPSILON));
+        }
+    }
     moves.push((inputs.albedo, grads.albedo, Rate::Share(o.rates.albedo), EPSILON));
     moves.push((inputs.roughness, grads.roughness, Rate::Share(o.rates.roughness), EPSILON));
     if let (Some(metallic), Some(gradient)) = (inputs.metallic, grads.metallic) {

@@ -1,6 +1,7 @@
 //! Parameters and inputs of an intrinsic step, and their sizes.
 
-use super::{IntrinsicOptions, StoredEnvironment};
+use super::{IntrinsicOptions, StoredEnvironment, transport};
+use crate::pipeline::TransportMemory;
 use crate::scene::{Trainable, TrainableHandles};
 use crate::shade::environment::{Environment, EnvironmentTables};
 use crate::shade::lights::LightModel;
@@ -17,6 +18,17 @@ pub struct LightTrainables {
     pub positions: Trainable,
     /// Lobes.
     pub lobes: Trainable,
+}
+
+/// Trained parameters of physical lights and of the room.
+#[derive(Debug)]
+pub struct TransportTrainables {
+    /// Logarithms of the lights' colors, 3 floats per light.
+    pub log_colors: Trainable,
+    /// Raw albedo of the faces of the enclosure, 3 floats each: the inverse of the logistic function.
+    pub enclosure: Trainable,
+    /// Logarithms of the Gaussians' gains on the light that arrives, 1 float each.
+    pub log_gains: Trainable,
 }
 
 /// Parameters trained in the intrinsic stage.
@@ -36,6 +48,8 @@ pub struct IntrinsicParameters {
     pub visibility: Option<VisibilityField>,
     /// Normals, 3 floats per Gaussian, if trained.
     pub normals: Option<Trainable>,
+    /// Physical lights and the room.
+    pub transport: Option<TransportTrainables>,
 }
 
 impl IntrinsicParameters {
@@ -46,6 +60,7 @@ impl IntrinsicParameters {
         all.extend(self.lights.iter().flat_map(|l| [&l.positions, &l.lobes]));
         all.extend(&self.environment);
         all.extend(&self.normals);
+        all.extend(self.transport.iter().flat_map(|t| [&t.log_colors, &t.enclosure, &t.log_gains]));
         all
     }
 }
@@ -62,6 +77,8 @@ pub struct IntrinsicInputs<'a> {
     pub stored: Option<&'a StoredEnvironment>,
     /// Tree for traced visibility.
     pub traced: Option<&'a TracedMemory>,
+    /// Room of the physical lights.
+    pub transport: Option<&'a TransportMemory>,
     /// Photographs, packed.
     pub targets: &'a DeviceBuffer,
     /// Albedo priors, packed like the photographs.
@@ -185,6 +202,7 @@ pub(super) struct Declared {
     pub visibility: Option<FieldHandles>,
     pub normals: Option<TrainableHandles>,
     pub traced: Option<Traced>,
+    pub transport: Option<transport::Declared>,
     pub targets: Buffer,
     pub albedo_priors: Option<Buffer>,
     pub roughness_priors: Option<Buffer>,
@@ -213,6 +231,10 @@ impl Declared {
             (learned("light_positions", model.position_bytes() / 4), learned("light_lobes", model.lobe_bytes() / 4))
         });
         let normals = o.learns_normals().then(|| learned("gaussian_normals", 3 * u64::from(n)));
+        let transport_parameters = o.transport.map(|t| {
+            let colors = learned("light_log_colors", 3 * u64::from(t.shape.lights));
+            [colors, learned("enclosure_albedo", 18), learned("log_gains", n.into())]
+        });
         let environment = tables.map(|(tables, floats)| (learned("environment", floats.into()), tables));
         let lights = o.lights.zip(lights).map(|((model, normalizer), (positions, lobes))| LightHandles {
             model,
@@ -230,6 +252,15 @@ impl Declared {
             normals,
             visibility: o.visibility.map(|config| VisibilityField::handles(g, config, true, table_bits)),
             traced: o.traced.map(|shape| Traced::declare(g, &shape)),
+            transport: o.transport.zip(transport_parameters).map(|(t, [log_colors, enclosure, log_gains])| {
+                transport::Declared {
+                    memory: t.shape.declare(g),
+                    unit: g.input("view_light", o.view_light_bytes()),
+                    log_colors,
+                    enclosure,
+                    log_gains,
+                }
+            }),
             targets: g.input("targets", sizes.targets),
             albedo_priors: sizes.albedo.map(|bytes| g.input("albedo_priors", bytes)),
             roughness_priors: sizes.roughness.map(|bytes| g.input("roughness_priors", bytes)),
@@ -266,6 +297,12 @@ impl Declared {
         }
         if let (Some(tree), Some(handles)) = (inputs.traced, &self.traced) {
             tree.bind(exec, handles)?;
+        }
+        if let (Some(memory), Some(parameters), Some(handles)) = (inputs.transport, &p.transport, &self.transport) {
+            memory.bind(exec, &handles.memory)?;
+            parameters.log_colors.bind(exec, &handles.log_colors)?;
+            parameters.enclosure.bind(exec, &handles.enclosure)?;
+            parameters.log_gains.bind(exec, &handles.log_gains)?;
         }
         exec.bind(self.targets, inputs.targets)?;
         for (handle, memory) in [

@@ -10,10 +10,15 @@ mod inputs;
 mod priors;
 mod refresh;
 mod relit;
+mod transport;
 
-pub use inputs::{COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes, LightTrainables};
+pub use inputs::{
+    COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes, LightTrainables,
+    TransportTrainables,
+};
 pub use refresh::{EnvironmentRefresh, StoredEnvironment};
 pub use relit::{RelitOptions, RelitView};
+pub use transport::TransportTraining;
 
 use self::build::{StepResources, Words, build};
 use self::inputs::Declared as Inputs;
@@ -45,6 +50,8 @@ pub struct IntrinsicOptions {
     pub visibility: Option<FieldConfig>,
     /// Traced visibility, if used; the tree is an input. It has no trained parameters.
     pub traced: Option<TracedShape>,
+    /// Physical lights and bounced light, if used instead of point lights.
+    pub transport: Option<TransportTraining>,
     /// Enables the smoothness loss of visibility under a jitter of positions.
     pub visibility_jitter: bool,
     /// Supervises the field with one in this many (pixel, light) pairs; 1 uses all.
@@ -155,6 +162,8 @@ pub struct IntrinsicStep {
     surface: SurfaceHandles,
     pseudo: Vec<SurfaceHandles>,
     field: Option<Buffer>,
+    /// Irradiance of the view from each physical light.
+    view_light: Option<Buffer>,
     image: Option<DeviceBuffer>,
     tile: [u32; 2],
     options: IntrinsicOptions,
@@ -169,6 +178,8 @@ pub(super) struct Steps {
     pub metallic: Buffer,
     pub weights: Buffer,
     pub pseudo: [Buffer; PSEUDO_VIEWS],
+    /// Uniform whose view has the surfels as pixels; unused without transport.
+    pub surfels: Buffer,
 }
 
 /// Status that steps report to the host: a counter and a ring of reports.
@@ -268,12 +279,14 @@ impl IntrinsicStep {
             exec.bind(handle, buffer)?;
         }
         let field = declared.inputs.visibility.map(|v| v.field.step);
+        let view_light = declared.inputs.transport.map(|t| t.unit);
         Ok(IntrinsicStep {
             exec,
             steps: declared.steps,
             surface: declared.surface,
             pseudo: declared.pseudo,
             field,
+            view_light,
             image,
             tile: tuning.tile,
             options,
@@ -295,10 +308,21 @@ impl IntrinsicStep {
 
     /// Replays the step on a view, and on its pseudo-views if present.
     ///
+    /// `light`: irradiance of the view's pixels from each physical light ([`crate::pipeline::ViewLights`]).
+    ///
     /// # Errors
     /// If the device fails, or a surface differs in shape from the step's options.
-    pub fn submit(&mut self, surface: &Surface, pseudo: &[Surface], values: &IntrinsicStepValues) -> Result<Ticket> {
+    pub fn submit(
+        &mut self,
+        surface: &Surface,
+        light: Option<&DeviceBuffer>,
+        pseudo: &[Surface],
+        values: &IntrinsicStepValues,
+    ) -> Result<Ticket> {
         surface.bind(&mut self.exec, &self.surface)?;
+        if let (Some(handle), Some(light)) = (self.view_light, light) {
+            self.exec.bind(handle, light)?;
+        }
         for (surface, handles) in pseudo.iter().zip(&self.pseudo) {
             surface.bind(&mut self.exec, handles)?;
         }
@@ -314,7 +338,12 @@ impl IntrinsicStep {
             other.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
             other
         });
+        let mut of_surfels = Step::default();
+        of_surfels.camera.size = [self.options.transport.map_or(1, |t| t.shape.surfels), 1];
         let mut uniforms: Vec<(Buffer, &[u8])> = Vec::new();
+        if self.options.transport.is_some() {
+            uniforms.push((s.surfels, bytemuck::bytes_of(&of_surfels)));
+        }
         if let Some(field) = self.field {
             uniforms.push((field, bytemuck::bytes_of(&values.field)));
         }
@@ -391,6 +420,7 @@ fn declare(
         metallic: uniform("metallic_step"),
         weights: g.uniform("material_weights", size_of::<MaterialWeights>() as u64),
         pseudo: ["pseudo0", "pseudo1"].map(|name| g.uniform(name, size_of::<Step>() as u64)),
+        surfels: g.uniform("surfel_step", size_of::<Step>() as u64),
     };
     let surface = o.shape.declare(&mut g, "", false);
     let pseudo: Vec<SurfaceHandles> = match o.cross_view {

@@ -3,6 +3,7 @@
 use super::{Lighting, LitLayer, LitOptions, LitScene};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
+use crate::pipeline::transport::{Declared, Terms};
 use crate::pipeline::{ShadedVisibility, Step};
 use crate::scene::{Handles, Trainable, TrainableHandles};
 use crate::shade::environment::{
@@ -36,6 +37,7 @@ pub(super) struct Built {
     pub field: Option<FieldHandles>,
     pub tree: Option<Traced>,
     pub environment: Option<EnvironmentBuffers>,
+    pub transport: Option<Declared>,
     /// View statistics (frames, incomplete frames, required entries); required weights.
     pub report: [Buffer; 2],
 }
@@ -122,7 +124,8 @@ pub(super) fn build(
 
     // Light.
     let mut parts = Parts { direct: None, ambient: None, rest: [None; 2], environment_map: None, values: None };
-    let wants_lights = layer.direct() || layer == LitLayer::Visibility;
+    let transport = s.transport.as_ref().filter(|_| layer.direct());
+    let wants_lights = s.transport.is_none() && (layer.direct() || layer == LitLayer::Visibility);
     let (mut field, mut tree) = (None, None);
     match s.visibility.as_ref().filter(|_| wants_lights) {
         Some(ShadedVisibility::Field { field: learned, .. }) => field = Some(learned.declare(&mut g, false)),
@@ -169,6 +172,21 @@ pub(super) fn build(
             };
             parts.rest[0] = diffuse.filter(|_| layer == LitLayer::Specular);
         }
+    }
+    let mut declared_transport = None;
+    if let Some(transport) = transport {
+        let declared = transport.declare(&mut g);
+        let terms =
+            Terms { each: ["light_diffuse", "light_specular", "indirect", "emission"].map(|n| floats(&mut g, n, 3)) };
+        let all = transport.shade(&mut g, t, &declared, (&seen, rows), &terms)?;
+        let [diffuse, specular, ..] = terms.each;
+        (parts.direct, parts.ambient) = match layer {
+            LitLayer::Diffuse => (Some(diffuse), None),
+            LitLayer::Specular => (Some(specular), None),
+            LitLayer::Direct => (Some(diffuse), Some(specular)),
+            _ => (Some(all), None),
+        };
+        declared_transport = Some(declared);
     }
     let mut environment = None;
     if let Some(e) = scene.environment.as_ref().filter(|_| layer.ambient()) {
@@ -225,6 +243,7 @@ pub(super) fn build(
         field,
         tree,
         environment,
+        transport: declared_transport,
         report,
     })
 }
@@ -279,7 +298,7 @@ fn put_together(
         workgroup: t.workgroup,
         direct: parts.direct.is_some(),
         ambient: parts.ambient.is_some(),
-        rest: layer == LitLayer::Specular,
+        rest: parts.rest.iter().any(Option::is_some),
         behind,
         stride,
         first,

@@ -14,6 +14,7 @@ mod view;
 pub use scene::{LitEnvironment, LitScene};
 pub use view::LitView;
 
+use super::FrameEmitter;
 use crate::shade::lights::LightModel;
 use crate::splat::{Encoding, TexelFormat};
 use sgs_engine::graph::ImageState;
@@ -143,6 +144,8 @@ pub struct Lighting {
     pub gains: Vec<f32>,
     /// Factor on the light of the environment map, per channel.
     pub environment: [f32; 3],
+    /// Emitters of a scene with responses to them. They replace the other lights and the environment map.
+    pub emitters: Vec<FrameEmitter>,
 }
 
 impl Lighting {
@@ -153,6 +156,7 @@ impl Lighting {
             Lighting {
                 positions: self.positions.iter().map(|v| v * by).collect(),
                 gains: self.gains.iter().map(|v| v * bright).collect(),
+                emitters: self.emitters.iter().map(|e| e.scaled(by)).collect(),
                 ..self.clone()
             }
         })

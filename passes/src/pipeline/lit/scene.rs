@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// Shading inputs without lights, which come with each frame.
 #[derive(Debug)]
 pub struct LitScene {
-    /// Geometry, materials and visibility; its lights and its environment map are not used.
+    /// Geometry, materials, visibility and responses to emitters; its lights and its environment map are not used.
     pub scene: ShadedScene,
     /// Filtered environment map.
     pub environment: Option<LitEnvironment>,

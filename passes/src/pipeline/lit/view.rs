@@ -3,7 +3,8 @@
 use super::build::{Built, build, field_step};
 use super::{Lighting, LitFrame, LitLayer, LitOptions, LitScene};
 use crate::Tuning;
-use crate::pipeline::{ShadedVisibility, Step, ViewError, ViewReport, ViewResult};
+use crate::pipeline::transport::{Declared, FrameUniforms, ShadedShape};
+use crate::pipeline::{ShadedTransport, ShadedVisibility, Step, ViewError, ViewReport, ViewResult};
 use crate::shade::lights::{LightModel, LightParameters};
 use crate::shade::traced::TracedShape;
 use sgs_engine::exec::{ExecOptions, Executor};
@@ -40,6 +41,7 @@ struct Key {
     environment: Option<u32>,
     model: LightModel,
     normalizer: u32,
+    transport: Option<ShadedShape>,
 }
 
 impl Key {
@@ -59,6 +61,7 @@ impl Key {
             environment: scene.environment.as_ref().map(|e| e.tables().size()),
             model: lighting.model,
             normalizer: lighting.normalizer.to_bits(),
+            transport: s.transport.as_ref().map(ShadedTransport::shape),
         }
     }
 }
@@ -140,7 +143,9 @@ impl LitView {
         let lighting = scaled.as_ref().unwrap_or(lighting);
         camera.tiles = [view[0].div_ceil(tile[0]), view[1].div_ceil(tile[1])];
         let step = Step { camera, step: 1, ..Default::default() };
-        let lit = LitStep { behind: frame.background, exposure: frame.exposure, environment: lighting.environment };
+        // Emitters replace the environment map. The light that its factor multiplies is theirs.
+        let environment = if scene.scene.transport.is_some() { [1.0; 3] } else { lighting.environment };
+        let lit = LitStep { behind: frame.background, exposure: frame.exposure, environment };
         let field = field_step(scene, lighting, view);
         let mut uniforms = vec![(built.step, bytemuck::bytes_of(&step)), (built.lit, bytemuck::bytes_of(&lit))];
         if let Some(LightParameters { positions, lobes, gains }) = built.lights {
@@ -153,6 +158,10 @@ impl LitView {
         }
         if let Some(f) = &built.field {
             uniforms.push((f.field.step, bytemuck::bytes_of(&field)));
+        }
+        let emitters = FrameUniforms::new(&lighting.emitters);
+        if let Some(handles) = built.transport.as_ref().and_then(Declared::emitters) {
+            uniforms.extend(emitters.of(&handles));
         }
         Ok(how(exec, &uniforms)?)
     }
@@ -257,6 +266,9 @@ fn bind(exec: &mut Executor, built: &Built, scene: &LitScene) -> sgs_engine::Res
     }
     if let (Some(handles), Some(ShadedVisibility::Traced { memory, .. })) = (&built.tree, &s.visibility) {
         memory.bind(exec, handles)?;
+    }
+    if let (Some(declared), Some(transport)) = (&built.transport, &s.transport) {
+        transport.bind(exec, declared)?;
     }
     if let (Some(h), Some(e)) = (&built.environment, &scene.environment) {
         e.source.memory.bind(exec, &e.source.tables, &h.tables)?;

@@ -9,7 +9,11 @@ use crate::transport::{
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use std::f32::consts::PI;
 use std::sync::Arc;
+
+/// Number of lights that a solve takes at once.
+const BATCH: usize = 16;
 
 /// Options of a [`TransportScene`]. Lengths are in the unit of the surfels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -154,6 +158,21 @@ impl TransportScene {
         self.shape.receivers
     }
 
+    /// Returns the rows of the transport matrix.
+    pub(super) fn matrix_rows(&self) -> &DeviceBuffer {
+        &self.rows
+    }
+
+    /// Returns the size of the transport matrix.
+    pub(super) fn matrix(&self) -> MatrixShape {
+        self.shape
+    }
+
+    /// Returns the choices for the device.
+    pub(super) fn tuning(&self) -> &Tuning {
+        &self.tuning
+    }
+
     /// Returns the options.
     pub fn options(&self) -> &TransportOptions {
         &self.options
@@ -171,6 +190,21 @@ impl TransportScene {
     pub(super) fn shadow_rays(&self, tree: SurfelHandles) -> ShadowRays {
         let TransportOptions { samples, seed, offset, clearance, .. } = self.options;
         ShadowRays { tree, offset, clearance, samples, seed }
+    }
+
+    /// Returns the shape of the matrix.
+    pub(super) fn shape(&self) -> MatrixShape {
+        self.shape
+    }
+
+    /// Returns the rows of the matrix.
+    pub(super) fn row_memory(&self) -> &DeviceBuffer {
+        &self.rows
+    }
+
+    /// Returns the records of the receivers.
+    pub(super) fn receiver_memory(&self) -> &DeviceBuffer {
+        &self.receivers
     }
 
     /// Returns the shape of the tree.
@@ -232,6 +266,32 @@ impl TransportScene {
         self.device.download_as(&of_unit, values)
     }
 
+    /// Returns the bounced irradiance from each light of color 1.
+    ///
+    /// The result holds `[lights * receivers * 3]` floats.
+    ///
+    /// `reflectance` holds `[receivers * 3]` floats, `unit` those of [`TransportScene::unit_light`].
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn responses(&self, reflectance: &[f32], unit: &[f32], options: &SolveOptions) -> Result<Vec<f32>> {
+        let count = self.shape.receivers as usize;
+        let mut all = Vec::with_capacity(3 * unit.len());
+        for batch in unit.chunks(BATCH * count) {
+            let lights = batch.len() / count;
+            let mut source = vec![0.0; 3 * batch.len()];
+            for (at, value) in source.iter_mut().enumerate() {
+                let (i, light, c) = (at / (3 * lights), at / 3 % lights, at % 3);
+                *value = batch[light * count + i] * reflectance[3 * i + c] / PI;
+            }
+            let found = self.solve_lights(reflectance, &source, lights as u32, options)?;
+            for light in 0..lights {
+                all.extend((0..3 * count).map(|at| found[3 * (at / 3 * lights + light) + at % 3]));
+            }
+        }
+        Ok(all)
+    }
+
     /// Returns the irradiance that arrives by bounces, `[receivers * 3]` floats.
     ///
     /// `reflectance` and `source` hold `[receivers * 3]` floats. `source` is the radiosity without bounces: reflectance / pi
@@ -240,19 +300,30 @@ impl TransportScene {
     /// # Errors
     /// If memory runs out or the device fails.
     pub fn solve(&self, reflectance: &[f32], source: &[f32], options: &SolveOptions) -> Result<Vec<f32>> {
+        self.solve_lights(reflectance, source, 1, options)
+    }
+
+    /// Solves several lights. Source and result hold `[receivers * lights * 3]` floats.
+    fn solve_lights(
+        &self,
+        reflectance: &[f32],
+        source: &[f32],
+        lights: u32,
+        options: &SolveOptions,
+    ) -> Result<Vec<f32>> {
         let mut once = Once::new(&self.device, "transport_solve");
         let rows = once.g.input("matrix_rows", self.rows.bytes());
         let inputs = SolveInputs {
             matrix: MatrixRows { shape: self.shape, rows },
-            lights: 1,
+            lights,
             reflectance: once.input("reflectance", bytemuck::cast_slice(reflectance))?,
             source: once.input("source", bytemuck::cast_slice(source))?,
             initial: None,
         };
-        let values = 3 * self.shape.receivers as usize;
+        let values = 3 * self.shape.receivers as usize * lights as usize;
         let (irradiance, of_irradiance) = once.output("irradiance", 4 * values as u64)?;
         let radiosity = once.g.transient("radiosity", 4 * values as u64);
-        let convergence = once.g.transient("convergence", 8);
+        let convergence = once.g.transient("convergence", 8 * u64::from(lights));
         let into = Solution { radiosity, irradiance, convergence };
         transport_solve(&mut once.g, &self.tuning, &inputs, options, &into)?;
         once.run(|exec| exec.bind(rows, &self.rows))?;

@@ -1,6 +1,7 @@
 //! Light of physical lights and of bounces, as shading reads it.
 
-use super::TransportScene;
+use super::responses::{DeclaredResponses, EmitterResponses};
+use super::{EmitterHandles, FrameEmitter, FrameUniforms, TransportOptions, TransportScene};
 use crate::Tuning;
 use crate::shade::{PixelMaterials, Pixels, Rows, materials};
 use crate::transport::{
@@ -14,7 +15,7 @@ use sgs_engine::{Device, DeviceBuffer, Location, Result};
 use std::sync::Arc;
 
 /// Physical lights and bounced light of a scene, in device memory. Lengths are in the scene's unit.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct ShadedTransport {
     scene: Arc<TransportScene>,
     lights: Vec<AreaLight>,
@@ -23,7 +24,25 @@ pub struct ShadedTransport {
     neighbors: [DeviceBuffer; 2],
     irradiance: DeviceBuffer,
     emission: DeviceBuffer,
+    log_gains: Option<DeviceBuffer>,
     split_sum: DeviceBuffer,
+    /// Responses to emitters whose light changes; then `irradiance`, `emission` and the colors are not used.
+    responses: Option<EmitterResponses>,
+    /// Emitters of frames that bring none, in the unit of the scene.
+    emitters: Vec<FrameEmitter>,
+}
+
+/// Properties of which a plan depends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ShadedShape {
+    tree: SurfelTreeShape,
+    options: TransportOptions,
+    /// Receivers, lights, Gaussians.
+    counts: [u32; 3],
+    /// Whether the light changes with each frame.
+    responses: bool,
+    /// Whether the Gaussians have gains.
+    gains: bool,
 }
 
 /// Handles of a [`ShadedTransport`] in a graph.
@@ -34,7 +53,16 @@ pub(crate) struct Declared {
     neighbors: [Buffer; 2],
     irradiance: Buffer,
     emission: Buffer,
+    log_gains: Option<Buffer>,
     split_sum: Buffer,
+    responses: Option<DeclaredResponses>,
+}
+
+impl Declared {
+    /// Returns the emitters of each frame, if their light changes.
+    pub(crate) fn emitters(&self) -> Option<EmitterHandles> {
+        self.responses.as_ref().map(|r| r.emitters)
+    }
 }
 
 /// Terms of the light of a view, `[pixels * 3]` floats each.
@@ -82,10 +110,88 @@ impl ShadedTransport {
             ],
             irradiance: put("irradiance", bytemuck::cast_slice(irradiance))?,
             emission: put("emission", bytemuck::cast_slice(&emitted))?,
+            log_gains: None,
             split_sum: put("split_sum", &table)?,
             lights: lights.to_vec(),
+            responses: None,
+            emitters: Vec::new(),
             scene,
         })
+    }
+
+    /// Sets the logarithm of each Gaussian's gain on the light that arrives. Without it gains are 1.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_gains(mut self, device: &Device, log_gains: &[f32]) -> Result<ShadedTransport> {
+        let buffer = device.buffer("log_gains", (4 * log_gains.len()).max(4) as u64, Location::Device)?;
+        if !log_gains.is_empty() {
+            device.upload(&buffer, 0, bytemuck::cast_slice(log_gains))?;
+        }
+        self.log_gains = Some(buffer);
+        Ok(self)
+    }
+
+    /// Uploads emitters whose light changes with each frame.
+    ///
+    /// `responses` holds the irradiance that bounces by each emitter of color 1, `[emitters * receivers * 3]` floats;
+    /// `numbers` the emitter of each Gaussian, from 1, or 0. Emitters have the unit of the scene.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_responses(
+        device: &Device,
+        scene: Arc<TransportScene>,
+        emitters: &[FrameEmitter],
+        nearest: &Nearest,
+        responses: &[f32],
+        numbers: &[u32],
+    ) -> Result<ShadedTransport> {
+        let lights: Vec<AreaLight> = emitters.iter().map(|e| e.light).collect();
+        let responses = EmitterResponses::new(device, responses, numbers, scene.receivers())?;
+        let plain = ShadedTransport::new(device, scene, &lights, nearest, &[], &[])?;
+        Ok(ShadedTransport {
+            gaussians: numbers.len() as u32,
+            responses: Some(responses),
+            emitters: emitters.to_vec(),
+            ..plain
+        })
+    }
+
+    /// Returns the surfels and their matrix.
+    pub(super) fn scene(&self) -> &TransportScene {
+        &self.scene
+    }
+
+    /// Returns the memory of the responses.
+    pub(super) fn response_memory(&self) -> Option<&DeviceBuffer> {
+        self.responses.as_ref().map(EmitterResponses::memory)
+    }
+
+    /// Returns the number of emitters whose light changes with each frame.
+    pub fn emitters(&self) -> u32 {
+        self.responses.as_ref().map_or(0, EmitterResponses::emitters)
+    }
+
+    /// Sets the emitters of frames that bring none, in the unit of the scene. Their number must not change.
+    pub(crate) fn set_emitters(&mut self, emitters: Vec<FrameEmitter>) {
+        self.emitters = emitters;
+    }
+
+    /// Returns the uniforms of frames that bring no emitters.
+    pub(crate) fn uniforms(&self) -> FrameUniforms {
+        FrameUniforms::new(&self.emitters)
+    }
+
+    /// Returns what a plan depends on.
+    pub(crate) fn shape(&self) -> ShadedShape {
+        ShadedShape {
+            tree: *self.scene.tree_shape(),
+            options: *self.scene.options(),
+            counts: [self.scene.receivers(), self.lights.len() as u32, self.gaussians],
+            responses: self.responses.is_some(),
+            gains: self.log_gains.is_some(),
+        }
     }
 
     /// Returns the physical lights.
@@ -97,13 +203,28 @@ impl ShadedTransport {
     pub(crate) fn declare(&self, g: &mut Graph) -> Declared {
         let shape: &SurfelTreeShape = self.scene.tree_shape();
         let n = u64::from(self.gaussians.max(1));
+        let responses = self.responses.as_ref().map(|r| r.declare(g));
+        let (lights, irradiance, emission) = match (&self.responses, &responses) {
+            (Some(r), Some(declared)) => (
+                r.lights(declared),
+                g.transient("receiver_irradiance", 12 * u64::from(self.scene.receivers())),
+                g.transient("gaussian_emission", 16 * n),
+            ),
+            _ => (
+                AreaLights::declare(g, self.lights.len() as u32),
+                g.input("receiver_irradiance", self.irradiance.bytes()),
+                g.input("gaussian_emission", 16 * n),
+            ),
+        };
         Declared {
             tree: SurfelHandles::declare(g, shape),
-            lights: AreaLights::declare(g, self.lights.len() as u32),
+            lights,
             neighbors: ["neighbors", "neighbor_weights"].map(|name| g.input(name, 4 * NEIGHBORS as u64 * n)),
-            irradiance: g.input("receiver_irradiance", self.irradiance.bytes()),
-            emission: g.input("gaussian_emission", 16 * n),
+            irradiance,
+            emission,
+            log_gains: self.log_gains.as_ref().map(|_| g.input("log_gains", 4 * n)),
             split_sum: g.input("split_sum", self.split_sum.bytes()),
+            responses,
         }
     }
 
@@ -114,16 +235,22 @@ impl ShadedTransport {
     pub(crate) fn bind(&self, exec: &mut Executor, d: &Declared) -> Result<()> {
         let tree: &SurfelMemory = self.scene.tree();
         tree.bind(exec, &d.tree)?;
-        exec.bind(d.lights.records, &self.light_memory[0])?;
-        exec.bind(d.lights.colors, &self.light_memory[1])?;
         exec.bind(d.neighbors[0], &self.neighbors[0])?;
         exec.bind(d.neighbors[1], &self.neighbors[1])?;
+        exec.bind(d.split_sum, &self.split_sum)?;
+        if let (Some(handle), Some(buffer)) = (d.log_gains, &self.log_gains) {
+            exec.bind(handle, buffer)?;
+        }
+        if let (Some(responses), Some(declared)) = (&self.responses, &d.responses) {
+            return responses.bind(exec, declared);
+        }
+        exec.bind(d.lights.records, &self.light_memory[0])?;
+        exec.bind(d.lights.colors, &self.light_memory[1])?;
         exec.bind(d.irradiance, &self.irradiance)?;
-        exec.bind(d.emission, &self.emission)?;
-        exec.bind(d.split_sum, &self.split_sum)
+        exec.bind(d.emission, &self.emission)
     }
 
-    /// Adds the passes that shade a view; writes the terms.
+    /// Adds the passes that shade a view; writes the terms. Returns their sum, `[pixels * 3]` floats.
     ///
     /// # Errors
     /// If the graph rejects a pass.
@@ -134,8 +261,12 @@ impl ShadedTransport {
         d: &Declared,
         (pixels, rows): (&Pixels, Rows),
         terms: &Terms,
-    ) -> std::result::Result<(), GraphError> {
+    ) -> std::result::Result<Buffer, GraphError> {
         let (screen, count) = (pixels.screen, pixels.screen.pixels());
+        let list = d.emitters().map(|e| e.list);
+        if let (Some(responses), Some(declared)) = (&self.responses, &d.responses) {
+            responses.sum(g, t, declared, [d.irradiance, d.emission])?;
+        }
         let values = g.transient("gaussian_irradiance", 16 * u64::from(self.gaussians.max(1)));
         let gather = GatherInputs {
             gaussians: self.gaussians,
@@ -144,6 +275,7 @@ impl ShadedTransport {
             neighbors: d.neighbors[0],
             weights: d.neighbors[1],
             irradiance: d.irradiance,
+            log_gains: d.log_gains,
         };
         irradiance_gather(g, t, &gather, values)?;
         let blended = |g: &mut Graph, name: &str, values: Buffer| {
@@ -157,7 +289,7 @@ impl ShadedTransport {
         let rays: ShadowRays = self.scene.shadow_rays(d.tree);
         let to = LightReceivers::Pixels { screen, surfaces: pixels.surfaces };
         g.fill("clear_unit_light", unit, 0)?;
-        transport_lights(g, *t, &to, &d.lights, &rays, None, unit)?;
+        transport_lights(g, *t, &to, &d.lights, &rays, list, unit)?;
         let shading = TransportShading {
             pixels: *pixels,
             lights: d.lights,
@@ -168,6 +300,7 @@ impl ShadedTransport {
         };
         let radiance = g.transient("transport_radiance", 12 * count);
         let [diffuse, specular, indirect, emission] = terms.each;
-        transport_shade(g, *t, &shading, radiance, Some(&ShadeTerms { diffuse, specular, indirect, emission }))
+        transport_shade(g, *t, &shading, radiance, Some(&ShadeTerms { diffuse, specular, indirect, emission }))?;
+        Ok(radiance)
     }
 }

@@ -2,9 +2,13 @@
 
 mod matrix;
 mod rays;
+mod responses;
+mod source;
 
 pub use matrix::Matrix;
 pub use rays::{Bounds, Disc, Possible, direction, gather, gather_bwd};
+pub use responses::{gaussian_emission, response_source, response_sum};
+pub use source::{RoomParameters, RoomSource, SurfelMaterial, blend, reflectance, source};
 
 /// Three numbers.
 pub type V3 = [f64; 3];

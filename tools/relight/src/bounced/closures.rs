@@ -16,7 +16,7 @@ use sgs_transport::{LitRoom, TransportError};
 use std::f32::consts::PI;
 use std::path::Path;
 
-/// Hemispherical reflectance of a patch's specular lobe, added to its albedo, as a room adds it.
+/// Hemispherical reflectance of a patch's specular lobe, as in a room.
 const SHEEN: f32 = 0.03;
 /// Number of bounces on the host.
 const BOUNCES: usize = 40;
@@ -35,7 +35,7 @@ enum Closure {
     BoxOfMean,
     /// Box of the run.
     BoxOfRun,
-    /// Box of planes through walls, floor and ceiling, each of the mean reflectance of its surfels.
+    /// Planes through walls, floor and ceiling, with their surfels' mean reflectance.
     Planes,
 }
 

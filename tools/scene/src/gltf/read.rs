@@ -200,6 +200,7 @@ impl Attributes<'_> {
             metallic: self.material("METALLIC", 1, METALLIC_RANGE)?,
             semantic: (!semantic.is_empty()).then_some((semantic.len(), semantic_rows)),
             emitters: None,
+            light_gains: None,
             means,
         })
     }

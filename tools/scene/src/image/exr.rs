@@ -10,7 +10,7 @@ use std::path::Path;
 use ::exr::image::{AnyChannel, AnyChannels, Encoding, FlatSamples, Layer, read::read};
 use ::exr::meta::MetaData;
 use ::exr::meta::attribute::Text;
-use ::exr::meta::header::LayerAttributes;
+use ::exr::meta::header::{ImageAttributes, LayerAttributes};
 use ::exr::prelude::{ReadChannels, ReadLayers, SmallVec, WritableImage};
 
 use super::{Image, blocks, dwa, file};
@@ -146,6 +146,54 @@ pub fn read_exr(path: &Path) -> Result<ExrImage> {
 /// The usual names are `R G B` or `R G B A` for colors, `X Y Z` for vectors, and `Y` for a single channel. Values are
 /// written unchanged.
 pub fn write_exr(path: &Path, image: &Image, names: &[&str]) -> Result<()> {
+    let layer = layer(path, image, names, LayerAttributes::default())?;
+    let file = ::exr::image::Image::from_layer(layer);
+    // A single thread keeps the block order deterministic, so equal images produce equal files.
+    atomic_write(path, |out| file.write().non_parallel().to_buffered(out).map_err(unwritten))
+}
+
+/// Writes images of one size as named layers.
+///
+/// Layers have the channels `R G B` as 32-bit floats. [`read_exr`] reads the first. Values are written unchanged.
+pub fn write_exr_layers(path: &Path, images: &[(&str, Image)]) -> Result<()> {
+    let mut layers = SmallVec::new();
+    for (i, (name, image)) in images.iter().enumerate() {
+        let text = Text::new_or_none(name).filter(|_| !name.is_empty() && !images[..i].iter().any(|(n, _)| n == name));
+        let Some(text) = text else {
+            return Err(SceneError::image(path, format!("{name:?} cannot name a layer, or names two of them")));
+        };
+        if (image.width, image.height) != (images[0].1.width, images[0].1.height) {
+            return Err(SceneError::image(path, format!("the layer {name} differs from the first in size")));
+        }
+        layers.push(layer(path, image, &["R", "G", "B"], LayerAttributes::named(text))?);
+    }
+    let Some((_, first)) = images.first() else {
+        return Err(SceneError::image(path, "an EXR file needs a layer"));
+    };
+    let size = (first.width as usize, first.height as usize);
+    let file = ::exr::image::Image::from_layers(ImageAttributes::with_size(size), layers);
+    atomic_write(path, |out| file.write().non_parallel().to_buffered(out).map_err(unwritten))
+}
+
+/// Returns whether a name can be that of a layer: not empty, and of Latin letters.
+pub fn names_exr_layer(name: &str) -> bool {
+    !name.is_empty() && Text::new_or_none(name).is_some()
+}
+
+fn unwritten(error: ::exr::error::Error) -> io::Error {
+    match error {
+        ::exr::error::Error::Io(error) => error,
+        other => io::Error::other(other.to_string()),
+    }
+}
+
+/// Returns a layer with one name for each channel of the image.
+fn layer(
+    path: &Path,
+    image: &Image,
+    names: &[&str],
+    attributes: LayerAttributes,
+) -> Result<Layer<AnyChannels<FlatSamples>>> {
     image.check()?;
     if names.len() != image.channels as usize {
         let problem = format!("{} names were given for {} channels", names.len(), image.channels);
@@ -161,16 +209,7 @@ pub fn write_exr(path: &Path, image: &Image, names: &[&str]) -> Result<()> {
         channels.push(AnyChannel::new(text, FlatSamples::F32(values)));
     }
     let size = (image.width as usize, image.height as usize);
-    let layer =
-        Layer::new(size, LayerAttributes::default(), Encoding::SMALL_FAST_LOSSLESS, AnyChannels::sort(channels));
-    let file = ::exr::image::Image::from_layer(layer);
-    atomic_write(path, |out| {
-        // A single thread keeps the block order deterministic, so equal images produce equal files.
-        file.write().non_parallel().to_buffered(out).map_err(|error| match error {
-            ::exr::error::Error::Io(error) => error,
-            other => io::Error::other(other.to_string()),
-        })
-    })
+    Ok(Layer::new(size, attributes, Encoding::SMALL_FAST_LOSSLESS, AnyChannels::sort(channels)))
 }
 
 #[cfg(test)]
@@ -199,6 +238,32 @@ mod tests {
             assert_eq!(back.names, names);
             assert_eq!(back.image, image);
         }
+    }
+
+    #[test]
+    fn layers_have_their_names_and_values() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.exr");
+        let images = [("window 1", sample(7, 5, 3)), ("lämp", Image { data: vec![2.0; 105], ..sample(7, 5, 3) })];
+        write_exr_layers(&path, &images).unwrap();
+        assert_eq!(read_exr(&path).unwrap().image, images[0].1, "the first layer is that of other readers");
+        let all = read().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
+        let file = all.from_file(&path).unwrap();
+        for (layer, (name, image)) in file.layer_data.iter().zip(&images) {
+            assert_eq!(layer.attributes.layer_name.as_ref().unwrap().to_string(), *name);
+            for (c, channel) in ["B", "G", "R"].iter().zip(&layer.channel_data.list).enumerate() {
+                assert_eq!(channel.1.name.to_string(), *channel.0);
+                let values: Vec<f32> = channel.1.sample_data.values_as_f32().collect();
+                assert!(values.iter().zip(image.data.chunks(3)).all(|(v, pixel)| *v == pixel[2 - c]));
+            }
+        }
+        assert_eq!(file.layer_data.len(), 2);
+        let fail = |images: &[(&str, Image)]| write_exr_layers(&path, images).unwrap_err().to_string();
+        assert!(fail(&[]).contains("needs a layer"));
+        assert!(fail(&[("a", sample(2, 2, 3)), ("a", sample(2, 2, 3))]).contains("\"a\" cannot name a layer"));
+        assert!(fail(&[("a", sample(2, 2, 3)), ("b", sample(2, 3, 3))]).contains("differs from the first in size"));
+        assert!(fail(&[("深", sample(2, 2, 3))]).contains("cannot name a layer") && !names_exr_layer("深"));
+        assert!(names_exr_layer("window 1") && !names_exr_layer(""));
     }
 
     #[test]

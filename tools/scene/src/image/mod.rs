@@ -19,7 +19,7 @@ mod undistort;
 
 pub use color::{linear_to_srgb, srgb_to_linear};
 pub use environment::{read_environment, write_environment};
-pub use exr::{ExrImage, read_exr, write_exr};
+pub use exr::{ExrImage, names_exr_layer, read_exr, write_exr, write_exr_layers};
 pub(crate) use file::{EXTENSIONS, Encoding, read_raster, read_size, stem_of, turning_orientation};
 pub use npy::NpyArray;
 #[cfg(test)]

@@ -14,7 +14,7 @@ const MARGIN: f64 = 1e-6;
 /// Program whose PLY files are read and written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlyDialect {
-    /// This project: 3DGS with `albedo_0..2 roughness [metallic] [semantic_*] [emitter]`.
+    /// This project: 3DGS with `albedo_0..2 roughness [metallic] [semantic_*] [emitter] [light_gain]`.
     Own,
     /// The original 3DGS program and most viewers, without materials.
     ThreeDgs,
@@ -72,6 +72,9 @@ impl Code {
     }
 }
 
+/// Property of the factor on the light that arrives.
+pub(super) const LIGHT_GAIN: &str = "light_gain";
+
 /// Property names and encodings of a dialect. Without `albedo`, the color represents the albedo.
 pub(super) struct Names {
     pub(super) normals: [&'static str; 3],
@@ -117,7 +120,13 @@ impl PlyDialect {
             PlyDialect::GsIr
         } else if has("roughnessFactor") || byte("roughness") {
             PlyDialect::Mesh2Splat
-        } else if has("albedo_0") || has("roughness") || has("metallic") || has("semantic_0") || has("emitter") {
+        } else if has("albedo_0")
+            || has("roughness")
+            || has("metallic")
+            || has("semantic_0")
+            || has("emitter")
+            || has(LIGHT_GAIN)
+        {
             PlyDialect::Own
         } else {
             PlyDialect::ThreeDgs
@@ -194,6 +203,9 @@ impl PlyDialect {
         }
         if splats.emitters.is_some() && (plain || names.emitter.is_none()) {
             out.push("emitters");
+        }
+        if splats.light_gains.is_some() && self != PlyDialect::Own {
+            out.push("light gains");
         }
         if self == PlyDialect::Mesh2Splat {
             out.push("colors, in whose place albedo stands");

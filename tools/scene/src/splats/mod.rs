@@ -47,6 +47,8 @@ pub struct Splats {
     /// Emitter that each splat belongs to: 0 emits nothing, `i + 1` belongs to emitter `i` of `emitters.json`.
     /// At most [`MOST_EMITTERS`].
     pub emitters: Option<Vec<u32>>,
+    /// Factor above 0 on the light that arrives from emitters and by bounces.
+    pub light_gains: Option<Vec<f32>>,
 }
 
 impl Splats {
@@ -89,10 +91,11 @@ impl Splats {
             metallic: one(&self.metallic),
             semantic: self.semantic.as_ref().map(|(channels, v)| (*channels, of(&order, v, *channels))),
             emitters: self.emitters.as_ref().map(|v| of(&order, v, 1)),
+            light_gains: one(&self.light_gains),
         }
     }
 
-    /// Checks the lengths of all arrays, and the emitters.
+    /// Checks the lengths of all arrays, the emitters and the light gains.
     ///
     /// Lengths must match the number of splats and the degree.
     pub fn check(&self) -> Result<()> {
@@ -116,6 +119,11 @@ impl Splats {
             lengths.push(("semantic", values.len(), n.saturating_mul(*channels)));
         }
         lengths.push(("emitters", self.emitters.as_ref().map_or(n, Vec::len), n));
+        lengths.push(("light_gains", one(&self.light_gains), n));
+        if let Some(bad) = self.light_gains.iter().flatten().find(|g| !(**g > 0.0 && g.is_finite())) {
+            let problem = format!("a splat has the light gain {bad}; use a number above 0");
+            return Err(SceneError::Data { what: "the splats", problem });
+        }
         if let Some(bad) = self.emitters.iter().flatten().find(|e| **e > MOST_EMITTERS) {
             let problem = format!("a splat belongs to emitter {bad}, but there are {MOST_EMITTERS} at most");
             return Err(SceneError::Data { what: "the splats", problem });
@@ -151,10 +159,12 @@ mod tests {
             metallic: None,
             semantic: Some((2, numbers(2))),
             emitters: Some(vec![0, 7, 0, 2, 4096]),
+            light_gains: Some(vec![1.0, 0.5, 3.0, 0.25, 2.0]),
         };
         let some = all.strongest(3);
         some.check().unwrap();
         assert_eq!(some.emitters, Some(vec![0, 7, 2]));
+        assert_eq!(some.light_gains, Some(vec![1.0, 0.5, 0.25]));
         assert_eq!(some.opacity_logits, [0.5, 3.0, 3.0]);
         assert_eq!(some.means, [all.means[0], all.means[1], all.means[3]]);
         assert_eq!(some.sh[1], [&all.sh[1][..18], &all.sh[1][27..36]].concat());

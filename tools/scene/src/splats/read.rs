@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::dialect::{Names, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, albedo_of_color};
+use super::dialect::{LIGHT_GAIN, Names, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, albedo_of_color};
 use super::layout::{degree_of_rest, place_of_rest};
 use super::{MOST_EMITTERS, PlyDialect, Splats};
 use crate::error::Result;
@@ -19,13 +19,15 @@ struct Groups {
     metallic: Option<usize>,
     semantic: Option<(usize, usize)>,
     emitter: Option<usize>,
+    light_gain: Option<usize>,
 }
 
 impl Splats {
     /// Reads a 3DGS PLY file with the extensions of any [`PlyDialect`].
     ///
     /// Properties may have any order and type. All-zero normals count as absent, because 3DGS files store zeros there.
-    /// Non-finite values, zero quaternions and emitters that are not whole numbers from 0 to [`MOST_EMITTERS`] are errors.
+    /// Non-finite values, zero quaternions, light gains that are not above 0, and emitters that are not whole numbers from 0
+    /// to [`MOST_EMITTERS`] are errors.
     pub fn read_ply(path: &Path) -> Result<Self> {
         Ok(Self::read_ply_dialect(path)?.0)
     }
@@ -73,6 +75,7 @@ impl Splats {
             metallic: groups.metallic.map(|_| Vec::with_capacity(n)),
             semantic: groups.semantic.map(|(_, channels)| (channels, Vec::with_capacity(n * channels))),
             emitters: groups.emitter.map(|_| Vec::with_capacity(n)),
+            light_gains: groups.light_gain.map(|_| Vec::with_capacity(n)),
         };
         let places: Vec<_> = (0..rest).map(|i| place_of_rest(degree, i)).collect();
         table.read(&wanted, |i, v| {
@@ -109,6 +112,12 @@ impl Splats {
             if let (Some(target), Some(at)) = (&mut splats.emitters, groups.emitter) {
                 target.push(emitter(v[at])?);
             }
+            if let (Some(target), Some(at)) = (&mut splats.light_gains, groups.light_gain) {
+                if v[at] <= 0.0 {
+                    return Err(format!("light_gain is {}; use a number above 0", v[at]));
+                }
+                target.push(v[at]);
+            }
             Ok(())
         })?;
         if splats.normals.as_ref().is_some_and(|n| n.iter().flatten().all(|&v| v == 0.0)) {
@@ -136,11 +145,12 @@ fn optional_groups(table: &VertexTable, names: &Names, wanted: &mut Vec<usize>) 
     let roughness = group(&[names.roughness.0]);
     let metallic = names.metallic.and_then(|(name, _)| group(&[name]));
     let emitter = names.emitter.and_then(|name| group(&[name]));
+    let light_gain = names.emitter.and_then(|_| group(&[LIGHT_GAIN]));
     let prefix = names.semantic.unwrap_or("semantic_");
     let channels = table.count_numbered(prefix);
     let names: Vec<String> = (0..channels).map(|i| format!("{prefix}{i}")).collect();
     let semantic = if channels == 0 { None } else { group(&names.iter().map(String::as_str).collect::<Vec<_>>()) };
-    Groups { normals, albedo, roughness, metallic, semantic: semantic.map(|at| (at, channels)), emitter }
+    Groups { normals, albedo, roughness, metallic, semantic: semantic.map(|at| (at, channels)), emitter, light_gain }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::dialect::{Code, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, color_of_albedo};
+use super::dialect::{Code, LIGHT_GAIN, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, color_of_albedo};
 use super::layout::{REST, place_of_rest};
 use super::{PlyDialect, Splats};
 use crate::atomic::atomic_write;
@@ -24,6 +24,7 @@ enum Source {
     Metallic(Code),
     Semantic(usize),
     Emitter,
+    LightGain,
 }
 
 impl Source {
@@ -45,13 +46,14 @@ impl Source {
             },
             Source::Semantic(k) => s.semantic.as_ref().map_or(0.0, |(channels, v)| v[i * channels + k]),
             Source::Emitter => s.emitters.as_ref().map_or(0.0, |e| e[i] as f32),
+            Source::LightGain => s.light_gains.as_ref().map_or(1.0, |g| g[i]),
         }
     }
 }
 
 impl Splats {
     /// Writes a binary PLY file in this project's dialect. The properties are `x y z nx ny nz f_dc_* f_rest_* opacity
-    /// scale_* rot_*`, as in 3DGS programs. `albedo_0..2 roughness metallic semantic_* emitter` follow if present.
+    /// scale_* rot_*`, as in 3DGS programs. `albedo_0..2 roughness metallic semantic_* emitter light_gain` follow if present.
     /// Absent normals are written as zeros.
     pub fn write_ply(&self, path: &Path) -> Result<()> {
         self.write_ply_as(path, PlyDialect::Own)
@@ -134,6 +136,9 @@ impl Splats {
         if let Some(name) = names.emitter.filter(|_| self.emitters.is_some()) {
             put(name, Source::Emitter);
         }
+        if own && self.light_gains.is_some() {
+            put(LIGHT_GAIN, Source::LightGain);
+        }
         columns
     }
 }
@@ -163,6 +168,7 @@ pub(super) mod tests {
             metallic: Some(many(n)),
             semantic: Some((2, many(n * 2))),
             emitters: None,
+            light_gains: None,
         }
     }
 
@@ -175,7 +181,8 @@ pub(super) mod tests {
             let bare =
                 Splats { normals: None, albedo: None, roughness: None, metallic: None, semantic: None, ..full.clone() };
             let no_metal = Splats { metallic: None, ..full.clone() };
-            let emitting = Splats { emitters: Some(vec![0, 3, 0, 4096, 1]), ..full.clone() };
+            let gains = Some(vec![1.0, 0.5, 2.0, 0.125, 1.5]);
+            let emitting = Splats { emitters: Some(vec![0, 3, 0, 4096, 1]), light_gains: gains, ..full.clone() };
             let only_emitting = Splats { emitters: emitting.emitters.clone(), ..bare.clone() };
             for splats in [full, bare, no_metal, emitting, only_emitting] {
                 assert_eq!(splats.sh_degree(), degree);
@@ -225,6 +232,8 @@ pub(super) mod tests {
         assert!(fail(|s| s.sh[1].truncate(17)).contains("sh[1] has the length 17, but 2 splats need 18"));
         assert!(fail(|s| s.sh[0].clear()).contains("sh[0] has the length 0"));
         assert!(fail(|s| s.emitters = Some(vec![1])).contains("emitters has the length 1, but 2 splats need 2"));
+        assert!(fail(|s| s.light_gains = Some(vec![1.0])).contains("light_gains has the length 1"));
+        assert!(fail(|s| s.light_gains = Some(vec![1.0, 0.0])).contains("light gain 0"));
         assert!(fail(|s| s.emitters = Some(vec![0, 4097])).contains("belongs to emitter 4097"));
         assert!(fail(|s| s.semantic = Some((3, vec![0.0]))).contains("semantic has the length 1"));
         assert!(!path.exists());

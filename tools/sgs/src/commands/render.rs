@@ -7,18 +7,18 @@ use crate::cameras::{splats_of, upload};
 use crate::classes::{Legend, Scale, file_part, head_of, write_labels_exr, write_relevance_exr, write_relevance_png};
 use crate::common::Common;
 use crate::failure::refuse_usage;
-use crate::images::{self, Format, Part, background_of, check_materials, light_of_source};
+use crate::images::{Format, Part, background_of};
+use crate::lit::{Light, LightFiles, WantedLight};
 use crate::output;
 use crate::ui::Bar;
-use crate::video::{Video, VideoArgs};
+use crate::video::VideoArgs;
 use crate::viewpoints::ViewpointArgs;
-use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{RenderedImage, Renderer};
 use sgs_passes::splat::Channels;
-use sgs_run::{Classes, Classifier, RunLight, SemanticHead, Shading, Visibility, shaded_scene};
-use sgs_scene::{Camera, Image, Splats, write_exr, write_png};
+use sgs_run::{Classes, Classifier, SemanticHead};
+use sgs_scene::{Image, Splats, write_exr, write_png};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -40,7 +40,8 @@ pub struct Args {
     /// the class; EXR: the probability.
     #[arg(long, value_name = "CLASS")]
     query: Vec<String>,
-    /// Also write the contribution of each light: STEM_light_NN.
+    /// Also write the contribution of each light: STEM_light_NN. Of a run with emitters: STEM_lights.exr, whose layers are the
+    /// emitters with their bounces, linear.
     #[arg(long)]
     lights: bool,
     /// Temperature of the probabilities of --query; by default that of training.
@@ -117,7 +118,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         refuse_usage!("\"{}\" holds no normals; leave \"normal\" out of --channels.", a.source.display());
     }
     let requested = RequestedViews::of(a, &splats)?;
-    let light = Light::of(a, &splats, settings.as_ref())?;
+    let wanted = WantedLight {
+        source: &a.source,
+        parts: a.channels.iter().filter_map(|c| c.part()).collect(),
+        each: a.lights || a.channels.contains(&Channel::Lights),
+    };
+    let light = Light::of(wanted, &a.viewpoints, &splats, settings.as_ref())?;
     let device = common.open_device()?;
     let mut light = light.map(|light| light.ready(&device, &splats)).transpose()?;
     let gaussians = upload(&device, &splats, requested.is_some())?;
@@ -149,7 +155,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             }
         }
         if let Some(light) = &mut light {
-            written.extend(light.write(&device, a, camera, background, video.as_mut())?);
+            let to = LightFiles { directory: a.output.as_deref(), format: a.format, background };
+            written.extend(light.write(&device, &to, camera, video.as_mut())?);
         }
         if let (Some(meaning), Some(output)) = (&mut meaning, &a.output) {
             let classes = meaning.classifier.classify(&renderer, &rendered)?;
@@ -237,101 +244,6 @@ impl Blended {
             Format::Png => write_png(&path, &self.shown(self.largest()))?,
         }
         Ok(path)
-    }
-}
-
-/// Requested channels of materials and light.
-struct Light {
-    parts: Vec<Part>,
-    /// Whether each light is rendered by itself.
-    each: bool,
-    light: RunLight,
-}
-
-impl Light {
-    /// Returns the request; `None` if no channel of materials or light is requested.
-    fn of(a: &Args, splats: &Splats, settings: Option<&Settings>) -> anyhow::Result<Option<Light>> {
-        let source = a.source.display();
-        let parts: Vec<Part> = a.channels.iter().filter_map(|c| c.part()).collect();
-        let each = a.lights || a.channels.contains(&Channel::Lights);
-        if parts.is_empty() && !each {
-            return Ok(None);
-        }
-        check_materials(&a.source, splats, parts.contains(&Part::Metallic))?;
-        let light = light_of_source(&a.source, settings)?;
-        let lit = parts.iter().find(|p| p.is_light());
-        if let (Some(part), None, None) = (lit, &light.lights, &light.environment) {
-            let name = part.name();
-            refuse_usage!(
-                "\"{source}\" has materials but neither lights nor an environment; leave \"{name}\" out of --channels."
-            );
-        }
-        if parts.contains(&Part::Visibility) && (matches!(light.visibility, Visibility::None) || light.lights.is_none())
-        {
-            refuse_usage!("\"{source}\" has no visibility of lights; leave \"visibility\" out of --channels.");
-        }
-        if each && light.lights.is_none() {
-            refuse_usage!("\"{source}\" has no lights; leave out --lights.");
-        }
-        Ok(Some(Light { parts, each, light }))
-    }
-
-    fn ready(self, device: &Device, splats: &Splats) -> anyhow::Result<Lit> {
-        let RunLight { lights, environment, visibility } = &self.light;
-        let scene = shaded_scene(device, splats, lights.as_ref(), environment.as_ref(), visibility)?;
-        let gains = lights.iter().flat_map(|l| &l.lights).map(|l| l.gain).collect();
-        let mut shading = Shading::new(device, scene)?;
-        if !self.parts.contains(&Part::Visibility) {
-            shading = shading.without_visibility();
-        }
-        Ok(Lit { parts: self.parts, each: self.each, gains, shading })
-    }
-}
-
-/// Shading of the requested channels.
-struct Lit {
-    parts: Vec<Part>,
-    each: bool,
-    gains: Vec<f32>,
-    shading: Shading,
-}
-
-impl Lit {
-    /// Writes the requested images; returns their paths.
-    fn write(
-        &mut self,
-        device: &Device,
-        a: &Args,
-        camera: &Camera,
-        background: [f32; 3],
-        mut video: Option<&mut Video>,
-    ) -> anyhow::Result<Vec<PathBuf>> {
-        let mut written = Vec::new();
-        let stem = &camera.name;
-        if !self.parts.is_empty() {
-            let shaded = self.shading.shade(camera)?;
-            for part in &self.parts {
-                let image = part.of(&shaded, background);
-                if let Some(dir) = &a.output {
-                    written.push(images::write(a.format, dir, stem, part.name(), &image)?);
-                }
-                if let Some(video) = &mut video {
-                    video.push(&images::shown(&image))?;
-                }
-            }
-        }
-        if let Some(dir) = a.output.as_ref().filter(|_| self.each) {
-            // As wide as the last number, so that names sort in order.
-            let digits = self.gains.len().saturating_sub(1).to_string().len().max(2);
-            for i in 0..self.gains.len() {
-                let alone: Vec<f32> = (0..).zip(&self.gains).map(|(k, g)| if k == i { *g } else { 0.0 }).collect();
-                self.shading.set_gains(device, &alone)?;
-                let image = self.shading.direct(camera)?;
-                written.push(images::write(a.format, dir, stem, &format!("light_{i:0digits$}"), &image)?);
-            }
-            self.shading.set_gains(device, &self.gains)?;
-        }
-        Ok(written)
     }
 }
 

@@ -6,13 +6,16 @@ use super::eval::{MeasureOptions, Split, measure};
 use super::train::validated;
 use crate::cameras::splats_of;
 use crate::common::Common;
+use crate::report::emitters::{self, EmitterView};
 use crate::report::lights::{self as light_marks, LightTable};
+use crate::report::relit::{self, RelitPage};
 use crate::report::views;
 use crate::scenes::open_scene_of_run;
 use anyhow::{Context, bail};
 use serde_json::Value;
 use sgs_config::Settings;
 use sgs_engine::Device;
+use sgs_relight::Emitting;
 use sgs_report::{Page, chart, escape, figure, room, table};
 use sgs_run::{RunDirectory, displayed, light_of};
 use sgs_scene::{Scene, Splats, read_environment};
@@ -72,16 +75,28 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         metrics: &metrics,
     };
     let images = views::html(common, &device, &of_run, &shown)?;
+    let camera = &scene.views[chosen[0]].camera;
+    let (emitters, relit) = match Emitting::open(&device, &run, &scene, &splats, settings.seed)? {
+        Some(emitting) => {
+            let at = EmitterView { scene: &scene, splats: &splats, camera, width: a.width };
+            let emitters = emitters::html(&device, &emitting, &at)?;
+            let shown =
+                RelitPage { scene: &scene, splats: &splats, view: chosen[0], width: a.width, metrics: &metrics };
+            (emitters, relit::html(&device, &emitting, &shown)?)
+        }
+        None => Default::default(),
+    };
 
     let name = run.root().canonicalize().ok().and_then(|p| p.file_name().map(|n| n.to_string_lossy().into_owned()));
     let mut page = Page::new(&format!("SGS: {}", name.unwrap_or_else(|| a.run.display().to_string())));
     let cards = table::cards(&metrics, &facts(&files, &splats));
     page.section("images", "Images", format!("{}{cards}", images.first));
+    page.section("relit", "Relit beside the truth", relit);
     let what = if a.split == Split::Test { "views that training never saw" } else { "views of training" };
     let table = table::views(&metrics);
-    let relit = table::relit(&metrics);
-    let relit = if relit.is_empty() { relit } else { format!("<h3>Under other lights, means</h3>\n{relit}") };
-    page.section("metrics", "Metrics", format!("<p>At {what}.</p>\n{table}{relit}"));
+    let sets = table::relit(&metrics);
+    let sets = if sets.is_empty() { sets } else { format!("<h3>Under other lights, means</h3>\n{sets}") };
+    page.section("metrics", "Metrics", format!("<p>At {what}.</p>\n{table}{sets}"));
     let left_out = split.len() - chosen.len();
     let note = if left_out == 0 { String::new() } else { format!(" {left_out} more are left out.") };
     page.section(
@@ -93,6 +108,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         ),
     );
     page.section("lights", "Lights", lights(&run, &splats, &scene, &light_table, a.width)?);
+    page.section("emitters", "Emitters", emitters);
     page.section("curves", "Curves", chart::log(&files.log));
     page.section("profile", "Profile", profile(&files));
     page.section("summary", "Run", summary(&files, &settings, &splats, &scene, device.info().name.as_str()));

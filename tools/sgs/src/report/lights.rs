@@ -21,7 +21,7 @@ pub struct LightTable {
 }
 
 /// Returns the luminance of linear RGB with the weights of Rec. 709.
-fn luminance([r, g, b]: [f64; 3]) -> f64 {
+pub fn luminance([r, g, b]: [f64; 3]) -> f64 {
     0.2126 * r + 0.7152 * g + 0.0722 * b
 }
 
@@ -119,7 +119,7 @@ fn alone(file: &LightFile, on: &[usize]) -> Vec<f32> {
 }
 
 /// Returns linear RGB as an HTML color, scaled to full brightness.
-fn color(sum: [f64; 3]) -> String {
+pub fn color(sum: [f64; 3]) -> String {
     let most = sum.iter().fold(1e-30, |m: f64, v| m.max(*v));
     let [r, g, b] = sum.map(|v| (linear_to_srgb((v / most) as f32) * 255.0 + 0.5) as u8);
     crate::palette::hex([r, g, b])

@@ -4,15 +4,16 @@ use glam::Vec3;
 use serde_json::{Map, Value, json};
 
 use crate::scene::light::{Emission, Light, Shape};
-use crate::scene::{MAX_GROUPS, Scene};
+use crate::scene::{MAX_GROUPS, Scene, added};
 
-/// Lighting that differs from training: a factor for each light group.
-#[derive(Debug, Clone)]
+/// Lighting that differs from training: a factor for each light group, and perhaps one more light.
 pub(crate) struct Relighting {
     /// Name of the folder under `gt/relit`.
     pub(crate) name: &'static str,
     /// Factors by group.
     pub(crate) weights: [Vec3; MAX_GROUPS],
+    /// Scene with a light that training lacks, its last.
+    pub(crate) room: Option<Scene>,
 }
 
 /// Returns the relightings of a scene. A scene with a single group of lights has none.
@@ -26,7 +27,7 @@ pub(crate) fn relightings(scene: &Scene) -> Vec<Relighting> {
         for (group, w) in weights.iter_mut().enumerate().take(groups.len()) {
             *w = weight(group);
         }
-        out.push(Relighting { name, weights });
+        out.push(Relighting { name, weights, room: None });
     };
     if lamps > 0 && groups.len() > 1 {
         if let Some(ceiling) = groups.iter().position(|g| g.name == "lamp_ceiling") {
@@ -48,33 +49,39 @@ pub(crate) fn relightings(scene: &Scene) -> Vec<Relighting> {
             if groups[g].window { Vec3::splat(1.5) } else { Vec3::ZERO }
         });
     }
+    if !out.is_empty()
+        && let Some(room) = added::with_lamp(scene)
+    {
+        out.push(Relighting { name: added::NAME, weights: [Vec3::ONE; MAX_GROUPS], room: Some(room) });
+    }
     out
 }
 
 /// Returns the contents of `gt/lights.json`.
 pub(crate) fn describe(scene: &Scene, relightings: &[Relighting]) -> Value {
-    let under = |weights: &[Vec3; MAX_GROUPS]| -> Vec<Value> {
+    let under = |scene: &Scene, weights: &[Vec3; MAX_GROUPS]| -> Vec<Value> {
         let lights = scene.lights.iter();
         lights.map(|l| light(scene, l, weights[l.group])).collect()
     };
-    let groups = |weights: &[Vec3; MAX_GROUPS]| -> Value {
+    let groups = |scene: &Scene, weights: &[Vec3; MAX_GROUPS]| -> Value {
         let named = scene.groups.iter().zip(weights);
         Value::Object(named.map(|(g, w)| (g.name.clone(), json!(w.to_array()))).collect::<Map<_, _>>())
     };
     let ones = [Vec3::ONE; MAX_GROUPS];
     let mut relit = Map::new();
     let mut weights = Map::new();
-    weights.insert("training".to_owned(), groups(&ones));
+    weights.insert("training".to_owned(), groups(scene, &ones));
     for r in relightings {
-        relit.insert(r.name.to_owned(), Value::Array(under(&r.weights)));
-        weights.insert(r.name.to_owned(), groups(&r.weights));
+        let scene = r.room.as_ref().unwrap_or(scene);
+        relit.insert(r.name.to_owned(), Value::Array(under(scene, &r.weights)));
+        weights.insert(r.name.to_owned(), groups(scene, &r.weights));
     }
     json!({
         "unit": "metre",
         "note": "radiance in the linear unit of the images (exposure 1). sphere lights emit uniformly; point-light \
                  intensity equivalent I = radiance*pi*r^2 [radiance*unit^2]. rect lights emit one-sided along normal. \
                  portals show gt/environment.exr. light_groups_weights are factors on the training lighting.",
-        "training": under(&ones),
+        "training": under(scene, &ones),
         "relight": relit,
         "light_groups_weights": weights,
     })

@@ -3,6 +3,7 @@
 //! [`builder::Builder`] builds a scene once; after that the scene is read-only. It does not depend on cameras, samples
 //! or files.
 
+pub(crate) mod added;
 pub(crate) mod builder;
 pub(crate) mod classes;
 pub(crate) mod furniture;
@@ -28,7 +29,9 @@ use sky::Sky;
 use surfaces::Surfaces;
 
 /// Largest number of light groups in a scene. Films store one set of sums per group.
-pub(crate) const MAX_GROUPS: usize = 4;
+///
+/// Furnished rooms have four. A lamp that is added to them ([`added`]) has the fifth.
+pub(crate) const MAX_GROUPS: usize = 5;
 
 /// Object instance. Its masks have the same id in every view.
 #[derive(Debug, Clone)]
@@ -58,6 +61,7 @@ pub(crate) struct Bounds {
 }
 
 /// Scene that rays intersect.
+#[derive(Clone)]
 pub(crate) struct Scene {
     /// Triangles with an acceleration structure.
     pub(crate) surfaces: Surfaces,

@@ -50,6 +50,7 @@ pub(crate) struct SurfacePoint {
 }
 
 /// All triangles, in the order in which the hierarchy stores them.
+#[derive(Clone)]
 pub(crate) struct Surfaces {
     bvh: CwBvh,
     corners: Vec<RtTriangle>,

@@ -51,6 +51,16 @@ pub(super) fn add(
     decisions.push(of("albedo under other lights", on, reason, "intrinsic.losses.relight"));
 }
 
+/// Makes the decision about the light and the gains of albedo priors.
+pub(super) fn corrected_priors(residue: f64, log_gains: &[[f32; 3]]) -> Decision {
+    let gains = log_gains.iter().flatten().map(|g| g.exp());
+    let (low, high) = gains.fold((1.0_f32, 1.0_f32), |(low, high), g| (low.min(g), high.max(g)));
+    let reason = format!(
+        "albedo priors retain the light of their photographs to the power {residue:.2}, and their views differ by gains of {low:.2} to {high:.2}"
+    );
+    of("corrected albedo priors", true, reason, "intrinsic.losses.albedo")
+}
+
 /// Makes the decision that surfaces of views are not stored.
 pub(super) fn without_surfaces(s: &IntrinsicSettings, bytes: u64) -> Decision {
     let (why, setting) = match s.surface_bytes {

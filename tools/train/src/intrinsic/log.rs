@@ -3,6 +3,7 @@
 use crate::stage::StepFigures;
 use serde::Serialize;
 use sgs_passes::pipeline::IntrinsicReport;
+use sgs_run::StageKind;
 use std::fmt;
 
 /// Line of `log.jsonl` of the intrinsic stage.
@@ -10,8 +11,8 @@ use std::fmt;
 /// it.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct IntrinsicLog {
-    /// Stage: `intrinsic`.
-    pub stage: &'static str,
+    /// Stage: `intrinsic`, or `transport` under the lights of a room.
+    pub stage: StageKind,
     /// The step.
     pub step: u32,
     /// Weighted loss of the shaded image.
@@ -101,12 +102,14 @@ pub struct LoggedLosses {
 
 impl IntrinsicLog {
     /// Makes the line of a step.
-    pub fn of(r: &IntrinsicReport, runs: &LoggedLosses, rates: f64) -> IntrinsicLog {
+    ///
+    /// `stage`: the stage that the line belongs to, and the number of its steps before these.
+    pub fn of((stage, before): (StageKind, u32), r: &IntrinsicReport, runs: &LoggedLosses, rates: f64) -> IntrinsicLog {
         let m = &r.materials;
         let seen = |value: f32| (value >= 0.0).then_some(value);
         IntrinsicLog {
-            stage: "intrinsic",
-            step: r.step,
+            stage,
+            step: before + r.step,
             shaded: r.shaded,
             l1: r.shaded_l1,
             ssim: r.shaded_ssim,
@@ -136,6 +139,8 @@ fn is_one(rates: &f64) -> bool {
 
 /// Figures of a step.
 pub(super) struct Figures<'a> {
+    /// Stage, and the number of its steps before these.
+    pub of: (StageKind, u32),
     pub report: &'a IntrinsicReport,
     pub losses: &'a LoggedLosses,
     pub gaussians: u32,
@@ -149,7 +154,7 @@ impl fmt::Display for Figures<'_> {
 
 impl StepFigures for Figures<'_> {
     fn step(&self) -> u32 {
-        self.report.step
+        self.of.1 + self.report.step
     }
 
     fn loss(&self) -> f32 {
@@ -161,6 +166,6 @@ impl StepFigures for Figures<'_> {
     }
 
     fn log_line(&self, rates: f64) -> serde_json::Result<String> {
-        serde_json::to_string(&IntrinsicLog::of(self.report, self.losses, rates))
+        serde_json::to_string(&IntrinsicLog::of(self.of, self.report, self.losses, rates))
     }
 }

@@ -17,6 +17,8 @@ mod needs;
 mod poll;
 mod probe;
 mod relit;
+mod residue;
+mod room;
 mod saved;
 mod stage;
 mod start;
@@ -45,11 +47,12 @@ use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use environment_updates::EnvironmentUpdates;
 use needs::Sizes;
 use relit::Relit;
+use room::PriorViews;
 use sgs_config::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
     COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicSizes, IntrinsicStatus,
-    IntrinsicStep, IntrinsicStepValues, LightTrainables, Masks, RelitView, SurfaceBuilder,
+    IntrinsicStep, IntrinsicStepValues, LightTrainables, Masks, RelitView, SurfaceBuilder, TransportTrainables,
 };
 use sgs_passes::scene::{Gaussians, Model, Trainable};
 use sgs_passes::shade::ALBEDO_RANGE;
@@ -61,6 +64,7 @@ use sgs_passes::{Matrices, Tuning};
 use sgs_run::materials::{in_range, span};
 use sgs_run::{Rays, gaussian_data, traced};
 use sgs_scene::{Scene, Splats, Unit};
+use sgs_transport::TrainingRoom;
 use surfaces::Surfaces;
 use values::light_scale;
 
@@ -115,6 +119,8 @@ pub struct Intrinsic {
     update_intervals: [u32; 2],
     /// Acceleration structure for rays to lights.
     traced: Option<TracedMemory>,
+    /// Room of the physical lights, if any.
+    room: Option<TrainingRoom>,
     status: IntrinsicStatus,
     options: IntrinsicOptions,
     consistency: Option<Consistency>,
@@ -145,7 +151,7 @@ impl Intrinsic {
     /// # Errors
     /// If data cannot be read or memory runs out.
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats) -> Result<Intrinsic> {
-        Intrinsic::of(device, scene, settings, splats, true)
+        Intrinsic::of(device, scene, settings, splats, true, None)
     }
 
     /// Plans a training: like [`Intrinsic::new`], but starts no provider.
@@ -154,7 +160,23 @@ impl Intrinsic {
     /// # Errors
     /// If data cannot be read or memory runs out.
     pub fn planned(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats) -> Result<Intrinsic> {
-        Intrinsic::of(device, scene, settings, splats, false)
+        Intrinsic::of(device, scene, settings, splats, false, None)
+    }
+
+    /// Prepares training under the physical lights of a room.
+    ///
+    /// The settings have no point lights and no environment map.
+    ///
+    /// # Errors
+    /// As [`Intrinsic::new`].
+    pub(crate) fn in_room(
+        device: &Device,
+        scene: &Scene,
+        settings: &Settings,
+        splats: &Splats,
+        room: TrainingRoom,
+    ) -> Result<Intrinsic> {
+        Intrinsic::of(device, scene, settings, splats, true, Some(room))
     }
 
     fn of(
@@ -163,13 +185,14 @@ impl Intrinsic {
         settings: &Settings,
         splats: &Splats,
         starts_provider: bool,
+        room: Option<TrainingRoom>,
     ) -> Result<Intrinsic> {
         settings.check()?;
         let smaller = (settings.intrinsic.scale < 1.0).then(|| scene.scaled(settings.intrinsic.scale));
         let scene = smaller.as_ref().unwrap_or(scene);
         let disturbed = settings.noise.on(scene, settings.seed);
         let scene = disturbed.as_ref().unwrap_or(scene);
-        let unit = scene.unit();
+        let unit = room.as_ref().map_or(scene.unit(), |room| room.unit);
         let scaled = (unit != Unit::OWN).then(|| scene.in_unit(unit));
         let scene = scaled.as_ref().unwrap_or(scene);
         if splats.is_empty() {
@@ -192,7 +215,7 @@ impl Intrinsic {
         let read = |kind: Material, weight: f32| -> Result<Option<MaterialPriors>> {
             if weight > 0.0 { MaterialPriors::read(scene, kind) } else { Ok(None) }
         };
-        let albedo = read(Material::Albedo, s.losses.albedo)?;
+        let mut albedo = read(Material::Albedo, s.losses.albedo)?;
         let roughness = read(Material::Roughness, s.losses.roughness)?;
         let answers = if s.metallic == Metallic::Off { None } else { read(Material::Metallic, s.losses.metallic)? };
         let views = limits::Remedy::Views { views: packed.views().len(), scale: settings.scale };
@@ -256,6 +279,7 @@ impl Intrinsic {
         };
         let (traced, shape) = traced.unzip();
         let r = &s.rates;
+        let materials = if room.is_some() { room::MATERIAL_RATES } else { [r.materials; 2] };
         let mut options = IntrinsicOptions {
             shape: builder.shape(),
             albedo_range: span(s.albedo_range),
@@ -263,6 +287,7 @@ impl Intrinsic {
             lights: s.lights.enabled().then(|| (light_model, 1.0 / light_model.lights as f32)),
             visibility: s.visibility.config().filter(|_| s.lights.enabled()),
             traced: shape,
+            transport: room.as_ref().map(|room| room::training(room, albedo.is_some())),
             visibility_jitter: s.losses.visibility_jitter > 0.0,
             visibility_sample: s.visibility.sample,
             light_regularizers: [s.losses.light_position, s.losses.light_value],
@@ -277,9 +302,9 @@ impl Intrinsic {
             edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
             gradients: s.losses.gradients > 0.0,
             rates: IntrinsicRates {
-                albedo: r.materials,
-                roughness: r.materials,
-                metallic: r.materials,
+                albedo: materials[0],
+                roughness: materials[1],
+                metallic: materials[1],
                 // The published unit is the one in which the box has side 3.
                 light_positions: r.lights * light_scale(&bounds).sqrt(),
                 lights: r.lights,
@@ -351,7 +376,16 @@ impl Intrinsic {
             decisions.push(decisions::without_surfaces(s, all.surfaces));
         }
         let watch = Watch::new(packed.plain());
+        let photographs = room.as_ref().map(|_| packed.images().to_vec());
         let data = packed.upload(device)?;
+        let mut surfaces = Surfaces::new(device, builder, &gaussians, &data, stores_all, &others)?;
+        if let Some(room) = &room {
+            surfaces.light(device, room, &data)?;
+        }
+        if let (Some(albedo), Some(photographs)) = (&mut albedo, &photographs) {
+            let views = PriorViews { device, gaussians: &gaussians, data: &data, photographs };
+            decisions.push(room::correct_priors(&views, &mut surfaces, albedo)?);
+        }
         let up =
             |priors: &Option<MaterialPriors>, name: &str| priors.as_ref().map(|p| p.upload(device, name)).transpose();
         let priors = Priors {
@@ -359,7 +393,6 @@ impl Intrinsic {
             roughness: up(&roughness, "roughness_priors")?,
             metallic: up(&answers, "metallic_priors")?,
         };
-        let mut surfaces = Surfaces::new(device, builder, &gaussians, &data, stores_all, &others)?;
         let environment = match environment {
             Some(made) => Some((EnvironmentMemory::new(device, &made)?, made)).map(|(memory, made)| (made, memory)),
             None => None,
@@ -425,6 +458,14 @@ impl Intrinsic {
                 Some(normals) => Some(Trainable::new(device, "gaussian_normals", normals.as_flattened(), true)?),
                 None => None,
             },
+            transport: match &room {
+                Some(room) => Some(TransportTrainables {
+                    log_colors: Trainable::new(device, "light_log_colors", &room.log_colors, true)?,
+                    enclosure: Trainable::new(device, "enclosure_albedo", &room.enclosure, true)?,
+                    log_gains: Trainable::new(device, "log_gains", &vec![0.0; n], true)?,
+                }),
+                None => None,
+            },
         };
         let gains = device.buffer("light_gains", light_model.gain_bytes(), Location::Device)?;
         device.upload(&gains, 0, bytemuck::cast_slice(&vec![1.0_f32; light_model.lights as usize]))?;
@@ -455,6 +496,7 @@ impl Intrinsic {
             environment_updates: None,
             update_intervals: [0, 0],
             traced,
+            room,
             status,
             options,
             consistency,

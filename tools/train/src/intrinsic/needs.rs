@@ -113,6 +113,11 @@ impl IntrinsicNeeds {
         if let Some((model, _)) = o.lights {
             needs.lights = learned(model.position_bytes() / 4) + learned(model.lobe_bytes() / 4) + model.gain_bytes();
         }
+        if let Some(transport) = &o.transport {
+            let shape = &transport.shape;
+            needs.lights = shape.bytes() + learned(3 * u64::from(shape.lights)) + learned(18) + learned(n);
+            needs.surfaces += s.surfaces * o.view_light_bytes();
+        }
         if let Some(e) = s.environment {
             needs.environment = learned(e.floats().into()) + EnvironmentMemory::bytes_of(e);
             largest = largest.max(8 * u64::from(e.floats()));

@@ -36,6 +36,10 @@ impl Intrinsic {
         ] {
             *rate *= ratio;
         }
+        if let Some(transport) = &mut self.options.transport {
+            transport.gains_rate *= ratio;
+            transport.rate *= ratio;
+        }
         // The graphs contain the rates.
         self.forget_steps();
         self.forget_refresh();

@@ -14,6 +14,32 @@ use sgs_run::{RunDirectory, RunLight, Shading, StageKind, displayed, shaded_scen
 use sgs_scene::{Camera, Image, Splats};
 use std::path::Path;
 
+impl Intrinsic {
+    /// Trains until `last` steps are finished, and reports them as steps of a stage.
+    ///
+    /// `of`: the stage, and the number of its steps before these.
+    pub(crate) fn train_as(
+        &mut self,
+        of: (StageKind, u32),
+        last: u32,
+        events: &mut dyn FnMut(&StageEvent<'_>),
+        proceed: &mut dyn FnMut() -> bool,
+    ) -> Result<()> {
+        let (losses, gaussians) = (self.logged_losses(), self.splats.len() as u32);
+        let result = Intrinsic::train(
+            self,
+            last,
+            |report| events(&StageEvent::Step(&Figures { of, report, losses: &losses, gaussians })),
+            proceed,
+        );
+        for decision in &self.decisions[self.reported.min(self.decisions.len())..] {
+            events(&StageEvent::Decision(decision));
+        }
+        self.reported = self.decisions.len();
+        result
+    }
+}
+
 impl Stage for Intrinsic {
     fn kind(&self) -> StageKind {
         StageKind::Intrinsic
@@ -41,18 +67,7 @@ impl Stage for Intrinsic {
         events: &mut dyn FnMut(&StageEvent<'_>),
         proceed: &mut dyn FnMut() -> bool,
     ) -> Result<()> {
-        let (losses, gaussians) = (self.logged_losses(), self.splats.len() as u32);
-        let result = Intrinsic::train(
-            self,
-            last,
-            |report| events(&StageEvent::Step(&Figures { report, losses: &losses, gaussians })),
-            proceed,
-        );
-        for decision in &self.decisions[self.reported.min(self.decisions.len())..] {
-            events(&StageEvent::Decision(decision));
-        }
-        self.reported = self.decisions.len();
-        result
+        self.train_as((StageKind::Intrinsic, 0), last, events, proceed)
     }
 
     fn save(&self, path: &Path) -> Result<()> {

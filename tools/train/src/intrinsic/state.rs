@@ -20,6 +20,7 @@ use sgs_run::floats::Numbers;
 use sgs_run::materials::in_range;
 use sgs_run::{LightFile, Rays, RunDirectory, RunLight, Texels, Visibility, VisibilityFile, remove, write_lights};
 use sgs_scene::{Image, Splats};
+use sgs_transport::TrainingRoom;
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -29,6 +30,14 @@ struct FieldValues {
     layers: Vec<f32>,
     table_moments: Vec<f32>,
     layer_moments: Vec<f32>,
+}
+
+/// Trained light of a room.
+pub(crate) struct RoomLight {
+    /// Color of each light.
+    pub colors: Vec<[f32; 3]>,
+    /// Albedo of the faces of the enclosure.
+    pub albedo: [[f32; 3]; 6],
 }
 
 /// Contents of a checkpoint, in the sizes of the stage that continues from it.
@@ -50,6 +59,16 @@ impl Intrinsic {
     /// # Errors
     /// If the file cannot be written; an existing file then stays intact.
     pub fn save(&self, path: &Path) -> Result<()> {
+        let bytes = self.checkpoint(path)?;
+        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
+        Ok(())
+    }
+
+    /// Returns the contents of a checkpoint. An error names `path`.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub(crate) fn checkpoint(&self, path: &Path) -> Result<Vec<u8>> {
         let mut values = Vec::new();
         for p in self.parameters.all() {
             values.push((p.name().to_owned(), p.download(&self.device)?));
@@ -105,9 +124,7 @@ impl Intrinsic {
             meta.insert(UPDATE_INTERVAL.to_owned(), format!("{} {step} {moves}", self.options.environment_every));
         }
         meta.insert(DECISIONS.to_owned(), serde_json::to_string(self.decisions()).unwrap_or_default());
-        let bytes = sgs_run::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))?;
-        sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
-        Ok(())
+        sgs_run::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))
     }
 
     /// Continues from a checkpoint of [`Intrinsic::save`].
@@ -116,7 +133,15 @@ impl Intrinsic {
     /// If the file is damaged or belongs to other settings or splats.
     pub fn restore(&mut self, path: &Path) -> Result<()> {
         let bytes = std::fs::read(path).map_err(|e| error(path, e.to_string()))?;
-        let saved = Saved::read(path, &bytes)?;
+        self.restore_from(path, &bytes)
+    }
+
+    /// Continues from the contents of a checkpoint. An error names `path`.
+    ///
+    /// # Errors
+    /// As [`Intrinsic::restore`].
+    pub(crate) fn restore_from(&mut self, path: &Path, bytes: &[u8]) -> Result<()> {
+        let saved = Saved::read(path, bytes)?;
         if saved.splats as usize != self.splats.len() {
             let (has, are) = (saved.splats, self.splats.len());
             return Err(saved.refused(format!("it is of {has} splats, but there are {are}")));
@@ -269,10 +294,26 @@ impl Intrinsic {
             Some(m) => Some(m.download(&self.device)?),
             None => None,
         };
+        if let Some(transport) = &self.parameters.transport {
+            let gains = transport.log_gains.download(&self.device)?;
+            splats.light_gains = Some(gains.into_iter().map(f32::exp).collect());
+        }
         if let Some(n) = &self.parameters.normals {
             splats.normals = Some(n.download(&self.device)?.as_chunks::<3>().0.to_vec());
         }
         Ok(splats)
+    }
+
+    /// Returns the colors of a room's lights and the albedo of its enclosure.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub(crate) fn room_light(&self) -> Result<Option<RoomLight>> {
+        let Some(t) = &self.parameters.transport else { return Ok(None) };
+        let colors = TrainingRoom::colors(&t.log_colors.download(&self.device)?);
+        let faces = TrainingRoom::albedo(&t.enclosure.download(&self.device)?);
+        let albedo = std::array::from_fn(|i| faces.get(i).copied().unwrap_or([0.5; 3]));
+        Ok(Some(RoomLight { colors, albedo }))
     }
 
     /// Returns the lights, if there are any.

@@ -12,6 +12,7 @@ use sgs_passes::pipeline::{
     Camera, IntrinsicStep, IntrinsicStepValues, PSEUDO_VIEWS, Surface, SurfaceBuilder, SurfaceShape,
 };
 use sgs_passes::scene::Gaussians;
+use sgs_transport::{TrainingRoom, ViewLightBuffers};
 
 /// Surfaces of the training views.
 pub(super) struct Surfaces {
@@ -21,6 +22,8 @@ pub(super) struct Surfaces {
     all: bool,
     /// Memory for the surfaces of pseudo-views.
     others: Vec<Surface>,
+    /// Light of the training views in a room, stored like the surfaces.
+    lights: Option<ViewLightBuffers>,
 }
 
 impl Surfaces {
@@ -63,7 +66,19 @@ impl Surfaces {
         }
         let room = if others.is_empty() { 0 } else { PSEUDO_VIEWS };
         let others = (0..room).map(|_| Surface::new(device, shape)).collect::<sgs_engine::Result<_>>()?;
-        Ok(Surfaces { builder, stored, all, others })
+        Ok(Surfaces { builder, stored, all, others, lights: None })
+    }
+
+    /// Computes and stores the light of all training views, or allocates one.
+    pub fn light(&mut self, device: &Device, room: &TrainingRoom, data: &TrainingData) -> Result<()> {
+        let mut lights = ViewLightBuffers::new(room, device, &self.shape(), self.stored.len())?;
+        if self.all {
+            for (i, (camera, _)) in data.views.iter().enumerate() {
+                lights.fill(&self.stored[i], camera, i)?;
+            }
+        }
+        self.lights = Some(lights);
+        Ok(())
     }
 
     pub fn shape(&self) -> SurfaceShape {
@@ -128,11 +143,16 @@ impl Surfaces {
         if !self.all {
             fill(camera, mine)?;
         }
+        let which = if self.all { view } else { 0 };
+        if let Some(lights) = self.lights.as_mut().filter(|_| !self.all) {
+            lights.fill(mine, camera, which)?;
+        }
+        let light = self.lights.as_ref().map(|lights| &lights.buffers[which]);
         let others = if pseudo { &self.others[..] } else { &[] };
         for (surface, step) in others.iter().zip(&values.pseudo) {
             fill(&step.camera, surface)?;
         }
-        exec.submit(mine, others, values)?;
+        exec.submit(mine, light, others, values)?;
         Ok(())
     }
 }

@@ -25,9 +25,9 @@ impl Trainer {
             StageKind::Intrinsic => {
                 let both = self.trains_both();
                 let mut splats = self.take_splats(resume)?;
-                // The stage initializes the materials or restores its checkpoint. Emitters belong to other materials.
+                // The stage initializes the materials or restores its checkpoint. Emitters and light gains belong to other materials.
                 (splats.albedo, splats.roughness, splats.metallic) = (None, None, None);
-                changed |= splats.emitters.take().is_some();
+                changed |= splats.emitters.take().is_some() | splats.light_gains.take().is_some();
                 let all = splats.len();
                 let (device, scene, settings) = (&self.device, &self.scene, &self.settings);
                 // Only a training that made the geometry itself may remove Gaussians.

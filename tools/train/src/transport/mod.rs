@@ -1,7 +1,8 @@
 //! Transport stage: emitters and bounced light of a room with materials.
 //!
-//! The stage is one step: [`sgs_transport::fit_room`]. Gaussians and materials stay as they are. Each Gaussian gets the
-//! emitter that it belongs to.
+//! The first step is a fit, [`sgs_transport::fit_room`]: each Gaussian gets the emitter that it belongs to. The others train materials,
+//! light gains, colors of the emitters and the albedo of the enclosure together. They are steps of an [`Intrinsic`] stage under the
+//! lights of the room.
 //!
 //! Guarantees: the result depends only on the scene, the splats, the settings and the seed.
 
@@ -11,12 +12,13 @@ mod stage;
 pub(crate) use saved::Saved;
 
 use crate::error::{Requirement, Result};
+use crate::intrinsic::Intrinsic;
 use serde::Serialize;
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_run::StageKind;
 use sgs_scene::{Scene, Splats};
-use sgs_transport::{FittedRoom, RoomOptions, fit_room};
+use sgs_transport::{FittedRoom, RoomOptions, fit_room, training_room};
 use std::fmt;
 use std::sync::Arc;
 
@@ -31,6 +33,8 @@ pub struct Transport {
     /// Input splats in the scene's unit, without emitters.
     splats: Splats,
     fitted: Option<FittedRoom>,
+    /// Training of materials and lights in the fitted room.
+    training: Option<Intrinsic>,
 }
 
 impl Transport {
@@ -49,8 +53,35 @@ impl Transport {
         if settings.memory.budget > 0 {
             device.set_memory_budget(Some(settings.memory.budget));
         }
-        let splats = Splats { emitters: None, ..splats.clone() };
-        Ok(Transport { device: device.clone(), scene, settings: settings.clone(), splats, fitted: None })
+        let splats = Splats { emitters: None, light_gains: None, ..splats.clone() };
+        Ok(Transport {
+            device: device.clone(),
+            scene,
+            settings: settings.clone(),
+            splats,
+            fitted: None,
+            training: None,
+        })
+    }
+
+    /// Returns the number of steps that train materials and lights.
+    fn training_steps(&self) -> u32 {
+        self.settings.transport.steps
+    }
+
+    /// Prepares the training of materials and lights, unless it exists.
+    fn prepare_training(&mut self) -> Result<()> {
+        let Some(fitted) = self.fitted.as_ref().filter(|_| self.training.is_none() && self.training_steps() > 0) else {
+            return Ok(());
+        };
+        let mut settings = self.settings.clone();
+        let s = &mut settings.intrinsic;
+        (s.lights.grid, s.environment.resolution, s.automatic.enabled) = (0, 0, false);
+        s.steps = self.training_steps();
+        let seed = settings.seed as u32;
+        let room = training_room(&self.device, &self.scene, &self.splats, fitted, seed)?;
+        self.training = Some(Intrinsic::in_room(&self.device, &self.scene, &settings, &self.splats, room)?);
+        Ok(())
     }
 
     /// Fits the room.
@@ -66,7 +97,7 @@ impl Transport {
     }
 }
 
-/// Figures of the step.
+/// Figures of the fit.
 struct Figures {
     psnr: f64,
     emitters: u32,

@@ -11,13 +11,20 @@ use std::path::Path;
 /// Format name in the metadata.
 const FORMAT: &str = "sgs-transport-1";
 
+/// Tensor of the checkpoint of the materials' training.
+const TRAINING: &str = "training";
+
 /// Tensor of the emitters of the Gaussians.
 const OF_GAUSSIANS: &str = "emitters";
 
 /// Contents of a checkpoint.
 pub(crate) struct Saved {
-    /// Fitted room; none before the step.
+    /// Fitted room; none before the first step.
     pub fitted: Option<FittedRoom>,
+    /// Number of finished steps.
+    pub step: u32,
+    /// Checkpoint of the materials' training; none before the second step.
+    pub training: Option<Vec<u8>>,
 }
 
 impl Saved {
@@ -25,15 +32,24 @@ impl Saved {
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn write(path: &Path, fitted: Option<&FittedRoom>) -> Result<()> {
+    ///
+    /// `training`: finished steps of the materials' training and its checkpoint.
+    pub fn write(path: &Path, fitted: Option<&FittedRoom>, training: Option<(u32, Vec<u8>)>) -> Result<()> {
         let refused = |e: &dyn std::fmt::Display| error(path, e.to_string());
-        let step = u32::from(fitted.is_some()).to_string();
+        let step = (u32::from(fitted.is_some()) + training.as_ref().map_or(0, |t| t.0)).to_string();
+        let words: Option<Vec<u32>> = training.map(|(_, bytes)| {
+            let whole = bytes.chunks(4).map(|b| std::array::from_fn(|i| b.get(i).copied().unwrap_or(b' ')));
+            whole.map(u32::from_le_bytes).collect()
+        });
         let mut meta = HashMap::from([("format".to_owned(), FORMAT.to_owned()), ("step".to_owned(), step)]);
         let mut tensors = Vec::new();
         if let Some(FittedRoom { emitters, of_gaussians, psnr }) = fitted {
             meta.insert("psnr".to_owned(), psnr.to_string());
             meta.insert("file".to_owned(), serde_json::to_string(emitters).map_err(|e| refused(&e))?);
             tensors.push((OF_GAUSSIANS, Numbers::Words(of_gaussians, vec![of_gaussians.len()])));
+        }
+        if let Some(words) = &words {
+            tensors.push((TRAINING, Numbers::Words(words, vec![words.len()])));
         }
         let bytes = serialize(tensors, meta).map_err(|e| refused(&e))?;
         sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
@@ -53,10 +69,10 @@ impl Saved {
         if text("format") != Some(FORMAT) {
             return Err(refused("not a checkpoint of the transport stage".into()));
         }
-        match text("step") {
-            Some("0") => return Ok(Saved { fitted: None }),
-            Some("1") => {}
-            _ => return Err(refused("damaged: the step is neither 0 nor 1".into())),
+        let step = text("step").and_then(|t| t.parse().ok());
+        let step: u32 = step.ok_or_else(|| refused("damaged: the step is no number".into()))?;
+        if step == 0 {
+            return Ok(Saved { fitted: None, step, training: None });
         }
         let psnr = text("psnr").and_then(|t| t.parse().ok());
         let psnr: f64 = psnr.ok_or_else(|| refused("the checkpoint does not say its psnr".into()))?;
@@ -72,7 +88,11 @@ impl Saved {
         let of_gaussians = tensor.data().as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect();
         let fitted = FittedRoom { emitters, of_gaussians, psnr };
         check(&fitted, splats).map_err(|reason| refused(format!("damaged: {reason}")))?;
-        Ok(Saved { fitted: Some(fitted) })
+        let training = tensors.tensor(TRAINING).ok().map(|t| t.data().to_vec());
+        if training.is_some() != (step > 1) {
+            return Err(refused(format!("damaged: step {step} does not match its tensors")));
+        }
+        Ok(Saved { fitted: Some(fitted), step, training })
     }
 }
 
@@ -113,13 +133,16 @@ mod tests {
     fn checkpoint_holds_every_bit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("transport.safetensors");
-        Saved::write(&path, None).unwrap();
+        Saved::write(&path, None, None).unwrap();
         assert_eq!(Saved::read(&path, 4).unwrap().fitted, None);
-        Saved::write(&path, Some(&room())).unwrap();
+        Saved::write(&path, Some(&room()), None).unwrap();
         assert_eq!(Saved::read(&path, 4).unwrap().fitted, Some(room()));
         let endless = FittedRoom { psnr: f64::INFINITY, ..room() };
-        Saved::write(&path, Some(&endless)).unwrap();
+        Saved::write(&path, Some(&endless), None).unwrap();
         assert_eq!(Saved::read(&path, 4).unwrap().fitted, Some(endless));
+        Saved::write(&path, Some(&room()), Some((7, vec![1, 2, 3, 4, 5]))).unwrap();
+        let saved = Saved::read(&path, 4).unwrap();
+        assert_eq!((saved.step, saved.training), (8, Some(vec![1, 2, 3, 4, 5, b' ', b' ', b' '])));
     }
 
     #[test]
@@ -127,7 +150,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("transport.safetensors");
         let refused = |room: &FittedRoom, splats: usize| {
-            Saved::write(&path, Some(room)).unwrap();
+            Saved::write(&path, Some(room), None).unwrap();
             Saved::read(&path, splats).err().map(|e| e.to_string()).unwrap_or_default()
         };
         assert!(refused(&room(), 5).contains("do not belong to 5 splats"));

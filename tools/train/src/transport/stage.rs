@@ -4,7 +4,7 @@ use super::saved::{Saved, check, invalid};
 use super::{Figures, Transport};
 use crate::decision::Decision;
 use crate::divergence::RollBack;
-use crate::error::Result;
+use crate::error::{Result, error};
 use crate::idle::IdleLoss;
 use crate::stage::{RoomFit, Stage, StageEvent};
 use sgs_config::Settings;
@@ -24,15 +24,15 @@ impl Stage for Transport {
     }
 
     fn step(&self) -> u32 {
-        u32::from(self.fitted.is_some())
+        u32::from(self.fitted.is_some()) + self.training.as_ref().map_or(0, |t| t.step())
     }
 
     fn steps(&self) -> u32 {
-        1
+        1 + self.training_steps()
     }
 
     fn checkpoint_interval(&self) -> u32 {
-        0
+        self.settings.train.checkpoint_interval
     }
 
     fn settings(&self) -> &Settings {
@@ -45,50 +45,81 @@ impl Stage for Transport {
         events: &mut dyn FnMut(&StageEvent<'_>),
         proceed: &mut dyn FnMut() -> bool,
     ) -> Result<()> {
-        if last == 0 || self.fitted.is_some() || !proceed() {
+        if last == 0 || !proceed() {
             return Ok(());
         }
-        let fitted = self.fit()?;
-        check(&fitted, self.splats.len()).map_err(invalid)?;
-        let (psnr, emitters) = (fitted.psnr, fitted.emitters.emitters.len() as u32);
-        self.fitted = Some(fitted);
-        events(&StageEvent::Step(&Figures { psnr, emitters, gaussians: self.splats.len() as u32 }));
-        Ok(())
+        if self.fitted.is_none() {
+            let fitted = self.fit()?;
+            check(&fitted, self.splats.len()).map_err(invalid)?;
+            let (psnr, emitters) = (fitted.psnr, fitted.emitters.emitters.len() as u32);
+            self.fitted = Some(fitted);
+            events(&StageEvent::Step(&Figures { psnr, emitters, gaussians: self.splats.len() as u32 }));
+        }
+        if last == 1 {
+            return Ok(());
+        }
+        self.prepare_training()?;
+        match &mut self.training {
+            Some(training) => training.train_as((StageKind::Transport, 1), last - 1, events, proceed),
+            None => Ok(()),
+        }
     }
 
     fn save(&self, path: &Path) -> Result<()> {
-        Saved::write(path, self.fitted.as_ref())
+        let training = match self.training.as_ref().filter(|t| t.step() > 0) {
+            Some(training) => Some((training.step(), training.checkpoint(path)?)),
+            None => None,
+        };
+        Saved::write(path, self.fitted.as_ref(), training)
     }
 
     fn restore(&mut self, path: &Path) -> Result<()> {
-        self.fitted = Saved::read(path, self.splats.len())?.fitted;
+        let saved = Saved::read(path, self.splats.len())?;
+        (self.fitted, self.training) = (saved.fitted, None);
+        if let Some(bytes) = &saved.training {
+            self.prepare_training()?;
+            if let Some(training) = &mut self.training {
+                training.restore_from(path, bytes)?;
+                if training.step() + 1 != saved.step {
+                    let (found, step) = (training.step() + 1, saved.step);
+                    return Err(error(
+                        path,
+                        format!("damaged: it is of step {step}, but its parameters are of step {found}"),
+                    ));
+                }
+            }
+        }
         Ok(())
     }
 
     fn set_candidate(&mut self) -> bool {
-        false
+        self.training.as_mut().is_some_and(Stage::set_candidate)
     }
 
     fn is_candidate(&self) -> bool {
-        false
+        self.training.as_ref().is_some_and(Stage::is_candidate)
     }
 
     fn validate_candidate(&mut self) -> bool {
-        false
+        self.training.as_mut().is_some_and(Stage::validate_candidate)
     }
 
     fn roll_backs(&self) -> &[RollBack] {
-        &[]
+        self.training.as_ref().map_or(&[], |t| t.roll_backs())
     }
 
-    fn roll_back(&mut self, _before: &[RollBack], _step: u32) {}
+    fn roll_back(&mut self, before: &[RollBack], step: u32) {
+        if let Some(training) = &mut self.training {
+            Stage::roll_back(training, before, step - 1);
+        }
+    }
 
     fn lower_rates(&self) -> String {
-        String::new()
+        "--set transport.steps=0".to_owned()
     }
 
     fn decisions(&self) -> &[Decision] {
-        &[]
+        self.training.as_ref().map_or(&[], |t| Stage::decisions(t))
     }
 
     fn idle_losses(&self) -> &[IdleLoss] {
@@ -105,7 +136,13 @@ impl Stage for Transport {
 
     fn splats(&self) -> Result<Splats> {
         let emitters = self.fitted.as_ref().map(|room| room.of_gaussians.clone());
-        Ok(Splats { emitters, ..self.splats.clone() })
+        let trained = match &self.training {
+            Some(training) => training.splats()?,
+            None => self.splats.clone(),
+        };
+        // Only materials and gains are trained; the rest stays bit by bit.
+        let Splats { albedo, roughness, metallic, light_gains, .. } = trained;
+        Ok(Splats { albedo, roughness, metallic, light_gains, emitters, ..self.splats.clone() })
     }
 
     fn light(&self) -> Result<Option<RunLight>> {
@@ -141,18 +178,23 @@ impl Stage for Transport {
     fn write_results(&self, run: &RunDirectory) -> Result<()> {
         let Some(room) = &self.fitted else { return Ok(()) };
         Stage::splats(self)?.write_ply(&run.path("scene.ply"))?;
-        Ok(write_emitters(&run.emitters(), &room.emitters)?)
+        let mut file = room.emitters.clone();
+        if let Some(light) = self.training.as_ref().map(|t| t.room_light()).transpose()?.flatten() {
+            file.emitters.iter_mut().zip(&light.colors).for_each(|(emitter, color)| emitter.color = *color);
+            file.enclosure.albedo = light.albedo;
+        }
+        Ok(write_emitters(&run.emitters(), &file)?)
     }
 
-    fn set_timestamps(&mut self, _on: bool) -> Result<()> {
-        Ok(())
+    fn set_timestamps(&mut self, on: bool) -> Result<()> {
+        self.training.as_mut().map_or(Ok(()), |t| Stage::set_timestamps(t, on))
     }
 
     fn take_times(&mut self) -> Vec<PassTime> {
-        Vec::new()
+        self.training.as_mut().map_or_else(Vec::new, Stage::take_times)
     }
 
     fn plan(&mut self) -> Result<Option<&Plan>> {
-        Ok(None)
+        self.training.as_mut().map_or(Ok(None), Stage::plan)
     }
 }

@@ -1,0 +1,194 @@
+//! Responses of a room to its emitters, whose light changes with each frame.
+//!
+//! A frame sums the responses by the colors of its emitters. Colors and places are uniforms of the frame: switching, dimming
+//! and recoloring need neither a solve nor memory.
+
+use crate::Tuning;
+use crate::transport::{AreaLight, AreaLights, GaussianEmitters, Responses, gaussian_emission, response_sum};
+use sgs_engine::exec::Executor;
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_engine::{Device, DeviceBuffer, Location, Result};
+use sgs_shaders::structs::LightRecord;
+
+/// Emitter in a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameEmitter {
+    /// Shape, place and color; black if the emitter is off.
+    pub light: AreaLight,
+    /// Radiance of its visible surface.
+    pub surface: [f32; 3],
+}
+
+impl FrameEmitter {
+    /// Returns an emitter whose surface emits the color of its light.
+    pub fn of(light: AreaLight) -> FrameEmitter {
+        FrameEmitter { light, surface: light.color }
+    }
+
+    /// Converts lengths as [`AreaLight::scaled`].
+    pub(crate) fn scaled(&self, factor: f32) -> FrameEmitter {
+        FrameEmitter { light: self.light.scaled(factor), ..*self }
+    }
+}
+
+/// Responses in device memory.
+#[derive(Clone, Debug)]
+pub(super) struct EmitterResponses {
+    /// Bounced irradiance by emitter of color 1, `[emitters * receivers * 3]`.
+    memory: DeviceBuffer,
+    /// Number of the emitter of each Gaussian.
+    numbers: DeviceBuffer,
+    shape: Shape,
+}
+
+/// Sizes of the passes.
+#[derive(Clone, Copy, Debug)]
+struct Shape {
+    emitters: u32,
+    receivers: u32,
+    gaussians: u32,
+}
+
+/// Handles of the emitters of a frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EmitterHandles {
+    records: Buffer,
+    pub(super) colors: Buffer,
+    surfaces: Buffer,
+    /// How many emitters are on, and which.
+    pub(super) list: Buffer,
+}
+
+/// Handles of the responses in a graph.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct DeclaredResponses {
+    pub emitters: EmitterHandles,
+    memory: Buffer,
+    numbers: Buffer,
+}
+
+/// Contents of the uniforms of a frame.
+#[derive(Debug)]
+pub(crate) struct FrameUniforms {
+    records: Vec<LightRecord>,
+    colors: Vec<[f32; 3]>,
+    surfaces: Vec<[f32; 3]>,
+    list: Vec<u32>,
+}
+
+impl FrameUniforms {
+    /// Returns the uniforms of emitters in the unit of the scene.
+    pub(crate) fn new(emitters: &[FrameEmitter]) -> FrameUniforms {
+        let on: Vec<u32> = (0..).zip(emitters).filter(|(_, e)| e.light.color != [0.0; 3]).map(|(i, _)| i).collect();
+        let mut list = vec![0; 1 + emitters.len().max(1)];
+        list[0] = on.len() as u32;
+        list[1..=on.len()].copy_from_slice(&on);
+        let mut all = FrameUniforms {
+            records: emitters.iter().map(|e| e.light.record()).collect(),
+            colors: emitters.iter().map(|e| e.light.color).collect(),
+            surfaces: emitters.iter().map(|e| e.surface).collect(),
+            list,
+        };
+        if emitters.is_empty() {
+            // A uniform cannot be empty.
+            all.records.push(bytemuck::Zeroable::zeroed());
+            (all.colors, all.surfaces) = (vec![[0.0; 3]], vec![[0.0; 3]]);
+        }
+        all
+    }
+
+    /// Returns the bytes of each uniform.
+    pub(crate) fn of(&self, handles: &EmitterHandles) -> [(Buffer, &[u8]); 4] {
+        [
+            (handles.records, bytemuck::cast_slice(&self.records)),
+            (handles.colors, bytemuck::cast_slice(&self.colors)),
+            (handles.surfaces, bytemuck::cast_slice(&self.surfaces)),
+            (handles.list, bytemuck::cast_slice(&self.list)),
+        ]
+    }
+}
+
+impl EmitterResponses {
+    /// Uploads responses and the numbers of the Gaussians' emitters.
+    ///
+    /// Responses are `[emitters * receivers * 3]` floats.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn new(device: &Device, responses: &[f32], numbers: &[u32], receivers: u32) -> Result<EmitterResponses> {
+        let put = |name: &str, bytes: &[u8]| -> Result<DeviceBuffer> {
+            let buffer = device.buffer(name, bytes.len().max(12) as u64, Location::Device)?;
+            if !bytes.is_empty() {
+                device.upload(&buffer, 0, bytes)?;
+            }
+            Ok(buffer)
+        };
+        let emitters = (responses.len() / (3 * receivers.max(1) as usize)) as u32;
+        Ok(EmitterResponses {
+            memory: put("responses", bytemuck::cast_slice(responses))?,
+            numbers: put("emitter_numbers", bytemuck::cast_slice(numbers))?,
+            shape: Shape { emitters, receivers, gaussians: numbers.len() as u32 },
+        })
+    }
+
+    /// Returns the memory of the responses.
+    pub fn memory(&self) -> &DeviceBuffer {
+        &self.memory
+    }
+
+    /// Returns the number of emitters.
+    pub fn emitters(&self) -> u32 {
+        self.shape.emitters
+    }
+
+    /// Declares responses and uniforms.
+    pub fn declare(&self, g: &mut Graph) -> DeclaredResponses {
+        let room = u64::from(self.shape.emitters.max(1));
+        let emitters = EmitterHandles {
+            records: g.uniform("emitter_records", size_of::<LightRecord>() as u64 * room),
+            colors: g.uniform("emitter_colors", 12 * room),
+            surfaces: g.uniform("emitter_surfaces", 12 * room),
+            list: g.uniform("emitter_list", 4 * (1 + room)),
+        };
+        DeclaredResponses {
+            emitters,
+            memory: g.input("responses", self.memory.bytes()),
+            numbers: g.input("emitter_numbers", self.numbers.bytes()),
+        }
+    }
+
+    /// Binds the responses.
+    ///
+    /// # Errors
+    /// If the plan was compiled for other sizes.
+    pub fn bind(&self, exec: &mut Executor, d: &DeclaredResponses) -> Result<()> {
+        exec.bind(d.memory, &self.memory)?;
+        exec.bind(d.numbers, &self.numbers)
+    }
+
+    /// Returns the emitters as lights of the passes.
+    pub fn lights(&self, d: &DeclaredResponses) -> AreaLights {
+        AreaLights { records: d.emitters.records, colors: d.emitters.colors, count: self.shape.emitters }
+    }
+
+    /// Adds the passes of irradiance and emission.
+    ///
+    /// They write the irradiance of receivers and the radiance that Gaussians emit.
+    ///
+    /// # Errors
+    /// If the graph rejects a pass.
+    pub fn sum(
+        &self,
+        g: &mut Graph,
+        t: &Tuning,
+        d: &DeclaredResponses,
+        [irradiance, emission]: [Buffer; 2],
+    ) -> std::result::Result<(), GraphError> {
+        let Shape { emitters, receivers, gaussians } = self.shape;
+        let colors = d.emitters.colors;
+        let a = Responses { lights: emitters, receivers, responses: d.memory, colors };
+        response_sum(g, t, &a, irradiance)?;
+        let a = GaussianEmitters { gaussians, emitters, numbers: d.numbers, radiance: d.emitters.surfaces };
+        gaussian_emission(g, t, &a, emission)
+    }
+}
