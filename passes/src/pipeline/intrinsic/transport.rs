@@ -24,8 +24,8 @@ use sgs_engine::graph::{Buffer, Graph, GraphError};
 pub struct TransportTraining {
     /// Sizes of the room.
     pub shape: TransportShape,
-    /// Weight of the loss that pulls gains towards 1; gains are fixed at infinity.
-    pub gain_pull: f32,
+    /// Weight of the loss that pulls gains towards 1. Without it gains are not trained.
+    pub gain_pull: Option<f32>,
     /// Learning rate of the log gains; multiplied by `lr_share` of the step.
     pub gains_rate: f32,
     /// Learning rate of log colors and of the raw albedo of the enclosure.
@@ -191,7 +191,7 @@ pub(super) fn backward(
         weights: &b.weights,
         pixels: irradiance,
         log_gains: d.log_gains.parameters,
-        pull: if o.gain_pull.is_finite() { o.gain_pull } else { 0.0 },
+        pull: o.gain_pull.unwrap_or(0.0),
     };
     irradiance_blend_bwd(g, t, &blend, values, log_gains)?;
     let three = 12 * u64::from(receivers);
@@ -231,7 +231,7 @@ pub(super) fn backward(
         (d.log_colors, parameters.log_colors, Rate::Constant(o.rate)),
         (d.enclosure, parameters.enclosure, Rate::Constant(o.rate)),
     ];
-    if o.gain_pull.is_finite() {
+    if o.gain_pull.is_some() {
         moves.push((d.log_gains, log_gains, Rate::Share(o.gains_rate)));
     }
     Ok(moves)

@@ -26,8 +26,9 @@ const LEAST: f32 = 0.5;
 const APART: [f64; 3] = [0.1, 0.2, 0.3];
 /// Least cosine between the normals of a pair.
 const ALIKE: f32 = 0.9;
-/// Least luminance of priors and photographs of pairs, and the largest.
+/// Luminance that the pixels of a pair exceed: of priors, then of photographs.
 const DARK: [f32; 2] = [0.05, 0.02];
+/// Linear color from which photographs may be clipped.
 const BRIGHT: f32 = 0.9;
 /// Difference of logarithms from which pairs are outliers.
 const OUTLIER: f32 = 0.1;

@@ -31,7 +31,7 @@ const ROOM_RATE: f32 = 0.002;
 pub(super) fn training(room: &TrainingRoom, priors: bool) -> TransportTraining {
     TransportTraining {
         shape: *room.memory.shape(),
-        gain_pull: if priors { GAIN_PULL } else { f32::INFINITY },
+        gain_pull: priors.then_some(GAIN_PULL),
         gains_rate: GAINS_RATE,
         rate: ROOM_RATE,
     }

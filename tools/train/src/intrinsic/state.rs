@@ -294,7 +294,8 @@ impl Intrinsic {
             Some(m) => Some(m.download(&self.device)?),
             None => None,
         };
-        if let Some(transport) = &self.parameters.transport {
+        let trains_gains = self.options.transport.is_some_and(|t| t.gain_pull.is_some());
+        if let Some(transport) = self.parameters.transport.as_ref().filter(|_| trains_gains) {
             let gains = transport.log_gains.download(&self.device)?;
             splats.light_gains = Some(gains.into_iter().map(f32::exp).collect());
         }
