@@ -14,7 +14,7 @@ PYTHON ?= python3
 .NOTPARALLEL:
 
 help:
-	@echo "make demo    synthesize a room, train all stages, write a page with renders and relit images beside the truth to $(OUT)"
+	@echo "make demo    synthesize a room, train it, write a page with renders and relit images beside the truth to $(OUT)"
 	@echo "make test    formatting, lints and all tests"
 	@echo "make test-lanes    the device tests again where lavapipe has 16 lanes"
 	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"

@@ -16,6 +16,7 @@ fn arguments(place: &Place, run: &str, steps: [u32; 2]) -> Vec<String> {
     let mut a = place.arguments(run, steps[0], &["--stage", "all"]);
     a.extend(["--intrinsic-steps".into(), steps[1].to_string()]);
     for set in [
+        "transport.surfels=0",
         "intrinsic.environment.resolution=16",
         "intrinsic.lights.grid=2",
         "intrinsic.visibility.levels=4",

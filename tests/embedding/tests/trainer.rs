@@ -20,7 +20,7 @@ fn by_command(place: &Place, run: &str, more: &[&str]) -> CString {
     CString::new(place.read(&format!("{run}/config.toml"))).unwrap()
 }
 
-const SMALL: [&str; 18] = [
+const SMALL: [&str; 20] = [
     "--stage",
     "all",
     "--geometry-steps",
@@ -29,6 +29,8 @@ const SMALL: [&str; 18] = [
     "12",
     "--set",
     "train.checkpoint_interval=8",
+    "--set",
+    "transport.surfels=0",
     "--set",
     "intrinsic.environment.resolution=16",
     "--set",
@@ -116,6 +118,19 @@ fn both_stages_match_the_command_line_bit_for_bit() {
         context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
         context.ok(sgs_destroy(context.0, trainer));
         same("alone");
+        // The transport stage alone.
+        let small = ["--stage", "transport", "--set", "transport.surfels=256", "--set", "transport.steps=2"];
+        let bounced = by_command(&place, "bounced", &[&SMALL[2..], &small].concat());
+        let run = text(&place.path("bounced_alone"));
+        (info.settings, info.run, info.stages) = (bounced.as_ptr(), run.as_ptr(), SGS_STAGE_TRANSPORT);
+        context.ok(sgs_trainer_open(context.0, &info, &mut trainer));
+        context.ok(sgs_train_step(context.0, trainer, 1e6, &mut status));
+        assert_eq!((status.stage, status.step, status.finished), (SGS_STAGE_TRANSPORT, 3, 1));
+        context.ok(sgs_destroy(context.0, trainer));
+        for file in ["scene.ply", "emitters.json"] {
+            assert!(place.read(&format!("bounced/{file}")) == place.read(&format!("bounced_alone/{file}")), "{file}");
+        }
+        info.settings = geometry.as_ptr();
         // A run's own geometry is not replaced by another geometry.
         let replaced = text(&place.path("geometry"));
         info.run = replaced.as_ptr();

@@ -14,6 +14,7 @@ fn arguments(place: &Place, run: &str, more: &[&str]) -> Vec<String> {
     let (scene, to) = (place.text("scene"), place.text(run));
     let fixed = ["train", &scene, "-o", &to, "-q", "--geometry-steps", "3", "--no-densify", "--intrinsic-steps", "2"];
     let small = [
+        "transport.surfels=0",
         "intrinsic.environment.resolution=16",
         "intrinsic.lights.grid=2",
         "intrinsic.visibility.levels=2",

@@ -15,6 +15,7 @@ fn place() -> Place {
     (a[1], a[3]) = (&scene, &run);
     a.extend(["--stage", "all"]);
     for set in [
+        "transport.surfels=0",
         "intrinsic.environment.resolution=16",
         "intrinsic.lights.grid=2",
         "intrinsic.visibility.levels=4",

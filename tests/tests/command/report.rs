@@ -31,6 +31,7 @@ fn place() -> Place {
         ["train", &place.text("scene"), "-o", &place.text("run"), "--stage", "all"].map(str::to_owned).to_vec();
     a.extend(["--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "12"].map(str::to_owned));
     for set in [
+        "transport.surfels=0",
         "intrinsic.environment.resolution=16",
         "intrinsic.lights.grid=2",
         "intrinsic.visibility.levels=4",

@@ -208,6 +208,23 @@ fn intrinsic_memory_matches_estimate() {
     let all = ["train", &place.text("scene"), "-o", &place.text("all"), "--stage", "all", "--vram", "8M"];
     sgs(&all).refused(&["The intrinsic stage needs", "MiB of device memory"]);
     assert!(!place.path("all").exists());
+    // The transport stage alone needs no field of visibility.
+    let found = plan(&["--stage", "transport", "--json"]).ok().json();
+    let parts: u64 = found["needs"].as_object().unwrap().values().map(|v| v.as_u64().unwrap()).sum();
+    assert!(found["needs_bytes"] == parts && found["needs"]["visibility"] == 0 && found["priors"]["albedo"] == true);
+    assert!(found["room_bytes"].as_u64().unwrap() < found["needs"]["lights"].as_u64().unwrap());
+    assert!(found["surfels"] == 8192 && found["patches"].as_u64().unwrap() > 100 && found["steps"] == 500, "{found}");
+    let print = plan(&["--stage", "transport"]).ok().stdout;
+    assert!(print.contains("light gains trained") && print.contains("room        8192 surfels"), "{print}");
+    let both = plan(&["--stage", "all", "--json"]).ok().json();
+    assert!(both["intrinsic"]["lights"] == 64 && both["transport"] == found, "{both}");
+    let short = plan(&["--stage", "all", "--json", "--set", "transport.surfels=0"]).ok().json();
+    assert!(short.get("transport").is_none() && short["intrinsic"].is_object());
+    let words = ["The transport stage needs", "transport.surfels"];
+    plan(&["--stage", "transport", "--memory-budget", "8M"]).refused(&words);
+    let alone = ["train", &place.text("scene"), "-o", &place.text("all"), "--stage", "transport", "--vram", "8M"];
+    sgs(&alone).refused(&words);
+    assert!(!place.path("all").exists());
 }
 
 /// Tests the same estimate with traced shadows.

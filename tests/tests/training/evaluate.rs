@@ -10,7 +10,12 @@ use sgs_tests::rooms::Room;
 fn place() -> Place {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let steps = ["--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "4", "--stage", "all"];
-    let sets = ["intrinsic.environment.resolution=16", "intrinsic.lights.grid=2", "intrinsic.visibility.kind=none"];
+    let sets = [
+        "transport.surfels=0",
+        "intrinsic.environment.resolution=16",
+        "intrinsic.lights.grid=2",
+        "intrinsic.visibility.kind=none",
+    ];
     let mut arguments: Vec<String> = ["train", &place.text("scene"), "-o", &place.text("run")].map(String::from).into();
     arguments.extend(steps.map(String::from));
     arguments.extend(sets.iter().flat_map(|set| ["--set".to_owned(), (*set).to_owned()]));

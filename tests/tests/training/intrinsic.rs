@@ -89,6 +89,7 @@ fn train_command_writes_a_run_that_shades_and_evaluates() {
         let mut a: Vec<String> = ["train", &place.text("scene"), "-o", &place.text(run)].map(str::to_owned).to_vec();
         a.extend(["--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "12"].map(str::to_owned));
         for set in [
+            "transport.surfels=0",
             "intrinsic.environment.resolution=16",
             "intrinsic.lights.grid=2",
             "intrinsic.visibility.levels=4",

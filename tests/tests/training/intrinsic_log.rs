@@ -22,7 +22,8 @@ const FREE: [&str; 6] =
 const PRIORS: [&str; 5] = ["albedo", "roughness", "metallic", "albedo_gradients", "roughness_gradients"];
 const REGIONS: [&str; 3] = ["cross_view", "relight", "own_prior"];
 
-const SMALL: [&str; 7] = [
+const SMALL: [&str; 8] = [
+    "transport.surfels=0",
     "intrinsic.environment.resolution=16",
     "intrinsic.lights.grid=2",
     "intrinsic.relight_from=1",

@@ -56,7 +56,18 @@ fn both_stages_reach_quality_bounds() {
     let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room").display().to_string();
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run").display().to_string();
-    let steps = ["--preset", "draft", "--geometry-steps", "600", "--intrinsic-steps", "150", "--seed", "1"];
+    let steps = [
+        "--preset",
+        "draft",
+        "--geometry-steps",
+        "600",
+        "--intrinsic-steps",
+        "150",
+        "--seed",
+        "1",
+        "--set",
+        "transport.surfels=0",
+    ];
     sgs(&[&["train", &scene, "-o", &run, "--stage", "all"][..], &steps].concat()).ok();
     let mean = sgs(&["eval", &run, "--json"]).ok().json()["mean"].clone();
     println!("{mean}");

@@ -37,6 +37,7 @@ fn train(place: &Place, more: &[&str]) -> Finished {
 /// Trains both stages for a few steps.
 fn train_all(place: &Place, run: &str) {
     let small = [
+        "transport.surfels=0",
         "geometry.densify.from=10",
         "geometry.densify.interval=10",
         "intrinsic.lights.grid=2",

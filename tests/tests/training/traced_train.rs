@@ -73,6 +73,7 @@ fn a_run_with_traced_shadows_is_measured_rendered_and_relit() {
             vec!["train", &scene, "-o", &to, "--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "3"];
         a.extend(["--stage", "all", "--set", &kind]);
         for set in [
+            "transport.surfels=0",
             "intrinsic.environment.resolution=16",
             "intrinsic.lights.grid=2",
             "intrinsic.visibility.levels=4",

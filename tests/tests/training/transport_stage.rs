@@ -1,7 +1,7 @@
 //! The transport stage: refusals, files, resuming, and removal with its materials.
 
 use serde_json::{Value, json};
-use sgs_config::Settings;
+use sgs_config::{Settings, TransportSettings};
 use sgs_run::{RunDirectory, StageKind, read_emitters};
 use sgs_scene::{Image, Scene, SceneOptions, Splats, write_exr};
 use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
@@ -36,26 +36,77 @@ fn train(place: &Place, more: &[&str]) -> Finished {
 
 /// Trains geometry and materials.
 fn materials(place: &Place) {
-    train(place, &["--stage", "all", "--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "2"]).ok();
+    train(place, &["--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "2"]).ok();
+    train(place, &["--stage", "intrinsic"]).ok();
 }
 
 fn summary(place: &Place) -> serde_json::Value {
     serde_json::from_slice(&place.read("run/training.json")).unwrap()
 }
 
+/// The stage needs no intrinsic stage, and trains geometry that a run lacks.
 #[test]
-fn runs_without_materials_are_refused() {
+fn stage_trains_geometry_first_and_starts_from_priors() {
     let place = place();
-    let refused = || train(&place, &["--stage", "transport"]).refused_with(2, &["no materials", "--stage all"]).clone();
-    refused();
+    let small = ["--set", "transport.surfels=256", "--geometry-steps", "3", "--no-densify"];
+    train(&place, &["--stage", "transport", "--set", "transport.surfels=0"])
+        .refused_with(2, &["transport.surfels is 0"]);
     assert!(!place.path("run").exists(), "a refused stage made a directory");
-    train(&place, &["--geometry-steps", "3", "--no-densify"]).ok();
+    train(&place, &[&["--stage", "transport"][..], &small].concat()).ok();
+    let run = RunDirectory::open(&place.path("run")).unwrap();
+    let complete = run.complete(&run.settings().unwrap());
+    assert_eq!(complete, [StageKind::Geometry, StageKind::Transport]);
+    assert!(run.emitters().is_file() && !run.path("lights.json").exists());
     let before = files(&place.path("run"));
-    refused();
-    train(&place, &["--stage", "transport", "--force"]).refused_with(2, &["no materials"]);
-    assert!(files(&place.path("run")) == before);
+    let resumed = train(&place, &["--stage", "transport", "--resume"]).ok();
+    assert!(resumed.stderr.contains("nothing to do") && files(&place.path("run")) == before, "{}", resumed.stderr);
+    // Materials start from their priors: those of a run change nothing.
+    let first = Splats::read_ply(&run.path("scene.ply")).unwrap();
+    assert!(first.albedo.is_some() && first.roughness.is_some() && first.emitters.is_some());
+    train(&place, &["--stage", "intrinsic", "--intrinsic-steps", "2"]).ok();
+    assert!(Splats::read_ply(&run.path("scene.ply")).unwrap() != first);
+    train(&place, &["--stage", "transport"]).ok();
+    assert!(Splats::read_ply(&run.path("scene.ply")).unwrap() == first);
     let start = place.text("run/scene.ply");
     train(&place, &["--stage", "transport", "--start", &start]).refused_with(2, &["--stage intrinsic"]);
+}
+
+/// Reads `training.json` of a run of all stages.
+fn all_stages(place: &Place, more: &[&str]) -> Value {
+    let steps = ["--stage", "all", "--geometry-steps", "3", "--no-densify", "--intrinsic-steps", "2", "--force"];
+    train(place, &[&steps[..], more].concat()).ok();
+    summary(place)
+}
+
+#[test]
+fn all_stages_end_with_bounced_light_where_it_explains_the_photographs() {
+    let place = place();
+    let there = |name: &str| place.path(&format!("run/{name}")).exists();
+    let trained = all_stages(&place, &["--set", "transport.surfels=256"]);
+    let decision = &trained["transport"]["decisions"][0];
+    assert_eq!((&decision["what"], &decision["setting"]), (&"bounced light".into(), &"--stage transport".into()));
+    assert_eq!((decision["on"].as_bool(), there("emitters.json")), (Some(true), true), "{decision}");
+    assert!(there("lights.json") && trained["intrinsic"].is_object());
+    let resumed = train(&place, &["--stage", "all", "--resume"]).ok();
+    assert!(resumed.stderr.contains("nothing to do"), "{}", resumed.stderr);
+    // The published model has no physical emitters.
+    let trained = all_stages(&place, &["--preset", "parity"]);
+    assert!(!there("emitters.json") && trained.get("transport").is_none() && trained["intrinsic"].is_object());
+    // Photographs of uniform light: each pixel shows a gray albedo.
+    for kind in ["images", "priors/albedo"] {
+        for file in std::fs::read_dir(place.path(&format!("scene/{kind}"))).unwrap() {
+            let path = file.unwrap().path();
+            image::RgbImage::from_pixel(32, 24, image::Rgb([120; 3])).save(&path).unwrap();
+        }
+    }
+    let trained = all_stages(&place, &["--set", "transport.surfels=256"]);
+    let decision = &trained["transport"]["decisions"][0];
+    assert_eq!((decision["on"].as_bool(), there("emitters.json")), (Some(false), false), "{decision}");
+    assert!(Splats::read_ply(&place.path("run/scene.ply")).unwrap().emitters.is_none());
+    train(&place, &["--stage", "all", "--resume"]).ok();
+    // Asked for alone, the stage is trained.
+    train(&place, &["--stage", "transport", "--force"]).ok();
+    assert!(there("emitters.json"));
 }
 
 #[test]
@@ -71,7 +122,9 @@ fn stage_writes_emitters_and_keeps_materials() {
     assert_eq!((file.surfels, file.rays), (512, 64));
     let emitters = after.emitters.clone().unwrap();
     assert!(emitters.iter().all(|e| *e as usize <= file.emitters.len()));
-    assert!(Splats { emitters: None, ..after } == before, "a stage without training changed Gaussians or materials");
+    let Splats { albedo, roughness, metallic, .. } = before.clone();
+    let same = Splats { emitters: None, albedo, roughness, metallic, ..after };
+    assert!(same == before, "the stage changed more than materials");
     let settings = run.settings().unwrap();
     assert_eq!((settings.transport.surfels, settings.geometry.steps, settings.intrinsic.steps), (512, 20, 2));
     let all = StageKind::ALL.to_vec();
@@ -197,15 +250,19 @@ fn library_names_what_is_missing() {
     let (gpu, place) = (Gpu::new(), place());
     let scene = Arc::new(Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap());
     let splats = Splats::from_points(&scene.points, 0).unwrap();
-    let run = |start: Option<Splats>| {
+    let run = |start: Option<Splats>, settings: &Settings| {
         let start = start.map(|splats| StartGeometry::Splats(Box::new(splats)));
         let options = TrainerOptions { stages: vec![StageKind::Transport], start, ..Default::default() };
-        let mut trainer = Trainer::new(gpu.device(), Arc::clone(&scene), &Settings::default(), options).unwrap();
+        let mut trainer = Trainer::new(gpu.device(), Arc::clone(&scene), settings, options).unwrap();
         trainer.run(&mut ()).unwrap_err()
     };
-    assert!(matches!(run(None), TrainError::Requirement(Requirement::Geometry)));
-    assert!(matches!(run(Some(splats)), TrainError::Requirement(Requirement::Materials)));
-    assert!(matches!(run(Some(Splats::default())), TrainError::Requirement(Requirement::NotEmpty)));
+    assert!(matches!(run(None, &Settings::default()), TrainError::Requirement(Requirement::Geometry)));
+    let none = Settings { transport: TransportSettings { surfels: 0, ..Default::default() }, ..Default::default() };
+    assert!(matches!(run(Some(splats), &none), TrainError::Requirement(Requirement::Surfels)));
+    assert!(matches!(
+        run(Some(Splats::default()), &Settings::default()),
+        TrainError::Requirement(Requirement::NotEmpty)
+    ));
 }
 
 /// Sets: the lights of the photographs, none of them, and one more.

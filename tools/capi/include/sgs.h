@@ -62,6 +62,9 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // Stage of training: materials, lights and visibility on fixed geometry.
 #define SGS_STAGE_INTRINSIC 2
 
+// Stage of materials, emitters and bounced light.
+#define SGS_STAGE_TRANSPORT 4
+
 // Relighting: all light, over the background.
 #define SGS_LAYER_SHADED 16
 
@@ -499,7 +502,7 @@ typedef struct {
   const char *run;
   // Geometry for the intrinsic stage without a geometry stage. A PLY or glTF file. Null for scene.ply of the run.
   const char *start;
-  // Sum of SGS_STAGE_GEOMETRY and SGS_STAGE_INTRINSIC; 0 is SGS_STAGE_GEOMETRY.
+  // Sum of SGS_STAGE_GEOMETRY, SGS_STAGE_INTRINSIC and SGS_STAGE_TRANSPORT; 0 is SGS_STAGE_GEOMETRY.
   uint32_t stages;
 } SgsTrainerInfo;
 
@@ -520,7 +523,7 @@ typedef struct {
   uint32_t gaussians;
   // Loss of the last step, or 0 before the first.
   float loss;
-  // Stage: SGS_STAGE_GEOMETRY or SGS_STAGE_INTRINSIC.
+  // Stage: SGS_STAGE_GEOMETRY, SGS_STAGE_INTRINSIC or SGS_STAGE_TRANSPORT.
   uint32_t stage;
   // Rollbacks of the stage after divergence.
   uint32_t roll_backs;

@@ -42,11 +42,16 @@ fn settings(text: Option<&str>, dataset: &str) -> Outcome<Settings> {
 }
 
 fn stages(flags: u32) -> Outcome<Vec<StageKind>> {
-    let all = [(SGS_STAGE_GEOMETRY, StageKind::Geometry), (SGS_STAGE_INTRINSIC, StageKind::Intrinsic)];
-    let known = SGS_STAGE_GEOMETRY | SGS_STAGE_INTRINSIC;
+    let all = [
+        (SGS_STAGE_GEOMETRY, StageKind::Geometry),
+        (SGS_STAGE_INTRINSIC, StageKind::Intrinsic),
+        (SGS_STAGE_TRANSPORT, StageKind::Transport),
+    ];
+    let known = SGS_STAGE_GEOMETRY | SGS_STAGE_INTRINSIC | SGS_STAGE_TRANSPORT;
     if flags & !known != 0 {
         let text = format!(
-            "SgsTrainerInfo.stages is {flags}, but must be a sum of SGS_STAGE_GEOMETRY and SGS_STAGE_INTRINSIC."
+            "SgsTrainerInfo.stages is {flags}, but must be a sum of SGS_STAGE_GEOMETRY, SGS_STAGE_INTRINSIC and \
+             SGS_STAGE_TRANSPORT."
         );
         return fail(SgsResult::SGS_ERROR_ARGUMENT, text);
     }
@@ -55,13 +60,14 @@ fn stages(flags: u32) -> Outcome<Vec<StageKind>> {
 }
 
 /// Refuses a directory whose files a new run would destroy.
-fn check_new(run: &Path, materials_only: bool) -> Outcome<()> {
+fn check_new(run: &Path, stages: &[StageKind], start: bool) -> Outcome<()> {
     let name = run.display();
     match Contents::of(run) {
         Contents::Nothing => Ok(()),
         Contents::Run(there) if !there.is_trained() => Ok(()),
-        // Materials are added to the geometry of the run.
-        Contents::Run(there) if materials_only && !there.materials => Ok(()),
+        // Materials and emitters are added to the geometry of the run.
+        Contents::Run(there) if !start && stages == [StageKind::Intrinsic] && !there.materials => Ok(()),
+        Contents::Run(there) if !start && stages == [StageKind::Transport] && !there.transport => Ok(()),
         Contents::Run(_) => fail(
             SgsResult::SGS_ERROR_FILE,
             format!("\"{name}\" holds a run: set SgsTrainerInfo.resume, or name another directory."),
@@ -77,7 +83,9 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
     let stages = stages(request.stages)?;
     let began = match request.run {
         Some(run) if request.resume => Some(RunDirectory::open(run)?.settings()?),
-        Some(run) if stages == [StageKind::Intrinsic] => RunDirectory::open(run).and_then(|run| run.settings()).ok(),
+        Some(run) if !stages.contains(&StageKind::Geometry) => {
+            RunDirectory::open(run).and_then(|run| run.settings()).ok()
+        }
         _ => None,
     };
     if request.resume && request.settings.is_some() {
@@ -95,7 +103,7 @@ fn open(inner: &Inner, request: &Request<'_>) -> Outcome<TrainerObject> {
         Some(run) => {
             let check = || match request.resume {
                 true => Ok(()),
-                false => check_new(run, stages == [StageKind::Intrinsic] && request.start.is_none()),
+                false => check_new(run, &stages, request.start.is_some()),
             };
             check()?;
             let lock = DirectoryLock::acquire(run)?;

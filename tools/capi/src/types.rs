@@ -85,6 +85,8 @@ pub const SGS_LAYER_ALPHA: u32 = 3;
 pub const SGS_STAGE_GEOMETRY: u32 = 1;
 /// Stage of training: materials, lights and visibility on fixed geometry.
 pub const SGS_STAGE_INTRINSIC: u32 = 2;
+/// Stage of materials, emitters and bounced light.
+pub const SGS_STAGE_TRANSPORT: u32 = 4;
 
 /// Relighting: all light, over the background.
 pub const SGS_LAYER_SHADED: u32 = 16;
@@ -469,7 +471,7 @@ pub struct SgsTrainerInfo {
     pub run: *const c_char,
     /// Geometry for the intrinsic stage without a geometry stage. A PLY or glTF file. Null for scene.ply of the run.
     pub start: *const c_char,
-    /// Sum of SGS_STAGE_GEOMETRY and SGS_STAGE_INTRINSIC; 0 is SGS_STAGE_GEOMETRY.
+    /// Sum of SGS_STAGE_GEOMETRY, SGS_STAGE_INTRINSIC and SGS_STAGE_TRANSPORT; 0 is SGS_STAGE_GEOMETRY.
     pub stages: u32,
 }
 
@@ -489,7 +491,7 @@ pub struct SgsTrainStatus {
     pub gaussians: u32,
     /// Loss of the last step, or 0 before the first.
     pub loss: f32,
-    /// Stage: SGS_STAGE_GEOMETRY or SGS_STAGE_INTRINSIC.
+    /// Stage: SGS_STAGE_GEOMETRY, SGS_STAGE_INTRINSIC or SGS_STAGE_TRANSPORT.
     pub stage: u32,
     /// Rollbacks of the stage after divergence.
     pub roll_backs: u32,

@@ -33,7 +33,7 @@ pub use presets::{PRESETS, Preset, overlay};
 pub use provider::ProviderSettings;
 pub use pseudo::{Neighbors, Position, PseudoOptions};
 pub use train::{OnDivergence, TrainSettings};
-pub use transport::TransportSettings;
+pub use transport::{TransportPart, TransportSettings};
 
 use serde::{Deserialize, Serialize};
 use sgs_passes::Accuracy;

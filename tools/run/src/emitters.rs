@@ -5,7 +5,7 @@
 
 use crate::error::{Result, RunError};
 use serde::{Deserialize, Serialize};
-use sgs_config::TransportSettings;
+use sgs_config::{TransportPart, TransportSettings};
 use sgs_passes::transport::{AreaLight, LightShape};
 use sgs_scene::{MOST_EMITTERS, Unit};
 use std::collections::BTreeSet;
@@ -26,6 +26,9 @@ pub struct EmitterFile {
     pub surfels: u32,
     /// Rays per surfel.
     pub rays: u32,
+    /// Part of the model that the run leaves out, if any.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub without: Option<TransportPart>,
     /// Emitters of the file, at most [`MOST_EMITTERS`].
     pub emitters: Vec<EmitterRow>,
 }
@@ -184,8 +187,8 @@ impl EmitterRow {
 impl EmitterFile {
     /// Creates a file of some emitters.
     pub fn new(enclosure: EnclosureRow, settings: TransportSettings, emitters: Vec<EmitterRow>) -> EmitterFile {
-        let TransportSettings { surfels, rays, .. } = settings;
-        EmitterFile { format: FORMAT.to_owned(), enclosure, surfels, rays, emitters }
+        let TransportSettings { surfels, rays, without, .. } = settings;
+        EmitterFile { format: FORMAT.to_owned(), enclosure, surfels, rays, without, emitters }
     }
 
     /// Returns the same emitters and enclosure with lengths in another unit.
@@ -218,6 +221,9 @@ impl EmitterFile {
         self.enclosure.check()?;
         let settings = TransportSettings { surfels: self.surfels, rays: self.rays, ..TransportSettings::default() };
         settings.check().map_err(|e| e.to_string().trim_end_matches('.').to_owned())?;
+        if !settings.enabled() {
+            return Err("the number of surfels is 0; use 64 at least".to_owned());
+        }
         if self.emitters.len() > MOST_EMITTERS as usize {
             return Err(format!("there are {} emitters; use {MOST_EMITTERS} at most", self.emitters.len()));
         }
@@ -350,7 +356,7 @@ mod tests {
         assert!(wide.contains("along x"), "{wide}");
         assert!(refused(&|f| f.enclosure.albedo[3][1] = 1.5).contains("albedo 1.5; use 0 to 1"));
         assert!(refused(&|f| f.enclosure.albedo[0][0] = f32::NAN).contains("albedo NaN"));
-        assert_eq!(refused(&|f| f.surfels = 1), "transport.surfels is 1, but must be 64 to 65536");
+        assert_eq!(refused(&|f| f.surfels = 1), "transport.surfels is 1, but must be 0 or 64 to 65536");
         assert!(refused(&|f| f.rays = 0).contains("transport.rays is 0"));
         assert_eq!(refused(&|f| f.emitters[2].name = " ".into()), "emitter 2 has no name");
         assert!(refused(&|f| f.emitters[2].name = "e0".into()).contains("two emitters have the name \"e0\""));

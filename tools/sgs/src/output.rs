@@ -13,7 +13,7 @@ pub enum Begin {
     Materials,
     /// Materials on geometry from a file.
     MaterialsFrom,
-    /// Emitters on the materials stored in the run.
+    /// Emitters and materials on the geometry stored in the run.
     Emitters,
 }
 
@@ -34,9 +34,6 @@ pub fn check_run(root: &Path, begin: Begin, permission: Permission) -> anyhow::R
         _ => RunContents::default(),
     };
     let RunContents { materials, transport, .. } = run;
-    if begin == Begin::Emitters && !materials {
-        refuse_usage!("\"{name}\" has no materials for the transport stage: train them first with --stage all.");
-    }
     let adds = match begin {
         Begin::Materials => !materials,
         Begin::Emitters => !transport,
@@ -46,7 +43,7 @@ pub fn check_run(root: &Path, begin: Begin, permission: Permission) -> anyhow::R
         return Ok(());
     }
     if begin == Begin::Emitters {
-        refuse_usage!("\"{name}\" has emitters: find them again on the same materials with --force.");
+        refuse_usage!("\"{name}\" has emitters: find them again on the same geometry with --force.");
     }
     if begin == Begin::Materials {
         refuse_usage!(

@@ -2,9 +2,9 @@
 
 use serde::ser::{Serialize, SerializeMap, Serializer};
 use serde_json::Value;
-use sgs_config::{Backward, Settings};
+use sgs_config::{Backward, Settings, TransportSettings};
 use sgs_evaluate::metrics::LpipsAbout;
-use sgs_run::RunDirectory;
+use sgs_run::{RunDirectory, StageKind, read_emitters};
 use std::path::Path;
 
 /// Progress of a run with given settings.
@@ -25,8 +25,8 @@ pub enum State {
 /// Requested results of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Goal {
-    /// Whether materials and lights are trained, too.
-    pub materials: bool,
+    /// Stage that trains materials and lights after the geometry stage, if any.
+    pub materials: Option<StageKind>,
     /// LPIPS that is measured, if any.
     pub lpips: Option<LpipsAbout>,
 }
@@ -43,15 +43,22 @@ impl State {
         }
         requested.memory = began.memory;
         // Geometry does not depend on the settings of the materials.
-        let same_materials = requested.intrinsic == began.intrinsic;
+        let same_materials = requested.intrinsic == began.intrinsic
+            && match goal.materials {
+                Some(StageKind::Transport) => same_transport(&run, &requested.transport, &began.transport),
+                _ => true,
+            };
         requested.intrinsic.clone_from(&began.intrinsic);
+        requested.transport = began.transport;
         if requested != began {
             return State::Absent;
         }
         if !(run.path("scene.ply").is_file() && run.path("training.json").is_file()) {
             return State::Begun;
         }
-        if goal.materials && !(same_materials && json(&run, "training.json").get("intrinsic").is_some()) {
+        if let Some(stage) = goal.materials
+            && !(same_materials && json(&run, "training.json").get(stage.name()).is_some())
+        {
             return State::Formed;
         }
         let wanted = goal.lpips.and_then(|about| serde_json::to_value(about).ok());
@@ -61,6 +68,12 @@ impl State {
             _ => State::Trained,
         }
     }
+}
+
+/// Returns whether a run has these settings of the transport stage. Its emitters say which part it leaves out.
+fn same_transport(run: &RunDirectory, requested: &TransportSettings, began: &TransportSettings) -> bool {
+    let without = read_emitters(&run.emitters()).ok().and_then(|file| file.without);
+    TransportSettings { without, ..*began } == *requested
 }
 
 /// Measure of a table.
@@ -76,7 +89,7 @@ pub(super) struct Measure {
 }
 
 /// All measures, in the order of the table.
-pub(super) const MEASURES: [Measure; 18] = [
+pub(super) const MEASURES: [Measure; 19] = [
     measure("psnr", "PSNR, dB ↑", 2, "/test/mean/nvs/psnr"),
     measure("ssim", "SSIM ↑", 4, "/test/mean/nvs/ssim"),
     measure("lpips", "LPIPS ↓", 4, "/test/mean/nvs/lpips"),
@@ -94,6 +107,7 @@ pub(super) const MEASURES: [Measure; 18] = [
     measure("accuracy", "labels right ↑", 4, "/test/mean/semantic/accuracy"),
     measure("seconds_per_step", "seconds a step ↓", 4, "/steps_per_second"),
     measure("intrinsic_seconds_per_step", "seconds a step of materials ↓", 4, "/intrinsic/steps_per_second"),
+    measure("transport_seconds_per_step", "seconds a step with bounces ↓", 4, "/transport/steps_per_second"),
     measure("gaussians", "Gaussians", 0, "/gaussians"),
 ];
 
@@ -117,6 +131,7 @@ impl Measures {
         let number = |m: &Measure| match m.key {
             "seconds_per_step" => per_step(&all, m.place, &training),
             "intrinsic_seconds_per_step" => per_step(&training, m.place, &training["intrinsic"]),
+            "transport_seconds_per_step" => per_step(&training, m.place, &training["transport"]),
             _ => all.pointer(m.place).and_then(Value::as_f64),
         };
         let found = Measures(std::array::from_fn(|i| number(&MEASURES[i])));
@@ -127,7 +142,7 @@ impl Measures {
     ///
     /// Names: `psnr` (dB), `ssim`, `lpips`; `pbr_` and `albedo_` with one of these; `roughness_mse`, `metallic_mse`,
     /// `relit_psnr` (mean over the relit sets), `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of
-    /// geometry), `intrinsic_seconds_per_step`, `gaussians`. Seconds are known for runs that were not interrupted.
+    /// geometry), `intrinsic_seconds_per_step`, `transport_seconds_per_step`, `gaussians`. Seconds are known for runs that were not interrupted.
     pub fn get(&self, key: &str) -> Option<f64> {
         MEASURES.iter().zip(self.0).find(|(m, _)| m.key == key).and_then(|(_, value)| value)
     }
@@ -188,7 +203,7 @@ mod tests {
         // Materials and LPIPS are requested, too.
         let goal = |materials: bool, net: Option<&'static str>| {
             let lpips = net.map(|net| LpipsAbout { net, version: "0.1", range: [0, 1] });
-            State::of(&root, &requested, &Goal { materials, lpips })
+            State::of(&root, &requested, &Goal { materials: materials.then_some(StageKind::Intrinsic), lpips })
         };
         assert_eq!((goal(true, None), goal(false, Some("vgg"))), (State::Formed, State::Trained));
         run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
@@ -204,7 +219,10 @@ mod tests {
         // Other materials may be trained on the same geometry.
         run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
         requested.intrinsic.losses.dssim = 0.7;
-        assert_eq!(State::of(&root, &requested, &Goal { materials: true, lpips: None }), State::Formed);
+        assert_eq!(
+            State::of(&root, &requested, &Goal { materials: Some(StageKind::Intrinsic), lpips: None }),
+            State::Formed
+        );
         assert!(matches!(state(&requested), State::Measured(_)));
         // Any other setting makes another run.
         requested.geometry.losses.dssim = 0.7;

@@ -3,7 +3,8 @@
 use super::Entry;
 use super::change::Change;
 use crate::error::{Result, StudyError};
-use sgs_config::Settings;
+use sgs_config::{Settings, TransportPart};
+use sgs_run::StageKind;
 use sgs_scene::Scene;
 
 /// Component that a variant may use besides photographs. Each is a switch of the settings.
@@ -27,6 +28,10 @@ enum Kind {
     Without(&'static [Part]),
     /// Materials on the same geometry, with a change.
     Materials(Change),
+    /// Emitters and bounced light on the same geometry, without a part.
+    Transport(Option<TransportPart>),
+    /// Materials under the lights of the published model, on the same geometry.
+    Published,
 }
 
 /// Scope of a comparison.
@@ -36,6 +41,8 @@ pub enum Scope {
     Geometry,
     /// Materials, lights and shadows on common geometry.
     Materials,
+    /// Emitters and bounced light on common geometry.
+    Transport,
     /// Both: variants of geometry with materials, and variants of materials on the last of these.
     Whole,
 }
@@ -64,7 +71,11 @@ const fn materials(name: &'static str, about: &'static str, change: Change) -> V
     Variant { name, about, run: name, kind: Kind::Materials(change) }
 }
 
-const ALL: [Variant; 18] = [
+const fn transport(name: &'static str, about: &'static str, without: Option<TransportPart>) -> Variant {
+    Variant { name, about, run: name, kind: Kind::Transport(without) }
+}
+
+const ALL: [Variant; 24] = [
     geometry("rgb", "photographs alone", &[]),
     geometry("depth", "and depth smoothness and variance", &[Part::Depth]),
     geometry("normal", "and priors of normals", &[Part::Depth, Part::Normals]),
@@ -83,6 +94,17 @@ const ALL: [Variant; 18] = [
     materials("no_relight", "albedo not compared with estimates under other lights", Change::Relight),
     materials("no_own_prior", "albedo of regions not compared with the views' own priors", Change::OwnPrior),
     materials("no_priors", "without what networks say of materials", Change::Priors),
+    transport("bounced", "emitters, bounced light and materials", None),
+    transport("no_bounces", "without bounced light", Some(TransportPart::Bounces)),
+    transport("no_closure", "without light from surfaces that no view sees", Some(TransportPart::Enclosure)),
+    transport("no_emission", "surfaces of emitters are dark to the camera", Some(TransportPart::Emission)),
+    transport("no_specular", "all surfaces are matte: roughness 1, metallic 0", Some(TransportPart::Specular)),
+    Variant {
+        name: "published",
+        about: "free lights, environment and shadows of the intrinsic stage",
+        run: "published",
+        kind: Kind::Published,
+    },
 ];
 
 impl Scope {
@@ -90,6 +112,8 @@ impl Scope {
     pub fn variants(self) -> Vec<Variant> {
         let shown = |v: &&Variant| match (self, v.kind) {
             (Scope::Geometry, Kind::Geometry(_) | Kind::Without(_)) | (Scope::Materials, Kind::Materials(_)) => true,
+            (Scope::Transport, Kind::Transport(_) | Kind::Published) => true,
+            (Scope::Whole, Kind::Transport(_) | Kind::Published) => false,
             // The last variant of geometry is the full method, so the variant without a change is redundant.
             (Scope::Whole, kind) => kind != Kind::Materials(Change::Nothing),
             _ => false,
@@ -112,9 +136,13 @@ impl Variant {
         Ok(all.into_iter().filter(|v| names.is_empty() || names.iter().any(|n| n == v.name)).collect())
     }
 
-    /// Returns whether the variant changes materials on common geometry.
-    pub fn is_of_materials(&self) -> bool {
-        matches!(self.kind, Kind::Materials(_))
+    /// Returns the stage that the variant trains on common geometry, if it does.
+    pub fn stage(&self) -> Option<StageKind> {
+        match self.kind {
+            Kind::Geometry(_) | Kind::Without(_) => None,
+            Kind::Materials(_) | Kind::Published => Some(StageKind::Intrinsic),
+            Kind::Transport(_) => Some(StageKind::Transport),
+        }
     }
 
     /// Returns whether the variant is the full geometry method without a component.
@@ -127,16 +155,20 @@ impl Variant {
         match self.kind {
             Kind::Geometry(on) => on.contains(&part),
             Kind::Without(off) => !off.contains(&part),
-            Kind::Materials(_) => false,
+            _ => false,
         }
     }
 
     /// Returns the settings of the variant. A variant of geometry disables the components that it does not use. A variant
-    /// of materials changes one component.
+    /// of materials or of transport changes one component.
     pub fn settings(&self, base: &Settings) -> Settings {
         let mut settings = base.clone();
-        if let Kind::Materials(change) = self.kind {
-            change.apply(&mut settings.intrinsic);
+        match self.kind {
+            Kind::Materials(change) => change.apply(&mut settings.intrinsic),
+            Kind::Transport(without) => settings.transport.without = without,
+            Kind::Published | Kind::Geometry(_) | Kind::Without(_) => {}
+        }
+        if self.stage().is_some() {
             return settings;
         }
         let g = &mut settings.geometry;
@@ -162,6 +194,10 @@ impl Variant {
             // Leaving out a component matters only if the scene has the inputs of the full method.
             Kind::Without(_) => &FULL,
             Kind::Materials(change) => return change.lacks(scene, settings),
+            Kind::Transport(_) if !settings.transport.enabled() => {
+                return Ok(Some("the settings leave the transport stage out (transport.surfels)".to_owned()));
+            }
+            Kind::Transport(_) | Kind::Published => return Ok(None),
         };
         let losses = &settings.geometry.losses;
         if matches!(self.kind, Kind::Geometry([Part::Depth]) | Kind::Without([Part::Depth]))
@@ -278,12 +314,27 @@ mod tests {
     }
 
     #[test]
+    fn transport_variants_leave_out_one_part() {
+        let base = Settings { seed: 5, ..Settings::default() };
+        for variant in Scope::Transport.variants() {
+            let settings = variant.settings(&base);
+            let without = settings.transport.without;
+            let transport = sgs_config::TransportSettings { without: None, ..settings.transport };
+            assert_eq!(Settings { transport, ..settings }, base, "{}", variant.name);
+            assert_eq!(without.is_some(), variant.name.starts_with("no_"), "{}", variant.name);
+            let stage = if variant.name == "published" { StageKind::Intrinsic } else { StageKind::Transport };
+            assert_eq!(variant.stage(), Some(stage));
+        }
+    }
+
+    #[test]
     fn names_are_checked_and_ordered() {
         let names = |n: &[&str]| n.iter().map(|n| (*n).to_owned()).collect::<Vec<_>>();
         let found = Variant::named(Scope::Geometry, &names(&["normal", "rgb"])).unwrap();
         assert_eq!(found.iter().map(|v| v.name).collect::<Vec<_>>(), ["rgb", "normal"]);
         assert_eq!(Variant::named(Scope::Geometry, &[]).unwrap(), ALL[..9]);
-        assert_eq!(Variant::named(Scope::Materials, &[]).unwrap(), ALL[9..]);
+        assert_eq!(Variant::named(Scope::Materials, &[]).unwrap(), ALL[9..18]);
+        assert_eq!(Variant::named(Scope::Transport, &[]).unwrap(), ALL[18..]);
         let whole = Variant::named(Scope::Whole, &[]).unwrap();
         assert!(whole.len() == 17 && whole.iter().all(|v| v.name != "full"));
         let error = Variant::named(Scope::Geometry, &names(&["magic"])).unwrap_err().to_string();

@@ -60,8 +60,8 @@ pub enum Requirement {
     /// Geometry is both trained and provided.
     #[error("Geometry cannot be trained and given at once; train the intrinsic stage alone, or give no geometry.")]
     OneGeometry,
-    /// The intrinsic stage has no geometry.
-    #[error("The intrinsic stage requires geometry; train the geometry stage first, or name a file.")]
+    /// A stage after the geometry stage has no geometry.
+    #[error("The stage requires geometry; train the geometry stage first, or name a file.")]
     Geometry,
     /// A run directory holds no geometry.
     #[error(
@@ -69,16 +69,13 @@ pub enum Requirement {
         path = .0.display()
     )]
     GeometryIn(PathBuf),
-    /// A run directory holds no materials.
-    #[error("\"{path}\": no materials; train them first with --stage all.", path = .0.display())]
-    MaterialsIn(PathBuf),
-    /// The transport stage has no materials.
-    #[error("The transport stage requires normals, albedo and roughness; train materials first with --stage all.")]
-    Materials,
+    /// The settings leave the transport stage out.
+    #[error("transport.surfels is 0, which leaves the transport stage out; set it to 64 or more.")]
+    Surfels,
     /// Neither a stage nor a result holds Gaussians.
     #[error("The training holds no Gaussians; start a stage first.")]
     Gaussians,
-    /// The geometry of the intrinsic stage is empty.
+    /// The geometry of a stage is empty.
     #[error("The geometry has no Gaussians to train materials for; train the geometry stage first.")]
     NotEmpty,
     /// The training has ended with an error.

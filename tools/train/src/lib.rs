@@ -46,4 +46,4 @@ pub use schedule::Schedule;
 pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use stage::{RoomFit, Stage, StageEvent, StepFigures};
 pub use trainer::{Event, Observer, Outcome, StageSummary, StartGeometry, Trainer, TrainerOptions};
-pub use transport::Transport;
+pub use transport::{Transport, TransportPlan};

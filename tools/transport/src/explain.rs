@@ -48,6 +48,8 @@ pub struct Explained {
     pub enclosure: [[f32; 3]; FACES],
     /// PSNR of the compared pixels in dB.
     pub psnr: f64,
+    /// PSNR of the compared pixels under the best uniform light, in dB.
+    pub uniform_psnr: f64,
 }
 
 /// Pixels that the fit compares, with the points and unit normals that they show.
@@ -111,7 +113,8 @@ impl Room {
             numbers.push(if shines { emitters.len() as u32 } else { 0 });
         }
         let of_gaussians = of_gaussians.into_iter().map(|e| numbers[e as usize]).collect();
-        Explained { emitters, of_gaussians, enclosure: fitter.enclosure(), psnr: fitter.psnr() }
+        let (psnr, uniform_psnr) = (fitter.psnr(), fitter.uniform_psnr());
+        Explained { emitters, of_gaussians, enclosure: fitter.enclosure(), psnr, uniform_psnr }
     }
 
     /// Returns the direct light of shapes of color 1.

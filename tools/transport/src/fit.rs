@@ -134,7 +134,7 @@ pub struct UnitLight {
 }
 
 /// Emitter under fit.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 struct Column {
     unit: UnitLight,
     /// Number that [`Samples::emitters`] calls it by, 0 if no sample shows it.
@@ -344,6 +344,20 @@ impl<'a> Fitter<'a> {
     /// Returns [`Fitter::error`] as PSNR in dB.
     pub fn psnr(&self) -> f64 {
         -10.0 * self.error().max(1e-12).log10()
+    }
+
+    /// Returns the PSNR of the best uniform light: one irradiance everywhere, and emitters that are seen but light nothing.
+    pub fn uniform_psnr(&self) -> f64 {
+        let all = 0..self.samples.len();
+        let reflected = |i: usize| [0, 1, 2].map(|c| (self.samples.diffuse[i][c] + self.samples.specular[i][c]) / PI);
+        let shown = |number: u32| move |i: usize| [if self.samples.emitters[i] == number { 1.0 } else { 0.0 }; 3];
+        let column = |response: Vec<Color>| Column { response, ..Column::default() };
+        let mut columns = vec![column(all.clone().map(reflected).collect())];
+        let numbers = self.columns.iter().map(|c| c.shown_as).filter(|number| *number > 0);
+        columns.extend(numbers.map(|number| column(all.clone().map(shown(number)).collect())));
+        let mut uniform = Fitter { columns, targets: self.targets.clone(), ..*self };
+        uniform.fit_colors();
+        uniform.psnr()
     }
 }
 

@@ -4,7 +4,7 @@ use crate::error::Result;
 use crate::explain::Explained;
 use crate::room::{Room, RoomOptions};
 use crate::training::TrainingRoom;
-use sgs_config::TransportSettings;
+use sgs_config::{TransportPart, TransportSettings};
 use sgs_engine::Device;
 use sgs_passes::transport::{AreaLight, LightShape};
 use sgs_run::{EmitterFile, EmitterRow, EnclosureRow};
@@ -19,6 +19,8 @@ pub struct FittedRoom {
     pub of_gaussians: Vec<u32>,
     /// PSNR of the compared pixels of the training views, in dB.
     pub psnr: f64,
+    /// PSNR of the same pixels under the best uniform light, in dB.
+    pub uniform_psnr: f64,
 }
 
 /// Maximum number of pixels of all training views together.
@@ -54,11 +56,14 @@ pub fn fit_room(device: &Device, scene: &Scene, splats: &Splats, options: RoomOp
     let [low, high] = room.bounds();
 
     let enclosure = EnclosureRow { low, high, albedo: explained.enclosure };
-    let settings =
-        TransportSettings { surfels: options.surfels as u32, rays: options.rays, ..TransportSettings::default() };
-    let Explained { emitters, of_gaussians, psnr, .. } = explained;
+    let RoomOptions { surfels, rays, without, .. } = options;
+    let settings = TransportSettings { surfels: surfels as u32, rays, without, ..TransportSettings::default() };
+    let Explained { emitters, mut of_gaussians, psnr, uniform_psnr, .. } = explained;
+    if without == Some(TransportPart::Emission) {
+        of_gaussians.fill(0);
+    }
     let emitters = EmitterFile::new(enclosure, settings, named(&emitters));
-    Ok(FittedRoom { emitters, of_gaussians, psnr })
+    Ok(FittedRoom { emitters, of_gaussians, psnr, uniform_psnr })
 }
 
 /// Names emitters by their shape: rectangles are windows, others are lights.
@@ -83,8 +88,8 @@ fn named(emitters: &[AreaLight]) -> Vec<EmitterRow> {
 /// # Errors
 /// If the splats have no materials, or the device fails.
 pub fn room_of(device: &Device, scene: &Scene, splats: &Splats, emitters: &EmitterFile, seed: u32) -> Result<Room> {
-    let options =
-        RoomOptions { surfels: emitters.surfels as usize, rays: emitters.rays, seed, ..RoomOptions::default() };
+    let EmitterFile { surfels, rays, without, .. } = *emitters;
+    let options = RoomOptions { surfels: surfels as usize, rays, seed, without, ..RoomOptions::default() };
     let (room, _) = Room::new(device, splats, &cameras_of(&reduced(scene)), options)?;
     Ok(room.with_enclosure(emitters.enclosure.albedo))
 }

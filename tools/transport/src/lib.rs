@@ -18,7 +18,7 @@ pub use emitters::{FoundEmitter, find_emitters};
 pub use error::{Result, TransportError};
 pub use explain::Explained;
 pub use fitted::{FittedRoom, fit_room, room_of, training_room};
-pub use room::{Bounces, LitRoom, Room, RoomOptions};
+pub use room::{Bounces, LitRoom, Room, RoomOptions, planned_patches};
 pub use surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};
 pub use training::{TrainingRoom, ViewLightBuffers};
 pub use views::SeenViews;

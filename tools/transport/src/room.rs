@@ -7,6 +7,7 @@ use crate::fit::FACES;
 use crate::surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};
 use crate::views::SeenViews;
 use glam::Vec3;
+use sgs_config::TransportPart;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{FrameEmitter, Responder, Shaded, ShadedTransport, TransportOptions, TransportScene};
@@ -44,11 +45,13 @@ pub struct RoomOptions {
     pub samples: u32,
     /// Seed of rays and sample points.
     pub seed: u32,
+    /// Part that is left out, if any.
+    pub without: Option<TransportPart>,
 }
 
 impl Default for RoomOptions {
     fn default() -> RoomOptions {
-        RoomOptions { surfels: 8192, rays: 64, samples: 8, seed: 0 }
+        RoomOptions { surfels: 8192, rays: 64, samples: 8, seed: 0, without: None }
     }
 }
 
@@ -137,6 +140,11 @@ impl Room {
         };
         let tuning = Tuning::for_device(device.info());
         let scene = TransportScene::new(device, tuning, (&surfels.discs, &tree), &enclosure, transport)?;
+        let scene = match options.without {
+            Some(TransportPart::Bounces) => scene.lit_by_first(0)?,
+            Some(TransportPart::Enclosure) => scene.lit_by_first(surfels.len() as u32)?,
+            _ => scene,
+        };
         let near = near(diagonal, surfels.cell);
         let places: Vec<[f32; 3]> = splats.means.iter().map(|mean| unit.place(*mean)).collect();
         let length_one = |n: &[f32; 3]| Vec3::from(*n).normalize_or_zero().to_array();
@@ -300,6 +308,21 @@ impl Room {
         let of_patches = patches.iter().flat_map(|p| self.albedo[p.face as usize].map(|a| (a + SHEEN as f32).min(1.0)));
         self.surfels.materials.iter().flat_map(reflectance).chain(of_patches).collect()
     }
+}
+
+/// Returns the number of patches of the enclosure around splats and cameras.
+///
+/// # Errors
+/// If a position is not finite.
+pub fn planned_patches(splats: &Splats, cameras: &[Camera]) -> Result<u32> {
+    let unit = Unit::of_splats(splats);
+    let from = cameras.iter().map(|c| c.position().as_vec3().to_array());
+    let places = splats.means.iter().copied().chain(from).map(|p| Vec3::from(unit.place(p)));
+    let (low, high) = places.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |(low, high), p| (low.min(p), high.max(p)));
+    let diagonal = low.distance(high);
+    let around = MARGIN * diagonal;
+    let enclosure = Enclosure::new((low - around).into(), (high + around).into(), PATCH_SHARE * diagonal)?;
+    Ok(enclosure.patches().len() as u32)
 }
 
 /// Returns options of the search for nearest surfels.

@@ -153,6 +153,33 @@ impl TransportScene {
         })
     }
 
+    /// Returns the same scene in which no light arrives from receivers from `count` on.
+    ///
+    /// With the number of surfels the enclosure is black; with 0 light does not bounce.
+    ///
+    /// # Errors
+    /// If memory runs out or the device fails.
+    pub fn lit_by_first(self, count: u32) -> Result<TransportScene> {
+        let targets: Vec<u32> =
+            self.targets()?.into_iter().map(|met| if met < count { met } else { u32::MAX }).collect();
+        self.device.upload(&self.targets, 0, bytemuck::cast_slice(&targets))?;
+        let mut once = Once::new(&self.device, "transport_rows");
+        let of_targets = once.g.input("targets", self.targets.bytes());
+        let rows = once.g.external("matrix_rows", self.rows.bytes());
+        transport_rows(&mut once.g, &self.tuning, of_targets, &MatrixRows { shape: self.shape, rows })?;
+        once.run(|exec| {
+            exec.bind(of_targets, &self.targets)?;
+            exec.bind(rows, &self.rows)
+        })?;
+        Ok(self)
+    }
+
+    /// Returns the bytes of the tree, the receivers and the rays. The rows of the matrix do not count.
+    pub(super) fn bytes(&self) -> u64 {
+        let SurfelTreeShape { node_bytes, disc_bytes } = self.tree_shape;
+        node_bytes + disc_bytes + self.receivers.bytes() + self.targets.bytes()
+    }
+
     /// Returns the number of receivers: surfels, then patches.
     pub fn receivers(&self) -> u32 {
         self.shape.receivers

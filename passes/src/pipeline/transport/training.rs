@@ -31,6 +31,8 @@ pub struct TransportShape {
     pub gathered: u32,
     /// Number of weights of the surfels' nearest Gaussians.
     pub described: u32,
+    /// Bytes of the surfels' tree, the receivers and their rays, which lie beside the buffers of a step.
+    pub scene_bytes: u64,
 }
 
 /// What a training step needs of a room, on the host.
@@ -49,6 +51,9 @@ pub struct TransportContents<'a> {
     /// Emitted radiance of each Gaussian.
     pub emission: &'a [[f32; 3]],
 }
+
+/// Bytes of the tree of surfels, per surfel.
+const TREE_BYTES: u64 = 50;
 
 /// Names of the buffers, in the order of [`TransportShape::each`].
 const NAMES: [&str; 19] = [
@@ -107,7 +112,23 @@ impl TransportShape {
 
     /// Returns the bytes of all buffers.
     pub fn bytes(&self) -> u64 {
-        self.each().iter().sum()
+        self.each().iter().sum::<u64>() + self.scene_bytes
+    }
+
+    /// Returns the largest sizes of a room with these numbers of lights, surfels, patches, rays and Gaussians.
+    pub fn largest(lights: u32, surfels: u32, patches: u32, rays: u32, gaussians: u32) -> TransportShape {
+        let receivers = surfels + patches;
+        let near = NEIGHBORS as u32;
+        TransportShape {
+            lights,
+            surfels,
+            matrix: MatrixShape { receivers, rays },
+            met: receivers.saturating_mul(rays),
+            gaussians,
+            gathered: gaussians.saturating_mul(near),
+            described: surfels.saturating_mul(near),
+            scene_bytes: TREE_BYTES * u64::from(surfels) + (32 + 4 * u64::from(rays)) * u64::from(receivers),
+        }
     }
 
     /// Returns the bytes of the light of a view with this many pixels.
@@ -199,6 +220,7 @@ impl TransportMemory {
             gaussians,
             gathered: real(&contents.nearest.neighbors, matrix.receivers).max(1),
             described: real(&contents.materials.neighbors, gaussians).max(1),
+            scene_bytes: scene.bytes(),
         })
     }
 
@@ -265,6 +287,16 @@ impl TransportMemory {
             }
             buffers.push(buffer);
         }
+        Ok(TransportMemory { shape, buffers })
+    }
+
+    /// Allocates buffers without contents, to plan a training.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn empty(device: &Device, shape: TransportShape) -> Result<TransportMemory> {
+        let each = NAMES.iter().zip(shape.each());
+        let buffers = each.map(|(name, bytes)| device.buffer(name, bytes, Location::Device)).collect::<Result<_>>()?;
         Ok(TransportMemory { shape, buffers })
     }
 

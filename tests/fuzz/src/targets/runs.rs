@@ -49,7 +49,13 @@ pub(crate) fn settings_of_run(bytes: &[u8]) -> String {
 /// Returns the progress of a run, as its files show.
 fn state(run: &RunDirectory) -> String {
     let requested = run.settings().expect("the seed settings are valid");
-    let of = |materials| State::of(run.root(), &requested, &Goal { materials, lpips: None });
+    let of = |materials| {
+        State::of(
+            run.root(),
+            &requested,
+            &Goal { materials: bool::then_some(materials, StageKind::Intrinsic), lpips: None },
+        )
+    };
     let measures = Measures::read(run).and_then(|m| serde_json::to_string(&m).ok()).unwrap_or_default();
     format!("{:?} {:?} {measures}", of(false), of(true))
 }

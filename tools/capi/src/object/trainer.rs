@@ -79,6 +79,7 @@ impl TrainerObject {
             loss: self.loss,
             stage: match stage.map(Stage::kind) {
                 Some(StageKind::Intrinsic) => SGS_STAGE_INTRINSIC,
+                Some(StageKind::Transport) => SGS_STAGE_TRANSPORT,
                 _ => SGS_STAGE_GEOMETRY,
             },
             roll_backs: stage.map_or(0, |stage| stage.roll_backs().len() as u32),

@@ -5,6 +5,7 @@ use super::train::Stage;
 use crate::common::Common;
 use crate::failure::refuse_usage;
 use sgs_config::Settings;
+use sgs_run::StageKind;
 use sgs_study::{Entry, Scope, Variant};
 use std::path::PathBuf;
 
@@ -18,17 +19,18 @@ pub struct Args {
     /// that differ on this scene.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
-    /// Stage of the variants: geometry, intrinsic (all on one geometry), or all.
+    /// Stage of the variants: geometry; intrinsic or transport (all on one geometry); or all: geometry, and materials of the
+    /// published model.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry for --stage intrinsic, as a 3DGS PLY or a glTF file. By default it is trained for each seed.
+    /// Geometry for --stage intrinsic or transport, as a 3DGS PLY or a glTF file. By default it is trained for each seed.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    if a.start.is_some() && a.stage != Stage::Intrinsic {
-        refuse_usage!("--start gives geometry to variants of materials; add --stage intrinsic.");
+    if a.start.is_some() && ![Stage::Intrinsic, Stage::Transport].contains(&a.stage) {
+        refuse_usage!("--start gives geometry to variants of materials; add --stage intrinsic or transport.");
     }
     if let Some(file) = a.start.as_deref().filter(|file| !file.is_file()) {
         refuse_usage!("There is no file \"{}\" to start with.", file.display());
@@ -36,6 +38,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let scope = match a.stage {
         Stage::Geometry => Scope::Geometry,
         Stage::Intrinsic => Scope::Materials,
+        Stage::Transport => Scope::Transport,
         Stage::All => Scope::Whole,
     };
     let wanted = Variant::named(scope, &a.only)?;
@@ -43,7 +46,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let possible = |variant: &Variant| Ok(variant.lacks(&scene, &settings)?.map(|lacking| (variant.name, lacking)));
     // The last possible geometry variant uses the most inputs. All variants of materials share its geometry.
     let mut fullest = None;
-    for variant in scope.variants().into_iter().filter(|v| !v.is_of_materials() && !v.leaves_out()) {
+    for variant in scope.variants().into_iter().filter(|v| v.stage().is_none() && !v.leaves_out()) {
         if variant.lacks(&scene, &settings)?.is_none() {
             fullest = Some(variant);
         }
@@ -59,16 +62,17 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         }
     };
     let row = |variant: &Variant| {
-        let of_materials = variant.is_of_materials();
-        let base: &Settings = if of_materials { &common_geometry } else { &settings };
+        let materials = variant.stage();
+        let base: &Settings = if materials.is_some() { &common_geometry } else { &settings };
         Row {
             entry: variant.entry(),
             settings: variant.settings(base),
             wanted: wanted.contains(variant),
-            start: of_materials.then(|| start.clone()),
+            materials: materials.or((a.stage == Stage::All).then_some(StageKind::Intrinsic)),
+            start: materials.is_some().then(|| start.clone()),
         }
     };
     let rows: Vec<Row> = scope.variants().iter().map(row).collect();
-    let about = About { name: "ablation", stage: a.stage, start: a.start.as_deref() };
+    let about = About { name: "ablation", start: a.start.as_deref() };
     series::run(common, &a.series, &about, &settings, &rows)
 }

@@ -6,6 +6,7 @@ pub mod eval;
 pub mod export;
 pub mod plan;
 mod plan_intrinsic;
+mod plan_transport;
 pub mod priors;
 mod progress;
 pub mod pseudo;

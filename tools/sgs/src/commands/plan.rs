@@ -1,6 +1,7 @@
 //! Model, reasons and estimated cost of a training: `sgs plan`.
 
 use super::plan_intrinsic::IntrinsicPlan;
+use super::plan_transport::TransportPlan;
 use super::train::{Options, Stage, settings};
 use crate::common::Common;
 use crate::failure::{refuse_usage, usage};
@@ -17,10 +18,10 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Scene directory.
     scene: PathBuf,
-    /// Stage: geometry, intrinsic (materials, lights and shadows), or all.
+    /// Stage: geometry, intrinsic (materials, lights and shadows), transport (materials, emitters and bounced light), or all.
     #[arg(long, value_enum, default_value = "geometry")]
     stage: Stage,
-    /// Geometry of the intrinsic stage, as a PLY or glTF file. By default the initial points of the geometry stage.
+    /// Geometry of the stages after the geometry stage, as a PLY or glTF file. By default the initial points of the geometry stage.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
     #[command(flatten)]
@@ -117,7 +118,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let s = settings(&a.scene, &a.options)?;
     if a.start.is_some() && a.stage == Stage::Geometry {
-        refuse_usage!("--start gives geometry to the intrinsic stage; add --stage intrinsic or all.");
+        refuse_usage!("--start gives geometry to later stages; add --stage intrinsic, transport or all.");
     }
     let scene = open_scene(&s)?;
     if a.start.is_none() {
@@ -129,16 +130,26 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     // The stages are planned one after the other, as they are trained.
     let intrinsic = match a.stage {
-        Stage::Geometry => None,
+        Stage::Geometry | Stage::Transport => None,
         _ => Some(IntrinsicPlan::of(&device, &scene, &s, a.start.as_deref())?),
     };
-    if let (Stage::Intrinsic, Some(plan)) = (a.stage, &intrinsic) {
-        let graph = &plan.graph;
+    let transport = match a.stage {
+        Stage::Transport => true,
+        Stage::All => s.transport.enabled(),
+        _ => false,
+    };
+    let transport = transport.then(|| TransportPlan::of(&device, &scene, &s, a.start.as_deref())).transpose()?;
+    let alone = match (a.stage, &intrinsic, &transport) {
+        (Stage::Intrinsic, Some(plan), _) => Some((&plan.graph, plan.json(&device.budget()))),
+        (Stage::Transport, _, Some(plan)) => Some((&plan.graph, plan.json(&device.budget()))),
+        _ => None,
+    };
+    if let Some((graph, json)) = alone {
         if let (Some(path), Some(format)) = (&a.output, format) {
             let text = format.write(graph);
             sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
         }
-        if common.json.is_some() && common.answer(&plan.json(&device.budget()))? {
+        if common.json.is_some() && common.answer(&json)? {
             return Ok(());
         }
         if let (None, Some(format @ (Format::Json | Format::Dot | Format::Html))) = (&a.output, format) {
@@ -147,7 +158,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         }
         println!("scene       {} ({} training views)", a.scene.display(), scene.split.train.len());
         println!("device      {}", device.info().name);
-        plan.print(&device.budget());
+        if let Some(plan) = &intrinsic {
+            plan.print(&device.budget());
+        }
+        if let Some(plan) = &transport {
+            plan.print(&device.budget());
+        }
         match (&a.output, format) {
             (Some(path), _) => println!("graph       {}", path.display()),
             (None, Some(_)) => println!("\n{}", dump::text(graph)),
@@ -212,6 +228,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         });
         if let Some(plan) = &intrinsic {
             value["intrinsic"] = plan.json(&budget);
+        }
+        if let Some(plan) = &transport {
+            value["transport"] = plan.json(&budget);
         }
         if common.answer(&value)? {
             return Ok(());
@@ -304,6 +323,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         );
     }
     if let Some(plan) = &intrinsic {
+        println!();
+        plan.print(&budget);
+    }
+    if let Some(plan) = &transport {
         println!();
         plan.print(&budget);
     }

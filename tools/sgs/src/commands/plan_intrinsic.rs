@@ -34,12 +34,17 @@ pub struct IntrinsicPlan {
     cost: Cost,
 }
 
+/// Returns the Gaussians of a file, or those of the scene's initial points.
+pub fn geometry_of(scene: &Scene, s: &Settings, start: Option<&Path>) -> anyhow::Result<Splats> {
+    Ok(match start {
+        Some(file) => read_splats(file)?,
+        None => Splats::from_points(&scene.points, s.geometry.sh_degree.start() as usize)?,
+    })
+}
+
 impl IntrinsicPlan {
     pub fn of(device: &Device, scene: &Scene, s: &Settings, start: Option<&Path>) -> anyhow::Result<IntrinsicPlan> {
-        let splats = match start {
-            Some(file) => read_splats(file)?,
-            None => Splats::from_points(&scene.points, s.geometry.sh_degree.start() as usize)?,
-        };
+        let splats = geometry_of(scene, s, start)?;
         let mut training = Intrinsic::planned(device, scene, s, &splats)?;
         let graph = training.executor()?.executor().plan().clone();
         let (cost, _) = training.step_cost()?;

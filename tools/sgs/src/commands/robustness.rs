@@ -4,6 +4,7 @@ use super::series::{self, About, Row};
 use super::train::Stage;
 use crate::common::Common;
 use crate::failure::refuse_usage;
+use sgs_run::StageKind;
 use sgs_study::Case;
 
 #[derive(clap::Args)]
@@ -14,7 +15,8 @@ pub struct Args {
     /// default all that differ on this scene. noise.* sets the amounts.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
-    /// Stages to train: geometry, or all, which also measures materials.
+    /// Stages to train: geometry; all, which also measures materials of the published model; or transport, which measures
+    /// materials and relighting with bounced light.
     #[arg(long, value_enum, default_value = "all")]
     stage: Stage,
 }
@@ -22,7 +24,9 @@ pub struct Args {
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let wanted = Case::named(&a.only)?;
     if a.stage == Stage::Intrinsic {
-        refuse_usage!("--stage is geometry or all here: materials need the geometry that the noise has led to.");
+        refuse_usage!(
+            "--stage is geometry, transport or all here: materials need the geometry that the noise has led to."
+        );
     }
     let series::Base { settings, scene } = series::base(&a.series)?;
     let wanted = series::possible("case", wanted, !a.only.is_empty(), |case| {
@@ -32,9 +36,14 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         entry: case.entry(&settings),
         settings: case.settings(&settings),
         wanted: wanted.contains(case),
+        materials: match a.stage {
+            Stage::Geometry => None,
+            Stage::Transport => Some(StageKind::Transport),
+            Stage::Intrinsic | Stage::All => Some(StageKind::Intrinsic),
+        },
         start: None,
     };
     let rows: Vec<Row> = Case::all().iter().map(row).collect();
-    let about = About { name: "robustness", stage: a.stage, start: None };
+    let about = About { name: "robustness", start: None };
     series::run(common, &a.series, &about, &settings, &rows)
 }

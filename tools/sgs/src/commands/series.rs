@@ -4,7 +4,7 @@
 
 use super::eval::{MeasureOptions, Split, measure};
 use super::progress::Progress;
-use super::train::{Options, Stage, settings, validated};
+use super::train::{Options, settings, validated};
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::failure::refuse_usage;
@@ -57,6 +57,8 @@ pub struct Row {
     pub settings: Settings,
     /// Whether to train the row. Otherwise the table shows it only if it was measured before.
     pub wanted: bool,
+    /// Stage that trains materials, if any.
+    pub materials: Option<StageKind>,
     /// Geometry on which materials are trained; `None` for the row's own geometry.
     pub start: Option<Start>,
 }
@@ -116,8 +118,6 @@ pub fn possible<T: Copy>(
 pub struct About<'a> {
     /// Base name of the table files.
     pub name: &'a str,
-    /// Last stage that rows are trained to.
-    pub stage: Stage,
     /// Geometry file shared by all rows.
     pub start: Option<&'a Path>,
 }
@@ -128,19 +128,21 @@ pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows
         refuse_usage!("--seeds {} goes beyond the largest seed from --seed {} on.", a.seeds, base.seed);
     };
     let lpips = a.lpips.as_deref().map(|file| Lpips::load(file, Default::default())).transpose()?;
-    let goal = Goal { materials: about.stage != Stage::Geometry, lpips: lpips.as_ref().map(|l| l.about()) };
     output::check_series(&a.output, &["ablation", "robustness"])?;
     let stop = Stop::on_signals()?;
     let mut table = Ablation {
         scene: a.scene.display().to_string(),
         steps: about.start.is_none().then_some(base.geometry.steps),
         start: about.start.map(|file| file.display().to_string()),
-        intrinsic_steps: goal.materials.then_some(base.intrinsic.steps),
-        lpips: goal.lpips,
+        intrinsic_steps: rows
+            .iter()
+            .any(|row| row.materials == Some(StageKind::Intrinsic))
+            .then_some(base.intrinsic.steps),
+        lpips: lpips.as_ref().map(|l| l.about()),
         ..Ablation::default()
     };
     let _lock = output::lock(&a.output)?;
-    let runs = Runs { common, goal, lpips: lpips.as_ref(), stop: &stop, output: &a.output, force: a.force };
+    let runs = Runs { common, lpips: lpips.as_ref(), stop: &stop, output: &a.output, force: a.force };
     // Seeds are the outer loop, so that an unfinished table already compares all rows. Rows measured before are
     // included.
     for seed in base.seed..=last {
@@ -176,7 +178,6 @@ enum Came {
 /// Context for training and measuring runs.
 struct Runs<'a> {
     common: &'a Common,
-    goal: Goal,
     lpips: Option<&'a Lpips>,
     stop: &'a AtomicBool,
     output: &'a Path,
@@ -193,7 +194,8 @@ impl Runs<'_> {
             return Ok(Came::Nowhere);
         }
         let (scene, requested) = of_seed(&row.settings, seed)?;
-        let mut state = State::of(root, &requested, &self.goal);
+        let goal = Goal { materials: row.materials, lpips: self.lpips.map(|l| l.about()) };
+        let mut state = State::of(root, &requested, &goal);
         let start = row.start.as_ref().map(|start| start.file(self.output, seed));
         if start.as_deref().is_some_and(|start| state != State::Absent && !is_on(root, start)) {
             state = State::Absent;
@@ -214,8 +216,16 @@ impl Runs<'_> {
         }
         // Training of materials resumes only if it began with the same settings.
         let began = RunDirectory::open(root).and_then(|run| run.settings()).ok();
-        let same = state != State::Absent && began.is_some_and(|began| began.intrinsic == requested.intrinsic);
-        let others = self.goal.materials && state == State::Formed && !same;
+        let same = row.materials != Some(StageKind::Transport)
+            && state != State::Absent
+            && began.is_some_and(|began| began.intrinsic == requested.intrinsic);
+        let others = state == State::Formed
+            && match row.materials {
+                None => false,
+                // A stage that was interrupted begins again.
+                Some(StageKind::Transport) => root.join("emitters.json").is_file(),
+                Some(_) => !same,
+            };
         self.check(root, state == State::Absent, others)?;
         let _lock = output::lock(root)?;
         // A new device per run, so that its peak memory is that of this run.
@@ -229,18 +239,14 @@ impl Runs<'_> {
                 return Ok(Came::Stopped);
             }
         }
-        if self.goal.materials && state != State::Trained {
+        if let Some(stage) = row.materials.filter(|_| state != State::Trained) {
             let run = RunDirectory::create(root)?;
             if start.is_some() && state == State::Absent {
                 run.forget()?;
             }
-            let resume = same && run.checkpoint(StageKind::Intrinsic).is_file();
-            if !train(TrainerOptions {
-                stages: vec![StageKind::Intrinsic],
-                resume,
-                start: start.map(StartGeometry::File),
-                run: None,
-            })? {
+            let resume = same && run.checkpoint(stage).is_file();
+            if !train(TrainerOptions { stages: vec![stage], resume, start: start.map(StartGeometry::File), run: None })?
+            {
                 return Ok(Came::Stopped);
             }
         }
@@ -258,7 +264,8 @@ impl Runs<'_> {
     /// Refuses to replace a run or its materials without `--force`.
     fn check(&self, root: &Path, run: bool, materials: bool) -> anyhow::Result<()> {
         let there = RunContents::of(root).unwrap_or_default();
-        if !self.force && (run && there.is_trained() || materials && there.materials) {
+        let has_materials = there.materials || there.transport;
+        if !self.force && (run && there.is_trained() || materials && has_materials) {
             refuse_usage!(
                 "\"{}\" holds a run with other settings: replace it with --force, or name another directory.",
                 root.display()
@@ -331,6 +338,7 @@ fn trained_on(root: &Path) -> String {
     let text = std::fs::read_to_string(root.join("training.json")).unwrap_or_default();
     let value: serde_json::Value = serde_json::from_str(&text).unwrap_or_default();
     let named = value["device"].as_str().or_else(|| value["intrinsic"]["device"].as_str());
+    let named = named.or_else(|| value["transport"]["device"].as_str());
     named.unwrap_or("an unknown device").to_owned()
 }
 

@@ -12,7 +12,7 @@ use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Command};
 use sgs_config::{Backward, PRESETS, Preset, Settings, accuracy_named, overlay};
 use sgs_engine::Device;
-use sgs_run::{RunDirectory, StageKind};
+use sgs_run::{RunContents, RunDirectory, StageKind};
 use sgs_scene::SplitRule;
 use sgs_train::{Outcome, StartGeometry, Trainer, TrainerOptions};
 use std::ffi::OsStr;
@@ -88,10 +88,10 @@ pub struct Args {
     /// Run directory to create.
     #[arg(short, long, value_name = "RUN")]
     output: PathBuf,
-    /// Stage: geometry, intrinsic (materials, lights and shadows on the run's geometry), all (both of them), or transport
-    /// (emitters and bounced light on the run's materials).
+    /// Stage: geometry, intrinsic (materials, lights and shadows of the published model on the run's geometry), transport
+    /// (materials, emitters and bounced light; trains geometry first if the run has none), or all of them.
     #[arg(long, value_enum, default_value = "geometry")]
-    stage: TrainedStage,
+    stage: Stage,
     /// Geometry of the intrinsic stage: a 3DGS PLY or a glTF file.
     #[arg(long, value_name = "FILE")]
     start: Option<PathBuf>,
@@ -109,49 +109,48 @@ pub struct Args {
     watch: Option<u16>,
 }
 
+/// Stages that are trained, planned or compared.
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Stage {
     Geometry,
     Intrinsic,
-    All,
-}
-
-/// Stages that `sgs train` trains.
-#[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum TrainedStage {
-    Geometry,
-    Intrinsic,
-    All,
     Transport,
+    All,
 }
 
-impl TrainedStage {
-    /// Returns the selected stages.
-    fn kinds(self) -> Vec<StageKind> {
+impl Stage {
+    /// Returns the stages that this trains.
+    ///
+    /// `geometry`: whether the transport stage trains its geometry first.
+    pub fn kinds(self, settings: &Settings, geometry: bool) -> Vec<StageKind> {
         match self {
-            TrainedStage::Geometry => vec![StageKind::Geometry],
-            TrainedStage::Intrinsic => vec![StageKind::Intrinsic],
-            TrainedStage::All => vec![StageKind::Geometry, StageKind::Intrinsic],
-            TrainedStage::Transport => vec![StageKind::Transport],
+            Stage::Geometry => vec![StageKind::Geometry],
+            Stage::Intrinsic => vec![StageKind::Intrinsic],
+            Stage::Transport if geometry => vec![StageKind::Geometry, StageKind::Transport],
+            Stage::Transport => vec![StageKind::Transport],
+            Stage::All => {
+                let all = StageKind::ALL.into_iter();
+                all.filter(|kind| *kind != StageKind::Transport || settings.transport.enabled()).collect()
+            }
         }
     }
 
     /// Returns the option of the command line that selects the stage, after a space.
     fn option(self) -> &'static str {
         match self {
-            TrainedStage::Geometry => "",
-            TrainedStage::Intrinsic => " --stage intrinsic",
-            TrainedStage::All => " --stage all",
-            TrainedStage::Transport => " --stage transport",
+            Stage::Geometry => "",
+            Stage::Intrinsic => " --stage intrinsic",
+            Stage::All => " --stage all",
+            Stage::Transport => " --stage transport",
         }
     }
 
     /// Returns the stage if it starts from the run's Gaussians.
     fn on_run(self) -> Option<StageKind> {
         match self {
-            TrainedStage::Geometry | TrainedStage::All => None,
-            TrainedStage::Intrinsic => Some(StageKind::Intrinsic),
-            TrainedStage::Transport => Some(StageKind::Transport),
+            Stage::Geometry | Stage::All => None,
+            Stage::Intrinsic => Some(StageKind::Intrinsic),
+            Stage::Transport => Some(StageKind::Transport),
         }
     }
 }
@@ -324,14 +323,25 @@ fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String,
     })
 }
 
+/// Returns whether the transport stage trains its geometry first: the run has none, or it is unfinished and resumed.
+fn trains_geometry(a: &Args, settings: &Settings) -> bool {
+    let run = RunContents::of(&a.output).unwrap_or_default();
+    let unfinished = || {
+        let root = RunDirectory::open(&a.output).ok();
+        let complete = root.map(|run| run.complete(settings)).unwrap_or_default();
+        run.geometry && !run.materials && !run.transport && !complete.contains(&StageKind::Geometry)
+    };
+    a.stage == Stage::Transport && (!run.is_trained() || a.resume && unfinished())
+}
+
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    if a.start.is_some() && a.stage != TrainedStage::Intrinsic {
+    if a.start.is_some() && a.stage != Stage::Intrinsic {
         refuse_usage!("--start gives geometry to the intrinsic stage; add --stage intrinsic.");
     }
     let begin = match (a.stage, &a.start) {
-        (TrainedStage::Intrinsic, None) => Begin::Materials,
-        (TrainedStage::Intrinsic, Some(_)) => Begin::MaterialsFrom,
-        (TrainedStage::Transport, _) => Begin::Emitters,
+        (Stage::Intrinsic, None) => Begin::Materials,
+        (Stage::Intrinsic, Some(_)) => Begin::MaterialsFrom,
+        (Stage::Transport, _) => Begin::Emitters,
         _ => Begin::Geometry,
     };
     let permission = Permission { force: a.force, resume: a.resume };
@@ -339,7 +349,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let port = a.watch.map(Port::take).transpose()?;
     let there = a.output.join("config.toml").is_file();
     let resuming = a.resume && there;
-    if resuming && a.stage == TrainedStage::Geometry {
+    if resuming && a.stage == Stage::Geometry {
         RunDirectory::open(&a.output)?.check_without_materials()?;
     }
     let settings = match a.stage.on_run().filter(|_| there && begin != Begin::MaterialsFrom) {
@@ -348,7 +358,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         Some(stage) => settings_of_stage(stage, &RunDirectory::open(&a.output)?.settings()?, &a.scene, &a.options)?,
         None => settings(&a.scene, &a.options)?,
     };
-    let kinds = a.stage.kinds();
+    if a.stage == Stage::Transport && !settings.transport.enabled() {
+        refuse_usage!("transport.surfels is 0, which leaves the transport stage out; set it to 64 or more.");
+    }
+    let kinds = a.stage.kinds(&settings, trains_geometry(a, &settings));
     if resuming {
         let run = RunDirectory::open(&a.output)?;
         let complete = run.complete(&settings);
@@ -361,10 +374,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         }
     }
     let scene = open_scene(&settings)?;
-    if begin == Begin::Geometry && !resuming {
+    if kinds.contains(&StageKind::Geometry) && !resuming {
         check_start(&scene)?;
     }
-    if a.stage.kinds().contains(&StageKind::Intrinsic) && !resuming {
+    if a.stage != Stage::Geometry && !resuming {
         warn_without_priors(&scene)?;
     }
     let _lock = output::lock(&a.output)?;

@@ -37,7 +37,7 @@ impl Intrinsic {
             environment: self.environment.as_ref().map(|(e, m)| (e, m)),
             stored: self.environment_updates.as_ref().map(EnvironmentUpdates::stored),
             traced: self.traced.as_ref(),
-            transport: self.room.as_ref().map(|room| &room.memory),
+            transport: self.room.as_ref().map(|room| &room.memory).or(self.planned_room.as_ref()),
             targets: &self.data.targets,
             albedo: self.priors.albedo.as_ref(),
             roughness: self.priors.roughness.as_ref(),

@@ -14,6 +14,7 @@ mod graphs;
 mod log;
 mod modeled;
 mod needs;
+mod parameters;
 mod poll;
 mod probe;
 mod relit;
@@ -47,21 +48,19 @@ use data::{Material, MaterialPriors, scene_box, shortest_axes};
 use environment_updates::EnvironmentUpdates;
 use needs::Sizes;
 use relit::Relit;
-use room::PriorViews;
+use room::{PriorViews, lacks_normals};
 use sgs_config::{LobeLayout, MaterialStart, Metallic, Settings, VisibilityKind};
 use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::pipeline::{
     COPIES, EnvironmentMemory, IntrinsicOptions, IntrinsicParameters, IntrinsicRates, IntrinsicSizes, IntrinsicStatus,
-    IntrinsicStep, IntrinsicStepValues, LightTrainables, Masks, RelitView, SurfaceBuilder, TransportTrainables,
+    IntrinsicStep, IntrinsicStepValues, Masks, RelitView, SurfaceBuilder, TransportMemory, TransportShape,
 };
-use sgs_passes::scene::{Gaussians, Model, Trainable};
-use sgs_passes::shade::ALBEDO_RANGE;
+use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::shade::environment::Environment;
 use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_passes::shade::traced::TracedMemory;
-use sgs_passes::shade::visibility::VisibilityField;
 use sgs_passes::{Matrices, Tuning};
-use sgs_run::materials::{in_range, span};
+use sgs_run::materials::span;
 use sgs_run::{Rays, gaussian_data, traced};
 use sgs_scene::{Scene, Splats, Unit};
 use sgs_transport::TrainingRoom;
@@ -74,8 +73,17 @@ const IN_FLIGHT: usize = 2;
 /// Number of steps between polls of the device's reports; the ring holds more.
 const POLL_INTERVAL: u32 = 16;
 
-/// Number of lobes of a light for which the initial amplitudes are meant.
-const LOBES: f32 = 12.0;
+/// Purpose of a stage.
+enum Purpose {
+    /// Training under the lights of the published model.
+    Training,
+    /// Estimate of its needs.
+    Planning,
+    /// Training under the physical lights of a room.
+    InRoom(Box<TrainingRoom>),
+    /// Estimate of the needs with a room of these sizes.
+    PlanningRoom(TransportShape),
+}
 
 /// Intrinsic stage of one scene.
 pub struct Intrinsic {
@@ -121,6 +129,8 @@ pub struct Intrinsic {
     traced: Option<TracedMemory>,
     /// Room of the physical lights, if any.
     room: Option<TrainingRoom>,
+    /// Buffers of a room that is only planned.
+    planned_room: Option<TransportMemory>,
     status: IntrinsicStatus,
     options: IntrinsicOptions,
     consistency: Option<Consistency>,
@@ -151,7 +161,7 @@ impl Intrinsic {
     /// # Errors
     /// If data cannot be read or memory runs out.
     pub fn new(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats) -> Result<Intrinsic> {
-        Intrinsic::of(device, scene, settings, splats, true, None)
+        Intrinsic::of(device, scene, settings, splats, Purpose::Training)
     }
 
     /// Plans a training: like [`Intrinsic::new`], but starts no provider.
@@ -160,34 +170,17 @@ impl Intrinsic {
     /// # Errors
     /// If data cannot be read or memory runs out.
     pub fn planned(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats) -> Result<Intrinsic> {
-        Intrinsic::of(device, scene, settings, splats, false, None)
+        Intrinsic::of(device, scene, settings, splats, Purpose::Planning)
     }
 
-    /// Prepares training under the physical lights of a room.
-    ///
-    /// The settings have no point lights and no environment map.
-    ///
-    /// # Errors
-    /// As [`Intrinsic::new`].
-    pub(crate) fn in_room(
-        device: &Device,
-        scene: &Scene,
-        settings: &Settings,
-        splats: &Splats,
-        room: TrainingRoom,
-    ) -> Result<Intrinsic> {
-        Intrinsic::of(device, scene, settings, splats, true, Some(room))
-    }
-
-    fn of(
-        device: &Device,
-        scene: &Scene,
-        settings: &Settings,
-        splats: &Splats,
-        starts_provider: bool,
-        room: Option<TrainingRoom>,
-    ) -> Result<Intrinsic> {
+    fn of(device: &Device, scene: &Scene, settings: &Settings, splats: &Splats, purpose: Purpose) -> Result<Intrinsic> {
         settings.check()?;
+        let starts_provider = matches!(purpose, Purpose::Training | Purpose::InRoom(_));
+        let (room, planned_room) = match purpose {
+            Purpose::Training | Purpose::Planning => (None, None),
+            Purpose::InRoom(room) => (Some(*room), None),
+            Purpose::PlanningRoom(shape) => (None, Some(TransportMemory::empty(device, shape)?)),
+        };
         let smaller = (settings.intrinsic.scale < 1.0).then(|| scene.scaled(settings.intrinsic.scale));
         let scene = smaller.as_ref().unwrap_or(scene);
         let disturbed = settings.noise.on(scene, settings.seed);
@@ -205,8 +198,7 @@ impl Intrinsic {
         let budget = device.budget();
         let cameras: Vec<&sgs_scene::Camera> = scene.split.train.iter().map(|&i| &scene.views[i].camera).collect();
         let mut splats = splats.clone().in_unit(unit);
-        let without = splats.normals.as_ref().is_none_or(|n| n.iter().all(|n| *n == [0.0; 3]));
-        if without {
+        if lacks_normals(&splats) {
             tracing::info!("the splats have no normals; the shortest axis of each stands in");
             splats.normals = Some(shortest_axes(&splats, &cameras));
         }
@@ -279,7 +271,10 @@ impl Intrinsic {
         };
         let (traced, shape) = traced.unzip();
         let r = &s.rates;
-        let materials = if room.is_some() { room::MATERIAL_RATES } else { [r.materials; 2] };
+        let material_rates = match (&room, &planned_room) {
+            (Some(_), _) => room::material_rates(roughness.is_some(), answers.is_some()),
+            _ => [r.materials; 3],
+        };
         let mut options = IntrinsicOptions {
             shape: builder.shape(),
             albedo_range: span(s.albedo_range),
@@ -287,7 +282,10 @@ impl Intrinsic {
             lights: s.lights.enabled().then(|| (light_model, 1.0 / light_model.lights as f32)),
             visibility: s.visibility.config().filter(|_| s.lights.enabled()),
             traced: shape,
-            transport: room.as_ref().map(|room| room::training(room, albedo.is_some())),
+            transport: {
+                let memory = room.as_ref().map(|room| &room.memory).or(planned_room.as_ref());
+                memory.map(|memory| room::training(*memory.shape(), albedo.is_some()))
+            },
             visibility_jitter: s.losses.visibility_jitter > 0.0,
             visibility_sample: s.visibility.sample,
             light_regularizers: [s.losses.light_position, s.losses.light_value],
@@ -302,9 +300,9 @@ impl Intrinsic {
             edge_aware: s.losses.albedo_smooth > 0.0 || s.losses.roughness_smooth > 0.0,
             gradients: s.losses.gradients > 0.0,
             rates: IntrinsicRates {
-                albedo: materials[0],
-                roughness: materials[1],
-                metallic: materials[1],
+                albedo: material_rates[0],
+                roughness: material_rates[1],
+                metallic: material_rates[2],
                 // The published unit is the one in which the box has side 3.
                 light_positions: r.lights * light_scale(&bounds).sqrt(),
                 lights: r.lights,
@@ -366,7 +364,7 @@ impl Intrinsic {
         let one = IntrinsicNeeds { surfaces: options.shape.bytes(), ..all };
         let step = limits::Single::buffer("intermediate results of a step", one.largest_arena(), limits::Remedy::Step);
         limits::check(device.info(), &[step])?;
-        one.check(&budget)?;
+        one.check(&budget, options.transport.is_some())?;
         let stores_all = match s.surface_bytes {
             0 => all.total() <= budget.left(),
             most => all.surfaces <= most,
@@ -410,63 +408,19 @@ impl Intrinsic {
             MaterialStart::Gray => start::Start::default(),
         };
         drop((albedo, roughness, answers));
-        let n = splats.len();
-        let start = |initial: Option<Vec<f32>>, width: usize, otherwise: f32| {
-            initial.filter(|v| v.len() == n * width).unwrap_or_else(|| vec![otherwise; n * width])
+        let initial = parameters::Initial {
+            splats: &splats,
+            start: begin,
+            settings: s,
+            options: &options,
+            light_model: &light_model,
+            bounds: &bounds,
+            environment: environment.as_ref().map(|(environment, _)| environment),
+            table_bits: tuning.accuracy.table_bits,
+            seed,
         };
-        let flat = splats.albedo.as_ref().map(|a| a.as_flattened().to_vec());
-        let trained = |raw: Vec<f32>| in_range(raw, ALBEDO_RANGE, options.albedo_range);
-        let parameters = IntrinsicParameters {
-            albedo: Trainable::new(device, "albedo", &start(flat.or(begin.albedo).map(trained), 3, 0.0), true)?,
-            roughness: {
-                let rough = start(splats.roughness.clone().or(begin.roughness), 1, 0.0);
-                Trainable::new(device, "roughness", &rough, true)?
-            },
-            metallic: match metallic {
-                true => {
-                    let metal = start(splats.metallic.clone().or(begin.metallic), 1, -2.0);
-                    Some(Trainable::new(device, "metallic", &metal, true)?)
-                }
-                false => None,
-            },
-            lights: match s.lights.enabled() {
-                true => {
-                    let positions = light_model.start_positions(bounds[0], bounds[1]);
-                    let row = light_model.row() as usize;
-                    let mut lobes = light_model.start_lobes();
-                    let scale = light_scale(&bounds) * s.lights.start.max(1e-30) * LOBES / s.lights.lobes as f32;
-                    lobes.chunks_mut(row).flat_map(|l| &mut l[row - 3..]).for_each(|w| *w += scale.ln());
-                    Some(LightTrainables {
-                        positions: Trainable::new(device, "light_positions", positions.as_flattened(), true)?,
-                        lobes: Trainable::new(device, "light_lobes", &lobes, true)?,
-                    })
-                }
-                false => None,
-            },
-            environment: match &environment {
-                Some((e, _)) => {
-                    let texels: Vec<f32> = e.start(seed).iter().map(|v| v * s.environment.start).collect();
-                    Some(Trainable::new(device, "environment", &texels, true)?)
-                }
-                None => None,
-            },
-            visibility: match s.visibility.config().filter(|_| s.lights.enabled()) {
-                Some(config) => Some(VisibilityField::new(device, config, seed, true, tuning.accuracy.table_bits)?),
-                None => None,
-            },
-            normals: match splats.normals.as_ref().filter(|_| options.learns_normals()) {
-                Some(normals) => Some(Trainable::new(device, "gaussian_normals", normals.as_flattened(), true)?),
-                None => None,
-            },
-            transport: match &room {
-                Some(room) => Some(TransportTrainables {
-                    log_colors: Trainable::new(device, "light_log_colors", &room.log_colors, true)?,
-                    enclosure: Trainable::new(device, "enclosure_albedo", &room.enclosure, true)?,
-                    log_gains: Trainable::new(device, "log_gains", &vec![0.0; n], true)?,
-                }),
-                None => None,
-            },
-        };
+        let transport = room::trainables(device, room.as_ref(), planned_room.as_ref(), splats.len())?;
+        let parameters = IntrinsicParameters { transport, ..initial.allocate(device)? };
         let gains = device.buffer("light_gains", light_model.gain_bytes(), Location::Device)?;
         device.upload(&gains, 0, bytemuck::cast_slice(&vec![1.0_f32; light_model.lights as usize]))?;
         let status = IntrinsicStatus::new(device)?;
@@ -497,6 +451,7 @@ impl Intrinsic {
             update_intervals: [0, 0],
             traced,
             room,
+            planned_room,
             status,
             options,
             consistency,

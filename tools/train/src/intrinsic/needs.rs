@@ -222,9 +222,18 @@ impl IntrinsicNeeds {
     }
 
     /// Rejects needs that exceed the budget.
-    pub(super) fn check(&self, budget: &Budget) -> Result<()> {
-        let advice = "use --scale, --views, fewer Gaussians, a smaller intrinsic.visibility.log2_table, \
-                      intrinsic.lights.grid or intrinsic.environment.resolution, or a larger --memory-budget";
-        refuse_beyond(budget, self.total(), &self.parts(), "The intrinsic stage", advice)
+    pub(super) fn check(&self, budget: &Budget, in_room: bool) -> Result<()> {
+        let (stage, advice) = match in_room {
+            true => (
+                "The transport stage",
+                "use --scale, --views, fewer Gaussians, a smaller transport.surfels, or a larger --memory-budget",
+            ),
+            false => (
+                "The intrinsic stage",
+                "use --scale, --views, fewer Gaussians, a smaller intrinsic.visibility.log2_table, \
+                 intrinsic.lights.grid or intrinsic.environment.resolution, or a larger --memory-budget",
+            ),
+        };
+        refuse_beyond(budget, self.total(), &self.parts(), stage, advice)
     }
 }

@@ -20,6 +20,7 @@ use crate::error::{Requirement, Result, TrainError};
 use crate::geometry::{MANY_POINTS, MOST_THINNED};
 use crate::intrinsic::Intrinsic;
 use crate::stage::{Stage, StageEvent};
+use crate::transport::TransportPlan;
 use record::Record;
 use sgs_config::{OnDivergence, Settings};
 use sgs_engine::Device;
@@ -48,7 +49,7 @@ pub struct TrainerOptions {
     pub start: Option<StartGeometry>,
 }
 
-/// Gaussians that a stage after the geometry stage starts from. The transport stage needs their materials.
+/// Gaussians that a stage after the geometry stage starts from.
 #[derive(Clone, Debug)]
 pub enum StartGeometry {
     /// A PLY or glTF file.
@@ -118,24 +119,25 @@ impl Trainer {
             _ => None,
         };
         let complete = resumed.as_ref().map(|run| run.complete(&settings)).unwrap_or_default();
-        let second = resumed.as_ref().is_some_and(|run| run.checkpoint(StageKind::Intrinsic).is_file());
-        let wants_materials = options.stages.contains(&StageKind::Intrinsic);
+        let has_checkpoint = |kind: StageKind| resumed.as_ref().is_some_and(|run| run.checkpoint(kind).is_file());
         let mut next = VecDeque::new();
-        for &kind in &options.stages {
-            let there = resumed.as_ref().is_some_and(|run| run.checkpoint(kind).is_file());
+        for (i, &kind) in options.stages.iter().enumerate() {
+            let (there, later) = (has_checkpoint(kind), &options.stages[i + 1..]);
             // A stage whose predecessor trains again is trained again.
             let after_another = next.iter().any(|n: &Next| !n.complete);
             let complete = complete.contains(&kind) && !after_another;
+            // A run that has a checkpoint of a later stage has finished this one.
+            let passed = !after_another && later.iter().any(|kind| has_checkpoint(*kind));
             match kind {
-                // A run that has a checkpoint of its second stage has finished its first stage.
-                StageKind::Geometry if wants_materials && (second || complete) => {}
+                _ if !later.is_empty() && (passed || complete) => {}
                 _ if complete && !there => {}
                 StageKind::Geometry => {
                     resumed.as_ref().map_or(Ok(()), RunDirectory::check_without_materials)?;
                     next.push_back(Next { kind, resume: resumed.is_some(), complete });
                 }
-                StageKind::Intrinsic => next.push_back(Next { kind, resume: second, complete }),
-                StageKind::Transport => next.push_back(Next { kind, resume: there && !after_another, complete }),
+                StageKind::Intrinsic | StageKind::Transport => {
+                    next.push_back(Next { kind, resume: there && !after_another, complete });
+                }
             }
         }
         let trainer = Trainer {
@@ -148,7 +150,7 @@ impl Trainer {
             active: None,
             failed: false,
         };
-        if trainer.trains_both() && resumed.is_none() && trainer.settings.memory.budget > 0 {
+        if trainer.trains_materials_later() && resumed.is_none() && trainer.settings.memory.budget > 0 {
             trainer.check_budget()?;
         }
         Ok(trainer)
@@ -158,13 +160,29 @@ impl Trainer {
         [StageKind::Geometry, StageKind::Intrinsic].iter().all(|kind| self.options.stages.contains(kind))
     }
 
-    /// Refuses a budget that the second stage would exceed. Runs before the first stage trains.
+    /// Returns whether the stages are geometry and others after it.
+    fn trains_materials_later(&self) -> bool {
+        self.options.stages.len() > 1 && self.options.stages.contains(&StageKind::Geometry)
+    }
+
+    /// Refuses a budget that a later stage would exceed. Runs before the first stage trains.
     fn check_budget(&self) -> Result<()> {
         // The first stage uses fewer of many points where memory does not suffice for all of them.
         let all = &self.scene.points;
         let cloud = if all.len() > MANY_POINTS { all.spread(all.len() / MOST_THINNED) } else { all.clone() };
         let points = Splats::from_points(&cloud, self.settings.geometry.sh_degree.start() as usize)?;
-        Intrinsic::planned(&self.device, &self.scene, &self.settings, &points).map(|_| ())
+        for stage in &self.options.stages {
+            match stage {
+                StageKind::Geometry => {}
+                StageKind::Intrinsic => {
+                    Intrinsic::planned(&self.device, &self.scene, &self.settings, &points)?;
+                }
+                StageKind::Transport => {
+                    TransportPlan::of(&self.device, &self.scene, &self.settings, &points)?;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Trains until all stages are finished or the observer stops it.

@@ -42,7 +42,7 @@ impl Trainer {
             }
             StageKind::Transport => {
                 let splats = self.take_splats(resume)?;
-                let stage = self.transport(&splats);
+                let stage = self.transport(&self.settings, &splats);
                 self.splats = Some(splats);
                 Box::new(stage?)
             }
@@ -103,22 +103,18 @@ impl Trainer {
         }
     }
 
-    /// Creates the transport stage. Its error names the run directory without materials.
-    fn transport(&self, splats: &Splats) -> Result<Transport> {
-        let stage = Transport::new(&self.device, Arc::clone(&self.scene), &self.settings, splats);
-        stage.map_err(|error| match (error, &self.options.run) {
-            (TrainError::Requirement(Requirement::Materials), Some(run)) if self.options.start.is_none() => {
-                Requirement::MaterialsIn(run.clone()).into()
-            }
-            (error, _) => error,
-        })
+    /// Creates the transport stage. Beside the intrinsic stage it is left out where it brings nothing.
+    fn transport(&self, settings: &Settings, splats: &Splats) -> Result<Transport> {
+        let stage = Transport::new(&self.device, Arc::clone(&self.scene), settings, splats)?;
+        let beside = self.options.stages.contains(&StageKind::Intrinsic);
+        Ok(if beside { stage.automatic() } else { stage })
     }
 
     pub(super) fn build(&self, kind: StageKind, settings: &Settings) -> Result<Box<dyn Stage>> {
         let (device, scene) = (&self.device, &self.scene);
         Ok(match (kind, &self.splats) {
             (StageKind::Intrinsic, Some(splats)) => Box::new(Intrinsic::new(device, scene, settings, splats)?),
-            (StageKind::Transport, Some(splats)) => Box::new(self.transport(splats)?),
+            (StageKind::Transport, Some(splats)) => Box::new(self.transport(settings, splats)?),
             _ => Box::new(Geometry::new(device, scene, settings, None)?),
         })
     }

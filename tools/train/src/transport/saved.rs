@@ -43,8 +43,9 @@ impl Saved {
         });
         let mut meta = HashMap::from([("format".to_owned(), FORMAT.to_owned()), ("step".to_owned(), step)]);
         let mut tensors = Vec::new();
-        if let Some(FittedRoom { emitters, of_gaussians, psnr }) = fitted {
+        if let Some(FittedRoom { emitters, of_gaussians, psnr, uniform_psnr }) = fitted {
             meta.insert("psnr".to_owned(), psnr.to_string());
+            meta.insert("uniform_psnr".to_owned(), uniform_psnr.to_string());
             meta.insert("file".to_owned(), serde_json::to_string(emitters).map_err(|e| refused(&e))?);
             tensors.push((OF_GAUSSIANS, Numbers::Words(of_gaussians, vec![of_gaussians.len()])));
         }
@@ -74,8 +75,11 @@ impl Saved {
         if step == 0 {
             return Ok(Saved { fitted: None, step, training: None });
         }
-        let psnr = text("psnr").and_then(|t| t.parse().ok());
-        let psnr: f64 = psnr.ok_or_else(|| refused("the checkpoint does not say its psnr".into()))?;
+        let number = |name: &str| {
+            let number = text(name).and_then(|t| t.parse::<f64>().ok());
+            number.ok_or_else(|| refused(format!("the checkpoint does not say its {name}")))
+        };
+        let (psnr, uniform_psnr) = (number("psnr")?, number("uniform_psnr")?);
         let file = text("file").ok_or_else(|| refused("the checkpoint has no emitters".into()))?;
         let emitters: EmitterFile =
             serde_json::from_str(file).map_err(|e| refused(format!("damaged: not emitters: {e}")))?;
@@ -86,7 +90,7 @@ impl Saved {
             return Err(refused(format!("the emitters of {found:?} splats do not belong to {splats} splats")));
         }
         let of_gaussians = tensor.data().as_chunks().0.iter().map(|b| u32::from_le_bytes(*b)).collect();
-        let fitted = FittedRoom { emitters, of_gaussians, psnr };
+        let fitted = FittedRoom { emitters, of_gaussians, psnr, uniform_psnr };
         check(&fitted, splats).map_err(|reason| refused(format!("damaged: {reason}")))?;
         let training = tensors.tensor(TRAINING).ok().map(|t| t.data().to_vec());
         if training.is_some() != (step > 1) {
@@ -126,7 +130,7 @@ mod tests {
         let shape = ShapeRow::Sphere { center: [0.1; 3], radius: 0.3 };
         let row = EmitterRow { name: "bulb".into(), on: true, color: [1.5, 0.1, 0.0], shape };
         let emitters = EmitterFile::new(enclosure, TransportSettings::default(), vec![row]);
-        FittedRoom { emitters, of_gaussians: vec![0, 1, 1, 0], psnr: 0.1 + 0.2 }
+        FittedRoom { emitters, of_gaussians: vec![0, 1, 1, 0], psnr: 0.1 + 0.2, uniform_psnr: 0.1 }
     }
 
     #[test]

@@ -24,6 +24,9 @@ impl Stage for Transport {
     }
 
     fn step(&self) -> u32 {
+        if self.is_left_out() {
+            return self.steps();
+        }
         u32::from(self.fitted.is_some()) + self.training.as_ref().map_or(0, |t| t.step())
     }
 
@@ -52,10 +55,11 @@ impl Stage for Transport {
             let fitted = self.fit()?;
             check(&fitted, self.splats.len()).map_err(invalid)?;
             let (psnr, emitters) = (fitted.psnr, fitted.emitters.emitters.len() as u32);
-            self.fitted = Some(fitted);
+            self.set_fitted(Some(fitted));
             events(&StageEvent::Step(&Figures { psnr, emitters, gaussians: self.splats.len() as u32 }));
+            self.decisions.iter().for_each(|decision| events(&StageEvent::Decision(decision)));
         }
-        if last == 1 {
+        if last == 1 || self.is_left_out() {
             return Ok(());
         }
         self.prepare_training()?;
@@ -75,7 +79,8 @@ impl Stage for Transport {
 
     fn restore(&mut self, path: &Path) -> Result<()> {
         let saved = Saved::read(path, self.splats.len())?;
-        (self.fitted, self.training) = (saved.fitted, None);
+        self.training = None;
+        self.set_fitted(saved.fitted);
         if let Some(bytes) = &saved.training {
             self.prepare_training()?;
             if let Some(training) = &mut self.training {
@@ -119,7 +124,7 @@ impl Stage for Transport {
     }
 
     fn decisions(&self) -> &[Decision] {
-        self.training.as_ref().map_or(&[], |t| Stage::decisions(t))
+        &self.decisions
     }
 
     fn idle_losses(&self) -> &[IdleLoss] {
@@ -135,14 +140,16 @@ impl Stage for Transport {
     }
 
     fn splats(&self) -> Result<Splats> {
-        let emitters = self.fitted.as_ref().map(|room| room.of_gaussians.clone());
+        let Some(room) = self.fitted.as_ref().filter(|_| !self.is_left_out()) else { return Ok(self.splats.clone()) };
+        let emitters = Some(room.of_gaussians.clone());
         let trained = match &self.training {
             Some(training) => training.splats()?,
-            None => self.splats.clone(),
+            None => self.start.clone(),
         };
-        // Only materials and gains are trained; the rest stays bit by bit.
-        let Splats { albedo, roughness, metallic, light_gains, .. } = trained;
-        Ok(Splats { albedo, roughness, metallic, light_gains, emitters, ..self.splats.clone() })
+        // Only materials and gains are trained; the rest stays bit by bit. Geometry may lack normals.
+        let Splats { normals, albedo, roughness, metallic, light_gains, .. } = trained;
+        let normals = self.splats.normals.clone().or(normals);
+        Ok(Splats { normals, albedo, roughness, metallic, light_gains, emitters, ..self.splats.clone() })
     }
 
     fn light(&self) -> Result<Option<RunLight>> {
@@ -176,7 +183,7 @@ impl Stage for Transport {
     }
 
     fn write_results(&self, run: &RunDirectory) -> Result<()> {
-        let Some(room) = &self.fitted else { return Ok(()) };
+        let Some(room) = self.fitted.as_ref().filter(|_| !self.is_left_out()) else { return Ok(()) };
         Stage::splats(self)?.write_ply(&run.path("scene.ply"))?;
         let mut file = room.emitters.clone();
         if let Some(light) = self.training.as_ref().map(|t| t.room_light()).transpose()?.flatten() {
