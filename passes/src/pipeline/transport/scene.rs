@@ -18,8 +18,8 @@ const BATCH: usize = 16;
 const REFLECTION_RAYS: u32 = 8;
 /// Roughness below which pixels are mirrors, roughness from which reflections fade, and from which there are none.
 const MIRROR: f32 = 0.1;
-const FADE: f32 = 0.5;
-const DIFFUSE: f32 = 0.6;
+const FADE: f32 = 0.25;
+const DIFFUSE: f32 = 0.35;
 
 /// Options of a [`TransportScene`]. Lengths are in the unit of the surfels.
 #[derive(Clone, Copy, Debug, PartialEq)]
