@@ -2,9 +2,10 @@
 // pixel.
 //
 // Half vectors are visible normals of GGX (Heitz 2018; by spherical caps, Dupuy and Benyoub 2023) at a Hammersley set, which
-// a hash of the pixel shifts (Cranley and Patterson 1976). A ray counts by G2 / G1, so that a ray behind the surface does
-// not count. Where it meets discs, their radiance is interpolated: a disc's weight falls to 0 at its edge and at the end of
-// the window behind the first disc. Between the centers of patches it is bilinear.
+// a hash of the pixel turns. It does not shift them outwards: rays of the lobe's tail would show small bright surfaces as
+// bright pixels. A ray counts by G2 / G1, so that a ray behind the surface does not count. Where it meets discs, their
+// radiance is interpolated: a disc's weight falls to 0 at its edge and at the end of the window behind the first disc.
+// Between the centers of patches it is bilinear.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -94,12 +95,11 @@ vec4 reflected_radiance(uint pixel, vec3 point, vec3 normal, float roughness) {
     bool mirror = roughness < push.mirror;
     float alpha = max(roughness * roughness, ALPHA_MIN), a = alpha * alpha;
     float root_v = sqrt(a + local.z * local.z * (1.0 - a));
-    // Both coordinates in units of 2^-32, so that they wrap at 1.
-    uint shift_x = random_bits(push.seed, pixel, 0u), shift_y = random_bits(push.seed, pixel, 1u);
-    uint rays = mirror ? 1u : RAYS, stride = 0xffffffffu / RAYS;
+    // In units of 2^-32, so that it wraps at 1.
+    uint shift = random_bits(push.seed, pixel, 0u), rays = mirror ? 1u : RAYS;
     vec4 sum = vec4(0.0);
     [[dont_unroll]] for (uint s = 0u; s < rays; s++) {
-        vec2 x = vec2(uniform_from(shift_x + s * stride + stride / 2u), uniform_from(shift_y + bitfieldReverse(s)));
+        vec2 x = vec2((float(s) + 0.5) / float(RAYS), uniform_from(shift + bitfieldReverse(s)));
         vec3 h = mirror ? vec3(0.0, 0.0, 1.0) : visible_normal(local, alpha, x);
         vec3 l = 2.0 * dot(local, h) * h - local;
         if (l.z <= 0.0) continue;

@@ -16,12 +16,11 @@ use sgs_passes::reference::transport::{
 use sgs_passes::shade::PixelMaterials;
 use sgs_passes::transport::{
     AdjointInputs, DirectLight, Enclosure, GatherColumns, GatherInputs, GaussianEmitters, MatrixColumns, MatrixRows,
-    MatrixShape, NearestOptions, ParameterGradients, ResponseRadiosity, ResponseSource, Responses, Solution, SolveGradients, SolveInputs, SolveOptions,
-    SourceGradients, SourceInputs, Sources, SurfelTree, Surfels, TransportRays, gaussian_emission, irradiance_gather,
-    irradiance_gather_bwd, nearest_surfels, receivers, response_radiosity, response_source, response_store,
-    response_sum,
-    transport_adjoint, transport_rays, transport_rows, transport_solve, transport_source, transport_source_bwd,
-    transposed,
+    MatrixShape, NearestOptions, ParameterGradients, ResponseRadiosity, ResponseSource, Responses, Solution,
+    SolveGradients, SolveInputs, SolveOptions, SourceGradients, SourceInputs, Sources, SurfelTree, Surfels,
+    TransportRays, gaussian_emission, irradiance_gather, irradiance_gather_bwd, nearest_surfels, receivers,
+    response_radiosity, response_source, response_store, response_sum, transport_adjoint, transport_rays,
+    transport_rows, transport_solve, transport_source, transport_source_bwd, transposed,
 };
 use std::time::Instant;
 

@@ -138,10 +138,10 @@ impl Room {
         let mirror = p.material.roughness < self.mirror;
         let alpha = (p.material.roughness * p.material.roughness).max(ALPHA_MIN);
         let g = |z: f64| (alpha * alpha + z * z * (1.0 - alpha * alpha)).sqrt();
-        let (shift, stride) = ([0, 1].map(|k| random_bits(self.seed, index, k)), u32::MAX / self.rays);
+        let shift = random_bits(self.seed, index, 0);
         let ray = |s: u32| {
-            let radial = uniform_from(shift[0].wrapping_add(s.wrapping_mul(stride)).wrapping_add(stride / 2));
-            let turn = uniform_from(shift[1].wrapping_add(s.reverse_bits()));
+            let radial = (f64::from(s) + 0.5) / f64::from(self.rays);
+            let turn = uniform_from(shift.wrapping_add(s.reverse_bits()));
             let h = if mirror { [0.0, 0.0, 1.0] } else { visible_normal(local, alpha, [radial, turn]) };
             let l = along(local.map(|x| -x), 2.0 * dot(local, h), h);
             let weight = l[2] * (local[2] + g(local[2])) / (l[2] * g(local[2]) + local[2] * g(l[2]));

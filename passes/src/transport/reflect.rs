@@ -1,7 +1,7 @@
 //! `transport_reflect`: radiance of surfels and patches that reaches the specular lobe of each pixel of a view.
 //!
 //! Rays go about the mirrored view direction. Their half vectors are visible normals of GGX (Heitz 2018) at a Hammersley set
-//! that a hash of the pixel shifts. A pixel smoother than [`ReflectionRays::mirror`] has one ray, others have
+//! that a hash of the pixel turns. A pixel smoother than [`ReflectionRays::mirror`] has one ray, others have
 //! [`ReflectionRays::rays`], each weighted by G2 / G1. A ray meets the radiosity of receivers, which is the radiance that
 //! leaves them; discs and patches are interpolated. The mean replaces the irradiance over pi that
 //! [`super::transport_shade`] multiplies by the hemispherical albedo of the lobe. From [`ReflectionRays::fade`] to

@@ -16,7 +16,8 @@ use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
-    gaussian_emission as emission, response_radiosity as radiosity, response_source as from_unit, response_store as store, response_sum as kernel,
+    gaussian_emission as emission, response_radiosity as radiosity, response_source as from_unit,
+    response_store as store, response_sum as kernel,
 };
 
 /// Inputs of [`response_sum`].

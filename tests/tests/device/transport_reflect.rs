@@ -271,10 +271,13 @@ fn extreme_pixels_match_reference() {
         let mut case = Case::random(100, 8, 10);
         case.enclosure = Enclosure::new([-1.5; 3], [1.5; 3], cell).unwrap();
         let count = case.surfels.len() + case.enclosure.patch_count() as usize;
-        case.radiosity = random_values(count, [0.0, 1.0], &mut Pcg::new(3)).iter().map(|b| b.map(|x| narrow(scale * x))).collect();
+        case.radiosity =
+            random_values(count, [0.0, 1.0], &mut Pcg::new(3)).iter().map(|b| b.map(|x| narrow(scale * x))).collect();
         case.irradiance.iter_mut().for_each(|e| *e = e.map(|x| narrow(scale * x)));
         let found = case.run(&gpu)[0].clone();
-        assert!(found.iter().all(|x| x.is_finite()) && (scale > 0.0 || found.iter().skip(3).step_by(4).any(|n| *n > 0.0)));
+        assert!(
+            found.iter().all(|x| x.is_finite()) && (scale > 0.0 || found.iter().skip(3).step_by(4).any(|n| *n > 0.0))
+        );
         if scale > 0.0 {
             case.check(&gpu, 60);
         }

@@ -3,8 +3,7 @@
 use sgs_engine::graph::Graph;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::transport::{
-    V3, gaussian_emission as emission, response_radiosity as radiosity, response_source as source,
-    response_sum as sum,
+    V3, gaussian_emission as emission, response_radiosity as radiosity, response_source as source, response_sum as sum,
 };
 use sgs_passes::transport::{
     DirectLight, GaussianEmitters, ResponseRadiosity, ResponseSource, Responses, gaussian_emission, response_radiosity,
@@ -150,7 +149,8 @@ fn radiosity_reflects_direct_and_bounced_light() {
         }
         let mut g = Graph::new("response_radiosity");
         let three = 12 * count as u64;
-        let (of_colors, of_units) = (single(&colors), bytes(&units.concat().iter().map(|x| *x as f32).collect::<Vec<_>>()));
+        let (of_colors, of_units) =
+            (single(&colors), bytes(&units.concat().iter().map(|x| *x as f32).collect::<Vec<_>>()));
         let a = ResponseRadiosity {
             lights: lights as u32,
             receivers: count as u32,

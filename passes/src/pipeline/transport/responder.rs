@@ -3,8 +3,8 @@
 use super::{ShadedTransport, TransportScene};
 use crate::Tuning;
 use crate::transport::{
-    AreaLight, AreaLights, DirectLight, LightReceivers, MatrixRows, ResponseSource, Responses, Solution, SolveInputs, SolveOptions,
-    SurfelHandles, response_source, response_store, transport_lights, transport_solve,
+    AreaLight, AreaLights, DirectLight, LightReceivers, MatrixRows, ResponseSource, Responses, Solution, SolveInputs,
+    SolveOptions, SurfelHandles, response_source, response_store, transport_lights, transport_solve,
 };
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};

@@ -3,8 +3,8 @@
 use crate::Tuning;
 use crate::transport::{
     AreaLight, AreaLights, Enclosure, LightReceivers, MatrixRows, MatrixShape, ReflectionRays, ShadowRays, Solution,
-    SolveInputs, SolveOptions, SurfelHandles, SurfelMemory, SurfelTree, SurfelTreeShape, Surfels, TransportRays, receivers,
-    transport_lights, transport_rays, transport_rows, transport_solve,
+    SolveInputs, SolveOptions, SurfelHandles, SurfelMemory, SurfelTree, SurfelTreeShape, Surfels, TransportRays,
+    receivers, transport_lights, transport_rays, transport_rows, transport_solve,
 };
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};

@@ -161,12 +161,7 @@ impl ShadedTransport {
     ///
     /// # Errors
     /// If memory runs out.
-    pub fn with_direct_light(
-        mut self,
-        device: &Device,
-        unit: &[f32],
-        reflectance: &[f32],
-    ) -> Result<ShadedTransport> {
+    pub fn with_direct_light(mut self, device: &Device, unit: &[f32], reflectance: &[f32]) -> Result<ShadedTransport> {
         if let Some(responses) = &mut self.responses {
             responses.set_direct(device, unit, reflectance)?;
         }
