@@ -28,7 +28,7 @@ pub struct Room {
     pub seed: u32,
     /// Number of rays of a pixel that is no mirror.
     pub rays: u32,
-    /// Roughness below which a pixel has one ray, from which reflections fade, and from which there are none.
+    /// Roughness below which a pixel has one ray.
     pub mirror: f64,
     /// Roughness from which reflections fade.
     pub fade: f64,
@@ -181,9 +181,9 @@ impl Room {
     }
 }
 
-/// Returns a visible normal around z of a view above the surface, of two numbers in (0, 1).
+/// Returns a visible normal around z.
 ///
-/// Source: Dupuy and Benyoub 2023.
+/// `view` is a unit direction above the surface, `x` a point in (0, 1)². Source: Dupuy and Benyoub 2023.
 pub fn visible_normal(view: V3, alpha: f64, x: [f64; 2]) -> V3 {
     let stretched = unit([alpha * view[0], alpha * view[1], view[2]]);
     let z = (1.0 - x[0]) * (1.0 + stretched[2]) - stretched[2];
@@ -198,7 +198,7 @@ mod tests {
     use super::*;
     use crate::reference::brdf::{Material, brdf};
 
-    /// Weights of the rays give the lobe's hemispherical albedo, and their mean direction is that of its light.
+    /// Tests total weight and mean direction of rays against a quadrature.
     #[test]
     fn rays_have_the_distribution_of_the_lobe() {
         for roughness in [0.15, 0.4, 0.7, 1.0] {

@@ -77,7 +77,7 @@ impl Case {
         self.lit.pixels.iter().zip(&self.irradiance).enumerate().map(of).collect()
     }
 
-    /// Returns what the device reflects, 4 floats per pixel, and the indirect term of shading, 3 floats.
+    /// Returns reflected radiance and number of rays, and the indirect term of shading.
     fn run(&self, gpu: &Gpu) -> [Vec<f32>; 2] {
         let mut g = Graph::new("transport_reflect");
         let mut bound = self.lit.bind(&mut g, [COLUMNS as u32, ROWS as u32 + 1]);
@@ -133,7 +133,7 @@ impl Case {
         [all[4 * SPACE..4 * (SPACE + PIXELS)].to_vec(), indirect[..3 * PIXELS].to_vec()]
     }
 
-    /// Returns the indirect term of shading without reflections, by the irradiance of each pixel.
+    /// Returns the indirect term of shading without reflections.
     fn indirect(&self, irradiance: &[V3]) -> Vec<V3> {
         let table = split_sum::table();
         let view = View { camera: self.lit.camera, lights: &[], colors: &[], split_sum: &table };
@@ -142,7 +142,7 @@ impl Case {
         self.lit.pixels.iter().zip(irradiance).map(of).collect()
     }
 
-    /// Compares all pixels that rounding does not decide. Returns how many of them trace rays.
+    /// Compares pixels that rounding does not decide. Returns how many trace rays.
     fn check(&self, gpu: &Gpu, most_unsure: usize) -> usize {
         let ([found, indirect], expected) = (self.run(gpu), self.expected());
         let sure = || expected.iter().enumerate().filter(|(_, r)| !r.unsure);
@@ -217,7 +217,7 @@ fn mirrors_show_the_wall_that_the_mirrored_ray_meets() {
     assert!(shown.iter().all(|n| *n > 0), "{shown:?}");
 }
 
-/// In a room of constant radiance, surfaces of every roughness reflect their hemispherical albedo times that radiance.
+/// Tests that all surfaces reflect their hemispherical albedo times the radiance.
 #[test]
 fn constant_radiance_is_reflected_at_every_roughness() {
     let gpu = Gpu::new();

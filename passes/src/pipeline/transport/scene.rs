@@ -16,9 +16,11 @@ use std::sync::Arc;
 const BATCH: usize = 16;
 /// Number of rays of a reflecting pixel that is no mirror.
 const REFLECTION_RAYS: u32 = 8;
-/// Roughness below which pixels are mirrors, roughness from which reflections fade, and from which there are none.
+/// Roughness below which a pixel has one ray.
 const MIRROR: f32 = 0.1;
+/// Roughness from which reflections fade.
 const FADE: f32 = 0.25;
+/// Roughness from which there are none.
 const DIFFUSE: f32 = 0.35;
 
 /// Options of a [`TransportScene`]. Lengths are in the unit of the surfels.

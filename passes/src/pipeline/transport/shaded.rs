@@ -139,9 +139,9 @@ impl ShadedTransport {
         Ok(self)
     }
 
-    /// Sets the radiosity of receivers, as a radiance, `[receivers * 3]` floats, which pixels then reflect.
+    /// Sets the radiosity of receivers, which pixels then reflect.
     ///
-    /// Without it, specular lobes reflect the gathered irradiance.
+    /// It is a radiance, `[receivers * 3]` floats. Without it, specular lobes reflect the gathered irradiance.
     ///
     /// # Errors
     /// If memory runs out.
