@@ -7,14 +7,15 @@ struct EnclosureBox {
     uvec3 cells; // along each axis
 };
 
-// Cell of a coordinate among `cells` that fill `low` to `high`; the nearest one outside of these.
-uint enclosure_cell(float at, float low, float high, uint cells) {
-    float share = (at - low) / (high - low) * float(cells);
-    return share > 0.0 ? min(uint(min(share, 1e9)), cells - 1u) : 0u;
-}
+// Where a ray leaves the box.
+struct EnclosureExit {
+    uint first;  // first patch of the face
+    uvec2 cells; // of the face
+    vec2 place;  // on the face, in cells
+};
 
-// Patch in which a ray leaves the box. A point outside is moved to the nearest one of the box.
-uint enclosure_exit(EnclosureBox box, vec3 from, vec3 along) {
+// A point outside of the box is moved to the nearest one in it.
+EnclosureExit enclosure_leave(EnclosureBox box, vec3 from, vec3 along) {
     vec3 inside = min(max(from, box.low), box.high);
     uint axis = 0u;
     float reach = uintBitsToFloat(0x7f7fffffu);
@@ -31,7 +32,18 @@ uint enclosure_exit(EnclosureBox box, vec3 from, vec3 along) {
     // Cells of the faces before this one.
     uvec3 sizes = box.cells.yzx * box.cells.zxy;
     uint first = (axis > 0u ? 2u * sizes.x : 0u) + (axis > 1u ? 2u * sizes.y : 0u) + (face & 1u) * sizes[axis];
-    uint cell_u = enclosure_cell(inside[u] + reach * along[u], box.low[u], box.high[u], box.cells[u]);
-    uint cell_v = enclosure_cell(inside[v] + reach * along[v], box.low[v], box.high[v], box.cells[v]);
-    return first + cell_u + box.cells[u] * cell_v;
+    float place_u = (inside[u] + reach * along[u] - box.low[u]) / (box.high[u] - box.low[u]) * float(box.cells[u]);
+    float place_v = (inside[v] + reach * along[v] - box.low[v]) / (box.high[v] - box.low[v]) * float(box.cells[v]);
+    return EnclosureExit(first, uvec2(box.cells[u], box.cells[v]), vec2(place_u, place_v));
+}
+
+// Cell of a place among `cells`; the nearest one outside of these.
+uint enclosure_cell(float place, uint cells) {
+    return place > 0.0 ? min(uint(min(place, 1e9)), cells - 1u) : 0u;
+}
+
+// Patch in which a ray leaves the box.
+uint enclosure_exit(EnclosureBox box, vec3 from, vec3 along) {
+    EnclosureExit e = enclosure_leave(box, from, along);
+    return e.first + enclosure_cell(e.place.x, e.cells.x) + e.cells.x * enclosure_cell(e.place.y, e.cells.y);
 }

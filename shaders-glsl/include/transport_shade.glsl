@@ -10,6 +10,7 @@
 
 layout(constant_id = 1) const bool METALLIC = false; // without it metallic is 0 everywhere
 layout(constant_id = 2) const bool EMISSION = false;
+layout(constant_id = 4) const bool REFLECTIONS = false; // whether a traced radiance reaches the specular lobe
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(vec3, points);
@@ -17,7 +18,7 @@ IN(vec3, normals);        // unit or zero
 IN(float, coverage);
 IN(vec4, materials);      // linear albedo, roughness
 IN(float, metallic);
-IN(vec4, irradiance);     // gathered, rgb; gain of all light that arrives
+IN(vec4, irradiance);     // gathered, rgb; gain of all light that arrives. With REFLECTIONS then the radiance of the lobe
 IN(LightRecord, light_records);
 IN(vec3, light_colors);
 IN(float, unit);          // [lights * stride]
@@ -143,6 +144,9 @@ Highlight highlight(Surface s, Representative light) {
 }
 
 vec3 fresnel_of(Pixel p, float c) { return METALLIC ? mix(p.f0, vec3(p.f90), c) : vec3(0.04 + 0.96 * c); }
+
+// Hemispherical albedo of the specular lobe: k_s.
+vec3 lobe_albedo(Pixel p) { return p.f0 * p.split.x + p.f90 * p.split.y; }
 
 // Hemispherical albedo: k_d + k_s.
 vec3 hemispherical(Pixel p) { return (1.0 - p.metallic) * p.albedo + p.f0 * p.split.x + p.f90 * p.split.y; }

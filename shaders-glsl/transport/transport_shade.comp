@@ -1,4 +1,4 @@
-// Radiance of pixels: physical lights with shadows, gathered irradiance, emission. With TERMS also each term.
+// Radiance of pixels: physical lights with shadows, gathered irradiance, reflections, emission. With TERMS also each term.
 #version 460
 #include "common.glsl"
 
@@ -41,6 +41,10 @@ void main() {
         matte = p.gain * (1.0 - p.metallic) / PI * p.albedo * sum;
         glossy = p.gain * (p.f0 * plain + p.f90 * grazing);
         bounced = p.gain * hemispherical(p) * p.gathered;
+        if (REFLECTIONS) {
+            vec3 met = irradiance[push.stride + i].rgb;
+            bounced = p.gain * ((1.0 - p.metallic) * p.albedo * p.gathered + lobe_albedo(p) * met);
+        }
         if (EMISSION) own = emission[i].rgb;
     }
     radiance[i] = matte + glossy + bounced + own;

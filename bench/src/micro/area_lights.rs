@@ -1,4 +1,5 @@
-//! Benchmark of physical lights: `transport_lights` at surfels and at pixels, `transport_shade` and its gradient.
+//! Benchmark of physical lights: `transport_lights` at surfels and at pixels, `transport_reflect`, `transport_shade` and its
+//! gradient.
 //!
 //! The room of `lights` with its walls cut into surfels, discs in it, and eight lights of all shapes. Some pairs and pixels
 //! are checked against the reference.
@@ -12,12 +13,15 @@ use sgs_passes::cost::Counts;
 use sgs_passes::reference::area_lights::{self as reference, Light, Ray, Receiver, Sampling};
 use sgs_passes::reference::brdf::{V3, along, dot, unit};
 use sgs_passes::reference::rng::Pcg;
+use sgs_passes::reference::transport::{Bounds, Disc};
+use sgs_passes::reference::transport_reflect::Room;
 use sgs_passes::reference::transport_shade::{Incoming, View, shade};
 use sgs_passes::shade::environment::split_sum;
 use sgs_passes::shade::lights::LightModel;
 use sgs_passes::transport::{
-    AreaLight, AreaLights, LIGHT_SAMPLES, LightReceivers, LightShape, ShadeGradients, ShadowRays, SurfelTree, Surfels,
-    TransportShading, split_sum_table, transport_lights, transport_shade, transport_shade_bwd,
+    AreaLight, AreaLights, Enclosure, LIGHT_SAMPLES, LightReceivers, LightShape, ReflectionRays, ShadeGradients,
+    ShadowRays, SurfelTree, Surfels, TransportShading, reflection_bytes, split_sum_table, transport_lights,
+    transport_reflect, transport_shade, transport_shade_bwd,
 };
 
 /// Number of surfels on the walls, about.
@@ -26,6 +30,10 @@ const WALLS: u32 = 6000;
 const DISCS: usize = 2000;
 /// Distance of ray origins above surfaces, and of their ends before lights.
 const OFFSET: f32 = 0.01;
+/// Depth in which discs are reflected together.
+const WINDOW: f32 = 0.02;
+/// Number of rays of a reflecting pixel.
+const RAYS: u32 = 8;
 const SEED: u32 = 3;
 /// Approximate number of pairs and of pixels that the reference evaluates.
 const CHECKED: usize = 64;
@@ -103,6 +111,37 @@ fn check(what: &str, found: &[f32], receivers: &[Receiver], surfels: &Surfels) -
     Ok(())
 }
 
+/// Returns a box around the room, and the radiosity of surfels and patches.
+fn receivers_in_a_box(surfels: usize) -> anyhow::Result<(Enclosure, Vec<[f32; 3]>)> {
+    let enclosure = Enclosure::new([-1.6; 3], [1.6; 3], 0.1)?;
+    let mut rng = Pcg::new(31);
+    let all = surfels + enclosure.patch_count() as usize;
+    Ok((enclosure, (0..all).map(|_| [0; 3].map(|_| rng.range(0.2, 1.0) as f32)).collect()))
+}
+
+/// Returns the discs of surfels.
+fn of_discs(surfels: &Surfels) -> Vec<Disc> {
+    let disc = |i: usize| Disc {
+        point: surfels.points[i].map(f64::from),
+        normal: unit(surfels.normals[i].map(f64::from)),
+        radius: surfels.radii[i].into(),
+    };
+    (0..surfels.len()).map(disc).collect()
+}
+
+/// Compares reflected radiance of some pixels with the reference. Rounding at the edge of a disc may decide some of them.
+fn check_reflections(found: &[f32], room: &Room, lit: &Lit) -> anyhow::Result<()> {
+    let n = lit.points.len();
+    let mut off = 0;
+    for i in (0..n).step_by((n / CHECKED).max(1)) {
+        let right = room.reflect(CAMERA.map(f64::from), &lit.pixel(i), i as u32, [0.5; 3]);
+        let close = |k: usize| (right.radiance[k] - f64::from(found[4 * i + k])).abs() <= 5e-3 * right.radiance[k];
+        off += usize::from(!right.unsure && !(0..3).all(close));
+    }
+    anyhow::ensure!(off <= CHECKED / 10, "{off} of {CHECKED} reflections differ from the reference's.");
+    Ok(())
+}
+
 /// Measures all.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let (size, model, surfels, lights) = (c.workload.largest, LightModel::default(), surfels(), lights());
@@ -134,11 +173,36 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let receivers = LightReceivers::Pixels { screen: b.pixels.screen, surfaces: b.pixels.surfaces };
     transport_lights(&mut g, c.tuning, &receivers, &declared, &rays, None, unit)?;
 
-    let irradiance = g.input("irradiance", 16 * n as u64);
+    let irradiance = g.external("irradiance", reflection_bytes(n as u64));
     b.inputs.push((irradiance, bytes(&vec![0.5_f32; 4 * n])));
+    let (enclosure, of_receivers) = receivers_in_a_box(count)?;
+    let radiosity = g.input("radiosity", 12 * of_receivers.len() as u64);
+    b.inputs.push((radiosity, bytes(&of_receivers.concat())));
+    let reflection = ReflectionRays {
+        tree: handles,
+        enclosure,
+        surfels: count as u32,
+        radiosity,
+        offset: OFFSET,
+        window: WINDOW,
+        seed: SEED,
+        rays: RAYS,
+        mirror: 0.1,
+        fade: 0.9,
+        diffuse: 1.1,
+    };
+    transport_reflect(&mut g, &c.tuning, &b.pixels, &reflection, irradiance)?;
     let (split_sum, table) = split_sum_table(&mut g);
     b.inputs.push((split_sum, table));
-    let what = TransportShading { pixels: b.pixels, lights: declared, unit, irradiance, emission: None, split_sum };
+    let what = TransportShading {
+        pixels: b.pixels,
+        lights: declared,
+        unit,
+        irradiance,
+        reflections: false,
+        emission: None,
+        split_sum,
+    };
     let radiance = g.external("radiance", 12 * n as u64);
     transport_shade(&mut g, c.tuning, &what, radiance, None)?;
     let into = ShadeGradients {
@@ -170,6 +234,23 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     check("surfels", &rig.get::<f32>(by_surfel)?, &at(&surfels.points, &surfels.normals), &surfels)?;
     let found_unit: Vec<f32> = rig.get(unit)?;
     check("pixels", &found_unit, &at(&lit.points, &lit.normals), &surfels)?;
+    let room = Room {
+        discs: of_discs(&surfels),
+        bounds: Bounds {
+            low: enclosure.low().map(f64::from),
+            high: enclosure.high().map(f64::from),
+            cells: enclosure.cells(),
+        },
+        radiosity: of_receivers.iter().map(|b| wide(*b)).collect(),
+        offset: OFFSET.into(),
+        window: WINDOW.into(),
+        seed: SEED,
+        rays: RAYS,
+        mirror: reflection.mirror.into(),
+        fade: reflection.fade.into(),
+        diffuse: reflection.diffuse.into(),
+    };
+    check_reflections(&rig.get::<f32>(irradiance)?[4 * n..], &room, &lit)?;
     let (found, materials): (Vec<f32>, Vec<f32>) = (rig.get(radiance)?, rig.get(into.irradiance)?);
     let table = split_sum::table();
     let (records, colors): (Vec<Light>, Vec<V3>) =

@@ -15,12 +15,12 @@ use sgs_passes::reference::transport::{
 };
 use sgs_passes::shade::PixelMaterials;
 use sgs_passes::transport::{
-    AdjointInputs, Enclosure, GatherColumns, GatherInputs, GaussianEmitters, MatrixColumns, MatrixRows, MatrixShape,
-    NearestOptions, ParameterGradients, ResponseSource, Responses, Solution, SolveGradients, SolveInputs, SolveOptions,
-    SourceGradients, SourceInputs, Sources, SurfelTree, Surfels, TransportRays, gaussian_emission, irradiance_gather,
-    irradiance_gather_bwd, nearest_surfels, receivers, response_source, response_store, response_sum,
-    transport_adjoint, transport_rays, transport_rows, transport_solve, transport_source, transport_source_bwd,
-    transposed,
+    AdjointInputs, DirectLight, Enclosure, GatherColumns, GatherInputs, GaussianEmitters, MatrixColumns, MatrixRows,
+    MatrixShape, NearestOptions, ParameterGradients, ResponseRadiosity, ResponseSource, Responses, Solution,
+    SolveGradients, SolveInputs, SolveOptions, SourceGradients, SourceInputs, Sources, SurfelTree, Surfels,
+    TransportRays, gaussian_emission, irradiance_gather, irradiance_gather_bwd, nearest_surfels, receivers,
+    response_radiosity, response_source, response_store, response_sum, transport_adjoint, transport_rays,
+    transport_rows, transport_solve, transport_source, transport_source_bwd, transposed,
 };
 use std::time::Instant;
 
@@ -378,7 +378,19 @@ impl Case {
         let source = g.external("source", 12 * u64::from(receivers));
         let from_unit = ResponseSource { receivers, unit, reflectance: irradiance, source };
         response_source(&mut g, &c.tuning, &from_unit)?;
-        response_store(&mut g, &c.tuning, &again, index, source)?;
+        let pairs = 4 * u64::from(EMITTERS) * u64::from(receivers);
+        let direct = DirectLight { unit, units: g.external("units", pairs) };
+        response_store(&mut g, &c.tuning, &again, index, source, Some(&direct))?;
+        let radiosity = ResponseRadiosity {
+            lights: EMITTERS,
+            receivers,
+            unit: g.input("direct_light", pairs),
+            colors: a.colors,
+            irradiance,
+            reflectance: source,
+            radiosity: g.external("radiosity", 12 * u64::from(receivers)),
+        };
+        response_radiosity(&mut g, &c.tuning, &radiosity)?;
         let mut rng = Pcg::new(19);
         let mut random = |n: u32| (0..n).map(|_| [0; 3].map(|_| rng.range(0.0, 2.0))).collect::<Vec<V3>>();
         let (responses, colors) = (random(EMITTERS * receivers), random(EMITTERS));
@@ -389,6 +401,7 @@ impl Case {
             (emitters.numbers, bytes(&numbers)),
             (index, bytes(&[1_u32])),
             (unit, bytes(&vec![1.0_f32; receivers as usize])),
+            (radiosity.unit, bytes(&vec![1.0_f32; (EMITTERS * receivers) as usize])),
         ];
         let rig = Case::measure(c, report, "sum of responses", g, inputs)?;
         let by_emitter: Vec<Vec<V3>> = responses.chunks(receivers as usize).map(<[V3]>::to_vec).collect();

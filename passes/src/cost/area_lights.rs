@@ -14,6 +14,9 @@ const PAIR: f64 = 165.0;
 /// Operations of a pair's gradients: those of shading, logarithmic derivative 35, sums and colors 40.
 const PAIR_BWD: f64 = 240.0;
 
+/// Operations of a reflected ray: half vector, direction, weight, sums.
+const REFLECTION: f64 = 150.0;
+
 /// Returns the operations of a ray through a tree of discs: eight boxes of 24 and two discs of 25 per level.
 fn ray(discs: f64) -> f64 {
     discs.max(8.0).log(8.0) * (8.0 * 24.0 + 2.0 * 25.0)
@@ -33,7 +36,13 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         // Point, normal, coverage, material, irradiance, radiance; terms.
         "transport_shade" => {
             let pixel = 28.0 + 16.0 + 16.0 + 12.0 + 4.0 * metallic + 16.0 * spec("EMISSION") + 48.0 * spec("TERMS");
+            let pixel = pixel + 16.0 * spec("REFLECTIONS");
             ((pixel + 4.0 * c.lights) * p, (80.0 + 0.5 * PAIR * c.lights) * p)
+        }
+        // Point, normal, coverage, material, irradiance, reflected radiance. Every pixel traces, twice a ray.
+        "transport_reflect" => {
+            let rays = spec("RAYS") * (REFLECTION + 2.0 * ray(c.gaussians));
+            (76.0 * p + (32.0 + 12.0) * c.gaussians, rays * p)
         }
         // As above; gradients of radiance, material (twice) and irradiance.
         "transport_shade_bwd" => {

@@ -76,7 +76,9 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         // Responses of all emitters, colors, and the sum.
         "response_sum" => (12.0 * (values + receivers + lights), 6.0 * values),
         "response_source" => (28.0 * receivers, 4.0 * receivers),
-        "response_store" => (24.0 * receivers, 0.0),
+        // Numbers of direct light by pair; irradiance, reflectance and the result.
+        "response_radiosity" => (4.0 * values + 36.0 * receivers + 12.0 * lights, 6.0 * values + 12.0 * receivers),
+        "response_store" => ((24.0 + 8.0 * (s.specs)("DIRECT")) * receivers, 0.0),
         // A number read and four written; behind the Gaussians, the number of emitters.
         "gaussian_emission" => (20.0 * receivers + 12.0 * lights, receivers),
         _ => return None,

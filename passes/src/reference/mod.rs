@@ -29,6 +29,7 @@ pub mod stored;
 pub mod taps;
 pub mod traced;
 pub mod transport;
+pub mod transport_reflect;
 pub mod transport_shade;
 pub mod visibility;
 

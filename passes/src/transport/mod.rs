@@ -11,6 +11,7 @@ mod lights;
 mod matrix;
 mod nearest;
 mod rays;
+mod reflect;
 mod responses;
 mod shade;
 mod solve;
@@ -27,8 +28,10 @@ pub use lights::{LIGHT_SAMPLES, LightReceivers, ShadowRays, transport_lights};
 pub use matrix::{MatrixColumns, MatrixRows, MatrixShape, Transposed, transport_rows, transposed};
 pub use nearest::NO_NEIGHBOR;
 pub use rays::{TransportRays, transport_rays};
+pub use reflect::{ReflectionRays, reflection_bytes, transport_reflect};
 pub use responses::{
-    GaussianEmitters, ResponseSource, Responses, gaussian_emission, response_source, response_store, response_sum,
+    DirectLight, GaussianEmitters, ResponseRadiosity, ResponseSource, Responses, gaussian_emission, response_radiosity,
+    response_source, response_store, response_sum,
 };
 pub use shade::{ShadeGradients, ShadeTerms, TransportShading, split_sum_table, transport_shade, transport_shade_bwd};
 pub use solve::{

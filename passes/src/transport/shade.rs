@@ -1,16 +1,16 @@
 //! `transport_shade` and `transport_shade_bwd`: radiance of pixels under physical lights and gathered irradiance.
 //!
-//! Radiance is `gain ((k_d + k_s) E / pi + sum over lights of color unit (k_d / pi + specular BRDF)) + emission`. `k_d` is albedo
-//! (1 - metallic), `k_s` the hemispherical albedo of the specular lobe from the split-sum table, E the gathered irradiance,
-//! `unit` the irradiance of [`super::transport_lights`]. The BRDF is that of `brdf.glsl`. Highlights of lights with an
+//! Radiance is `gain (k_d E / pi + k_s L + sum over lights of color unit (k_d / pi + specular BRDF)) + emission`. `k_d` is albedo
+//! (1 - metallic), `k_s` the hemispherical albedo of the specular lobe from the split-sum table, E the gathered irradiance, L
+//! the radiance of [`super::transport_reflect`], or E / pi without reflections, `unit` the irradiance of [`super::transport_lights`]. The BRDF is that of `brdf.glsl`. Highlights of lights with an
 //! extent use the representative point of Karis (2013): the point of the light closest to the mirrored ray, and a lobe
 //! that the light's size widens. A mirror at normal incidence reflects the light's own radiance.
 //!
-//! Gradients: materials, gathered irradiance, gain, emission and light colors. Points, normals and `unit` are constants. Sums over
+//! Gradients, without reflections: materials, gathered irradiance, gain, emission and light colors. Points, normals and `unit` are constants. Sums over
 //! pixels have a fixed order, so that results are bit-identical from run to run. Pixels without a surface or a normal are
 //! zero, and so are their gradients.
 //!
-//! Cost of a pixel: 72 bytes (16 more with emission) and about 80 operations. A pair of pixel and light takes 4 bytes, and
+//! Cost of a pixel: 72 bytes (16 more with emission, 16 with reflections) and about 80 operations. A pair of pixel and light takes 4 bytes, and
 //! 165 operations if it is lit. The gradient takes 120 bytes and 120 operations per pixel, 4 bytes and 240 operations per
 //! pair.
 
@@ -31,8 +31,11 @@ pub struct TransportShading {
     pub lights: AreaLights,
     /// Irradiance of color 1, `[lights * pixels]`. [`super::transport_lights`] writes it.
     pub unit: Buffer,
-    /// Gathered irradiance and gain of all light, `[pixels * 4]` floats: rgb, gain.
+    /// Gathered irradiance and gain of all light, `[pixels * 4]` floats: rgb, gain. With reflections
+    /// [`super::transport_reflect`] writes as many behind it.
     pub irradiance: Buffer,
+    /// Whether the specular lobe reflects traced radiance. Gradients ignore it.
+    pub reflections: bool,
     /// Emitted radiance, `[pixels * 4]` floats: rgb, unused; 0 everywhere if `None`.
     pub emission: Option<Buffer>,
     /// Split-sum table of [`split_sum_table`].
@@ -116,6 +119,7 @@ pub fn transport_shade(
         metallic: p.materials.metallic.is_some(),
         emission: a.emission.is_some(),
         terms: terms.is_some(),
+        reflections: a.reflections,
     };
     let push = kernel::Push { lights: a.lights.count, stride: p.screen.pixels() as u32 };
     stage(g, "transport_shade", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
@@ -176,7 +180,12 @@ pub fn transport_shade_bwd(
         emission_gradient: emission_gradient.into(),
         partials: partials.into(),
     };
-    let specs = backward::Specs { subgroup: t.subgroup_size, metallic: has_metallic, emission: has_emission };
+    let specs = backward::Specs {
+        subgroup: t.subgroup_size,
+        metallic: has_metallic,
+        emission: has_emission,
+        reflections: false,
+    };
     let push = backward::Push { lights: count, stride: p.screen.pixels() as u32, blocks, workgroups };
     let bytes = bytemuck::bytes_of(&push);
     stage(g, "transport_shade_bwd", &backward::KERNEL, bindings.entries(), specs.entries(), bytes)

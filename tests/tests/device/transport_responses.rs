@@ -3,10 +3,11 @@
 use sgs_engine::graph::Graph;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::transport::{
-    V3, gaussian_emission as emission, response_source as source, response_sum as sum,
+    V3, gaussian_emission as emission, response_radiosity as radiosity, response_source as source, response_sum as sum,
 };
 use sgs_passes::transport::{
-    GaussianEmitters, ResponseSource, Responses, gaussian_emission, response_source, response_store, response_sum,
+    DirectLight, GaussianEmitters, ResponseRadiosity, ResponseSource, Responses, gaussian_emission, response_radiosity,
+    response_source, response_store, response_sum,
 };
 use sgs_tests::transport::{bytes, flat, random_values};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
@@ -134,27 +135,83 @@ fn source_is_reflected_direct_light() {
 }
 
 #[test]
+fn radiosity_reflects_direct_and_bounced_light() {
+    let gpu = Gpu::new();
+    for (lights, count, most) in [(0, 3, 2.0), (1, 1, 2.0), (7, 257, 1e-30), (12, 1000, 1e30)] {
+        let mut rng = Pcg::new(19);
+        let [reflectance, irradiance] = [1.0, most].map(|most| random_values(count, [0.0, most], &mut rng));
+        let mut colors = random_values(lights, [0.0, 5.0], &mut rng);
+        let mut units: Vec<Vec<f64>> =
+            (0..lights).map(|_| random_values(count, [0.0, most], &mut rng).iter().map(|v| v[0]).collect()).collect();
+        if lights > 2 {
+            // Off, whatever its light.
+            (colors[1], units[1]) = ([0.0; 3], vec![f64::NAN; count]);
+        }
+        let mut g = Graph::new("response_radiosity");
+        let three = 12 * count as u64;
+        let (of_colors, of_units) =
+            (single(&colors), bytes(&units.concat().iter().map(|x| *x as f32).collect::<Vec<_>>()));
+        let a = ResponseRadiosity {
+            lights: lights as u32,
+            receivers: count as u32,
+            unit: g.input("unit", of_units.len().max(4) as u64),
+            colors: g.input("colors", of_colors.len() as u64),
+            irradiance: g.input("irradiance", three),
+            reflectance: g.input("reflectance", three),
+            radiosity: g.external("radiosity", three),
+        };
+        response_radiosity(&mut g, &gpu.tuning(), &a).unwrap();
+        let inputs = [
+            (a.unit, of_units),
+            (a.colors, of_colors),
+            (a.irradiance, single(&irradiance)),
+            (a.reflectance, single(&reflectance)),
+        ];
+        let found = gpu.run(g, &inputs).get(a.radiosity);
+        let mut expected = flat(&radiosity(&units, &colors, &irradiance, &reflectance));
+        let tolerance = Tolerance::new(1e-38, 1e-5);
+        assert_close("radiosity", &expected, &found, tolerance);
+        expected[0] *= 1.001;
+        assert!(worst(&expected, &found, tolerance).unwrap().3 > 1.0);
+    }
+}
+
+#[test]
 fn responses_are_stored_in_their_place() {
     let gpu = Gpu::new();
     let (lights, receivers) = (4, 300);
     let (responses, _) = random(lights, receivers, 2.0, 15);
     let (new, _) = random(1, receivers, 2.0, 17);
+    let units: Vec<f32> = (0..lights * receivers).map(|i| i as f32).collect();
+    let unit: Vec<f32> = (0..receivers).map(|i| -1.0 - i as f32).collect();
     // The last index is that of no emitter.
-    for emitter in 0..=lights {
+    for (emitter, with_direct) in (0..=lights).flat_map(|e| [(e, false), (e, true)]) {
         let mut g = Graph::new("response_store");
         let colors = g.input("unused", 4);
         let all = g.external("responses", 12 * (lights * receivers) as u64);
         let a = Responses { lights: lights as u32, receivers: receivers as u32, responses: all, colors };
         let irradiance = g.input("irradiance", 12 * receivers as u64);
         let index = g.input("emitter", 4);
-        response_store(&mut g, &gpu.tuning(), &a, index, irradiance).unwrap();
-        let inputs =
-            [(all, single(&responses.concat())), (irradiance, single(&new[0])), (index, bytes(&[emitter as u32]))];
-        let found: Vec<f32> = gpu.run(g, &inputs).get(all);
+        let direct = DirectLight {
+            unit: g.input("unit", 4 * receivers as u64),
+            units: g.external("units", 4 * (lights * receivers) as u64),
+        };
+        response_store(&mut g, &gpu.tuning(), &a, index, irradiance, with_direct.then_some(&direct)).unwrap();
+        let mut inputs =
+            vec![(all, single(&responses.concat())), (irradiance, single(&new[0])), (index, bytes(&[emitter as u32]))];
+        if with_direct {
+            inputs.extend([(direct.unit, bytes(&unit)), (direct.units, bytes(&units))]);
+        }
+        let out = gpu.run(g, &inputs);
         let mut expected = responses.clone();
+        let mut expected_units = units.clone();
         if emitter < lights {
             expected[emitter].clone_from(&new[0]);
+            expected_units[emitter * receivers..(emitter + 1) * receivers].copy_from_slice(&unit);
         }
-        assert_eq!(bytes(&found), single(&expected.concat()), "{emitter}");
+        assert_eq!(bytes(&out.get::<f32>(all)), single(&expected.concat()), "{emitter}");
+        if with_direct {
+            assert_eq!(out.get::<f32>(direct.units), expected_units, "{emitter}");
+        }
     }
 }

@@ -105,7 +105,15 @@ impl Case {
         let metallic = begun(&mut g, "metallic_gradient", 1);
         let (split_sum, table) = split_sum_table(&mut g);
         bound.inputs.push((split_sum, table));
-        let what = TransportShading { pixels: bound.pixels, lights, unit, irradiance, emission, split_sum };
+        let what = TransportShading {
+            pixels: bound.pixels,
+            lights,
+            unit,
+            irradiance,
+            reflections: false,
+            emission,
+            split_sum,
+        };
         let room = 4 * ROOM as u64;
         let [radiance, plain] = ["radiance", "plain"].map(|name| g.external(name, 3 * room));
         let [diffuse, specular, indirect, emitted] =

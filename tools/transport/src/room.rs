@@ -82,6 +82,14 @@ pub struct LitRoom<'a> {
     pub source: Vec<f32>,
 }
 
+/// Light that bounces in a room.
+struct Bounced {
+    /// Irradiance of the receivers, `[receivers * 3]`.
+    irradiance: Vec<f32>,
+    /// Radiosity that pixels reflect, as a radiance, `[receivers * 3]`; without it, lobes reflect the irradiance.
+    radiosity: Option<Vec<f32>>,
+}
+
 /// Surfaces of a room that exchange light.
 pub struct Room {
     device: Device,
@@ -208,20 +216,27 @@ impl Room {
     /// # Errors
     /// If a light is invalid or the device fails.
     pub fn light(&self, lights: &[AreaLight], emission: &[[f32; 3]], bounces: Bounces) -> Result<ShadedTransport> {
-        self.light_by(lights, emission, |lit| match bounces {
-            Bounces::None => Ok(vec![0.0; lit.source.len()]),
+        self.light_with(lights, emission, |lit| match bounces {
+            Bounces::None => Ok(Bounced { irradiance: vec![0.0; lit.source.len()], radiosity: None }),
             // The first Jacobi iteration gathers the radiosity of direct light: light after one bounce.
             Bounces::One => {
                 let options = SolveOptions { iterations: 1, accelerated: false, ..Default::default() };
-                Ok(lit.scene.solve(&lit.reflectance, &lit.source, &options)?)
+                let irradiance = lit.scene.solve(&lit.reflectance, &lit.source, &options)?;
+                Ok(Bounced { irradiance, radiosity: Some(lit.source.clone()) })
             }
-            Bounces::All => Ok(lit.scene.solve(&lit.reflectance, &lit.source, &SolveOptions::default())?),
+            Bounces::All => {
+                let irradiance = lit.scene.solve(&lit.reflectance, &lit.source, &SolveOptions::default())?;
+                let reflected = lit.reflectance.iter().zip(&irradiance).map(|(rho, e)| rho / PI * e);
+                let radiosity = lit.source.iter().zip(reflected).map(|(source, r)| source + r).collect();
+                Ok(Bounced { irradiance, radiosity: Some(radiosity) })
+            }
         })
     }
 
     /// Returns the same with bounces by a function.
     ///
-    /// `bounced` returns the irradiance that bounces, `[receivers * 3]`. Gaussians gather that of the surfels.
+    /// `bounced` returns the irradiance that bounces, `[receivers * 3]`. Gaussians gather that of the surfels, and specular
+    /// lobes reflect it.
     ///
     /// # Errors
     /// If a light is invalid, `bounced` fails, or the device fails.
@@ -230,6 +245,15 @@ impl Room {
         lights: &[AreaLight],
         emission: &[[f32; 3]],
         bounced: impl FnOnce(&LitRoom<'_>) -> Result<Vec<f32>>,
+    ) -> Result<ShadedTransport> {
+        self.light_with(lights, emission, |lit| Ok(Bounced { irradiance: bounced(lit)?, radiosity: None }))
+    }
+
+    fn light_with(
+        &self,
+        lights: &[AreaLight],
+        emission: &[[f32; 3]],
+        bounced: impl FnOnce(&LitRoom<'_>) -> Result<Bounced>,
     ) -> Result<ShadedTransport> {
         let lights = self.scaled(lights)?;
         let count = self.scene.receivers() as usize;
@@ -245,9 +269,13 @@ impl Room {
         }
         let (scene, surfels, enclosure) = (&*self.scene, &self.surfels, &self.enclosure);
         let lit = LitRoom { scene, surfels, enclosure, lights: &lights, reflectance, source };
-        let irradiance = bounced(&lit)?;
+        let Bounced { irradiance, radiosity } = bounced(&lit)?;
         let (device, scene) = (&self.device, Arc::clone(&self.scene));
-        self.with_gains(ShadedTransport::new(device, scene, &lights, &self.nearest, &irradiance, emission)?)
+        let mut shaded = ShadedTransport::new(device, scene, &lights, &self.nearest, &irradiance, emission)?;
+        if let Some(radiosity) = radiosity {
+            shaded = shaded.with_radiosity(device, &radiosity)?;
+        }
+        self.with_gains(shaded)
     }
 
     /// Returns what shading under emitters of changing color needs.
@@ -261,11 +289,13 @@ impl Room {
         let lights: Vec<AreaLight> = emitters.iter().map(|e| e.light).collect();
         let lights = self.scaled(&lights)?;
         let unit = self.scene.unit_light(&lights)?;
-        let responses = self.scene.responses(&self.reflectance(), &unit, &SolveOptions::default())?;
+        let reflectance = self.reflectance();
+        let responses = self.scene.responses(&reflectance, &unit, &SolveOptions::default())?;
         let place = |(light, e): (&AreaLight, &FrameEmitter)| FrameEmitter { light: *light, ..*e };
         let scaled: Vec<FrameEmitter> = lights.iter().zip(emitters).map(place).collect();
         let (device, scene) = (&self.device, Arc::clone(&self.scene));
-        self.with_gains(ShadedTransport::with_responses(device, scene, &scaled, &self.nearest, &responses, numbers)?)
+        let shaded = ShadedTransport::with_responses(device, scene, &scaled, &self.nearest, &responses, numbers)?;
+        self.with_gains(shaded.with_direct_light(device, &unit, &reflectance)?)
     }
 
     /// Adds the gains of the Gaussians, if they have any.

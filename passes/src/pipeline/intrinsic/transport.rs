@@ -138,6 +138,7 @@ pub(super) fn forward(
         lights: AreaLights { records: d.memory.light_records(), colors: sources.colors, count: lights },
         unit: d.unit,
         irradiance,
+        reflections: false,
         emission: Some(emission),
         split_sum: d.memory.split_sum(),
     };

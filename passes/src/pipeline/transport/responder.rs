@@ -3,8 +3,8 @@
 use super::{ShadedTransport, TransportScene};
 use crate::Tuning;
 use crate::transport::{
-    AreaLight, AreaLights, LightReceivers, MatrixRows, ResponseSource, Responses, Solution, SolveInputs, SolveOptions,
-    SurfelHandles, response_source, response_store, transport_lights, transport_solve,
+    AreaLight, AreaLights, DirectLight, LightReceivers, MatrixRows, ResponseSource, Responses, Solution, SolveInputs,
+    SolveOptions, SurfelHandles, response_source, response_store, transport_lights, transport_solve,
 };
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
@@ -40,6 +40,8 @@ impl Responder {
         let matrix = MatrixRows { shape: scene.shape(), rows: g.input("matrix_rows", scene.row_memory().bytes()) };
         let of_reflectance = g.input("reflectance", 12 * u64::from(receivers));
         let responses = memory.map(|m| g.external("responses", m.bytes()));
+        let direct = transport.direct_memory();
+        let units = direct.map(|m| g.external("direct_light", m.bytes()));
         let unit = g.transient("unit", 4 * u64::from(receivers));
         // Colors have no effect on the irradiance of color 1.
         let lights = AreaLights { records: record, colors: record, count: 1 };
@@ -53,7 +55,8 @@ impl Responder {
         transport_solve(&mut g, &tuning, &inputs, &SolveOptions::default(), &into)?;
         if let Some(responses) = responses {
             let a = Responses { lights: transport.emitters(), receivers, responses, colors: record };
-            response_store(&mut g, &tuning, &a, emitter, irradiance)?;
+            let direct = units.map(|units| DirectLight { unit, units });
+            response_store(&mut g, &tuning, &a, emitter, irradiance, direct.as_ref())?;
         }
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let options = ExecOptions { frames_in_flight: IN_FLIGHT, ..Default::default() };
@@ -65,6 +68,9 @@ impl Responder {
         exec.bind(matrix.rows, scene.row_memory())?;
         exec.bind(of_reflectance, &buffer)?;
         if let (Some(handle), Some(memory)) = (responses, memory) {
+            exec.bind(handle, memory)?;
+        }
+        if let (Some(handle), Some(memory)) = (units.filter(|_| responses.is_some()), direct) {
             exec.bind(handle, memory)?;
         }
         Ok(Responder { exec, record, emitter })

@@ -4,7 +4,10 @@
 //! and recoloring need neither a solve nor memory.
 
 use crate::Tuning;
-use crate::transport::{AreaLight, AreaLights, GaussianEmitters, Responses, gaussian_emission, response_sum};
+use crate::transport::{
+    AreaLight, AreaLights, GaussianEmitters, ResponseRadiosity, Responses, gaussian_emission, response_radiosity,
+    response_sum,
+};
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -38,7 +41,28 @@ pub(super) struct EmitterResponses {
     memory: DeviceBuffer,
     /// Number of the emitter of each Gaussian.
     numbers: DeviceBuffer,
+    direct: Option<DirectMemory>,
     shape: Shape,
+}
+
+/// Direct light and reflectance of receivers in device memory.
+#[derive(Clone, Debug)]
+struct DirectMemory {
+    /// Irradiance by emitter of color 1, `[emitters * receivers]`.
+    units: DeviceBuffer,
+    /// `[receivers * 3]`.
+    reflectance: DeviceBuffer,
+}
+
+/// Results of [`EmitterResponses::sum`].
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Summed {
+    /// Irradiance of receivers that bounces, `[receivers * 3]`.
+    pub irradiance: Buffer,
+    /// Radiance that Gaussians emit, `[Gaussians * 4]`.
+    pub emission: Buffer,
+    /// Radiosity of receivers, `[receivers * 3]`; needs direct light.
+    pub radiosity: Option<Buffer>,
 }
 
 /// Sizes of the passes.
@@ -65,6 +89,8 @@ pub(super) struct DeclaredResponses {
     pub emitters: EmitterHandles,
     memory: Buffer,
     numbers: Buffer,
+    /// Direct light by emitter, and reflectance.
+    direct: Option<(Buffer, Buffer)>,
 }
 
 /// Contents of the uniforms of a frame.
@@ -127,8 +153,33 @@ impl EmitterResponses {
         Ok(EmitterResponses {
             memory: put("responses", bytemuck::cast_slice(responses))?,
             numbers: put("emitter_numbers", bytemuck::cast_slice(numbers))?,
+            direct: None,
             shape: Shape { emitters, receivers, gaussians: numbers.len() as u32 },
         })
+    }
+
+    /// Uploads direct light and reflectance, for the radiosity.
+    ///
+    /// `unit` holds `[emitters * receivers]` floats, `reflectance` `[receivers * 3]`.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn set_direct(&mut self, device: &Device, unit: &[f32], reflectance: &[f32]) -> Result<()> {
+        let put = |name: &str, values: &[f32]| -> Result<DeviceBuffer> {
+            let buffer = device.buffer(name, (4 * values.len() as u64).max(4), Location::Device)?;
+            if !values.is_empty() {
+                device.upload(&buffer, 0, bytemuck::cast_slice(values))?;
+            }
+            Ok(buffer)
+        };
+        self.direct =
+            Some(DirectMemory { units: put("direct_light", unit)?, reflectance: put("reflectance", reflectance)? });
+        Ok(())
+    }
+
+    /// Returns the memory of direct light by emitter, if the radiosity is summed.
+    pub fn direct(&self) -> Option<&DeviceBuffer> {
+        self.direct.as_ref().map(|d| &d.units)
     }
 
     /// Returns the memory of the responses.
@@ -154,6 +205,10 @@ impl EmitterResponses {
             emitters,
             memory: g.input("responses", self.memory.bytes()),
             numbers: g.input("emitter_numbers", self.numbers.bytes()),
+            direct: self
+                .direct
+                .as_ref()
+                .map(|d| (g.input("direct_light", d.units.bytes()), g.input("reflectance", d.reflectance.bytes()))),
         }
     }
 
@@ -162,6 +217,10 @@ impl EmitterResponses {
     /// # Errors
     /// If the plan was compiled for other sizes.
     pub fn bind(&self, exec: &mut Executor, d: &DeclaredResponses) -> Result<()> {
+        if let (Some(memory), Some((units, reflectance))) = (&self.direct, d.direct) {
+            exec.bind(units, &memory.units)?;
+            exec.bind(reflectance, &memory.reflectance)?;
+        }
         exec.bind(d.memory, &self.memory)?;
         exec.bind(d.numbers, &self.numbers)
     }
@@ -171,9 +230,7 @@ impl EmitterResponses {
         AreaLights { records: d.emitters.records, colors: d.emitters.colors, count: self.shape.emitters }
     }
 
-    /// Adds the passes of irradiance and emission.
-    ///
-    /// They write the irradiance of receivers and the radiance that Gaussians emit.
+    /// Adds the passes of irradiance, emission and radiosity.
     ///
     /// # Errors
     /// If the graph rejects a pass.
@@ -182,13 +239,19 @@ impl EmitterResponses {
         g: &mut Graph,
         t: &Tuning,
         d: &DeclaredResponses,
-        [irradiance, emission]: [Buffer; 2],
+        into: &Summed,
     ) -> std::result::Result<(), GraphError> {
         let Shape { emitters, receivers, gaussians } = self.shape;
         let colors = d.emitters.colors;
         let a = Responses { lights: emitters, receivers, responses: d.memory, colors };
-        response_sum(g, t, &a, irradiance)?;
+        response_sum(g, t, &a, into.irradiance)?;
         let a = GaussianEmitters { gaussians, emitters, numbers: d.numbers, radiance: d.emitters.surfaces };
-        gaussian_emission(g, t, &a, emission)
+        gaussian_emission(g, t, &a, into.emission)?;
+        if let (Some(radiosity), Some((unit, reflectance))) = (into.radiosity, d.direct) {
+            let irradiance = into.irradiance;
+            let a = ResponseRadiosity { lights: emitters, receivers, unit, colors, irradiance, reflectance, radiosity };
+            response_radiosity(g, t, &a)?;
+        }
+        Ok(())
     }
 }

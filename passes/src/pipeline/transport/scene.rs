@@ -2,9 +2,9 @@
 
 use crate::Tuning;
 use crate::transport::{
-    AreaLight, AreaLights, Enclosure, LightReceivers, MatrixRows, MatrixShape, ShadowRays, Solution, SolveInputs,
-    SolveOptions, SurfelHandles, SurfelMemory, SurfelTree, SurfelTreeShape, Surfels, TransportRays, receivers,
-    transport_lights, transport_rays, transport_rows, transport_solve,
+    AreaLight, AreaLights, Enclosure, LightReceivers, MatrixRows, MatrixShape, ReflectionRays, ShadowRays, Solution,
+    SolveInputs, SolveOptions, SurfelHandles, SurfelMemory, SurfelTree, SurfelTreeShape, Surfels, TransportRays,
+    receivers, transport_lights, transport_rays, transport_rows, transport_solve,
 };
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
@@ -14,6 +14,14 @@ use std::sync::Arc;
 
 /// Number of lights that a solve takes at once.
 const BATCH: usize = 16;
+/// Number of rays of a reflecting pixel that is no mirror.
+const REFLECTION_RAYS: u32 = 8;
+/// Roughness below which a pixel has one ray.
+const MIRROR: f32 = 0.1;
+/// Roughness from which reflections fade.
+const FADE: f32 = 0.25;
+/// Roughness from which there are none.
+const DIFFUSE: f32 = 0.35;
 
 /// Options of a [`TransportScene`]. Lengths are in the unit of the surfels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +45,7 @@ pub struct TransportScene {
     options: TransportOptions,
     tree_shape: SurfelTreeShape,
     tree: SurfelMemory,
+    enclosure: Enclosure,
     receivers: DeviceBuffer,
     shape: MatrixShape,
     rows: DeviceBuffer,
@@ -146,6 +155,7 @@ impl TransportScene {
             options,
             tree_shape: tree.shape(),
             tree: memory,
+            enclosure: *enclosure,
             receivers: of_receivers,
             shape,
             rows: of_rows,
@@ -217,6 +227,25 @@ impl TransportScene {
     pub(super) fn shadow_rays(&self, tree: SurfelHandles) -> ShadowRays {
         let TransportOptions { samples, seed, offset, clearance, .. } = self.options;
         ShadowRays { tree, offset, clearance, samples, seed }
+    }
+
+    /// Returns the rays of reflections as passes take them.
+    pub(super) fn reflection_rays(&self, tree: SurfelHandles, radiosity: Buffer) -> ReflectionRays {
+        let TransportOptions { seed, offset, .. } = self.options;
+        ReflectionRays {
+            tree,
+            enclosure: self.enclosure,
+            surfels: self.shape.receivers - self.enclosure.patch_count(),
+            radiosity,
+            offset,
+            // Discs of one surface are within `offset` of it, on either side.
+            window: 2.0 * offset,
+            seed,
+            rays: REFLECTION_RAYS,
+            mirror: MIRROR,
+            fade: FADE,
+            diffuse: DIFFUSE,
+        }
     }
 
     /// Returns the shape of the matrix.

@@ -1,13 +1,13 @@
 //! Light of physical lights and of bounces, as shading reads it.
 
-use super::responses::{DeclaredResponses, EmitterResponses};
+use super::responses::{DeclaredResponses, EmitterResponses, Summed};
 use super::{EmitterHandles, FrameEmitter, FrameUniforms, TransportOptions, TransportScene};
 use crate::Tuning;
 use crate::shade::{PixelMaterials, Pixels, Rows, materials};
 use crate::transport::{
     AreaLight, AreaLights, GatherInputs, LightReceivers, NEIGHBORS, Nearest, ShadeTerms, ShadowRays, SurfelHandles,
-    SurfelMemory, SurfelTreeShape, TransportShading, irradiance_gather, split_sum_table, transport_lights,
-    transport_shade,
+    SurfelMemory, SurfelTreeShape, TransportShading, irradiance_gather, reflection_bytes, split_sum_table,
+    transport_lights, transport_reflect, transport_shade,
 };
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -23,6 +23,8 @@ pub struct ShadedTransport {
     gaussians: u32,
     neighbors: [DeviceBuffer; 2],
     irradiance: DeviceBuffer,
+    /// Radiosity that pixels reflect. Responses sum it themselves.
+    radiosity: Option<DeviceBuffer>,
     emission: DeviceBuffer,
     log_gains: Option<DeviceBuffer>,
     split_sum: DeviceBuffer,
@@ -43,6 +45,8 @@ pub(crate) struct ShadedShape {
     responses: bool,
     /// Whether the Gaussians have gains.
     gains: bool,
+    /// Whether pixels reflect receivers.
+    reflections: bool,
 }
 
 /// Handles of a [`ShadedTransport`] in a graph.
@@ -52,6 +56,8 @@ pub(crate) struct Declared {
     lights: AreaLights,
     neighbors: [Buffer; 2],
     irradiance: Buffer,
+    /// Radiosity of receivers that pixels reflect.
+    radiosity: Option<Buffer>,
     emission: Buffer,
     log_gains: Option<Buffer>,
     split_sum: Buffer,
@@ -109,6 +115,7 @@ impl ShadedTransport {
                 put("neighbor_weights", bytemuck::cast_slice(&nearest.weights))?,
             ],
             irradiance: put("irradiance", bytemuck::cast_slice(irradiance))?,
+            radiosity: None,
             emission: put("emission", bytemuck::cast_slice(&emitted))?,
             log_gains: None,
             split_sum: put("split_sum", &table)?,
@@ -129,6 +136,35 @@ impl ShadedTransport {
             device.upload(&buffer, 0, bytemuck::cast_slice(log_gains))?;
         }
         self.log_gains = Some(buffer);
+        Ok(self)
+    }
+
+    /// Sets the radiosity of receivers, which pixels then reflect.
+    ///
+    /// It is a radiance, `[receivers * 3]` floats. Without it, specular lobes reflect the gathered irradiance.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_radiosity(mut self, device: &Device, radiosity: &[f32]) -> Result<ShadedTransport> {
+        let buffer = device.buffer("radiosity", (4 * radiosity.len() as u64).max(4), Location::Device)?;
+        if !radiosity.is_empty() {
+            device.upload(&buffer, 0, bytemuck::cast_slice(radiosity))?;
+        }
+        self.radiosity = Some(buffer);
+        Ok(self)
+    }
+
+    /// Lets pixels reflect receivers, for emitters whose light changes with each frame.
+    ///
+    /// `unit` holds the direct irradiance by each emitter of color 1, `[emitters * receivers]` floats; `reflectance`
+    /// `[receivers * 3]`. Without responses it changes nothing.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_direct_light(mut self, device: &Device, unit: &[f32], reflectance: &[f32]) -> Result<ShadedTransport> {
+        if let Some(responses) = &mut self.responses {
+            responses.set_direct(device, unit, reflectance)?;
+        }
         Ok(self)
     }
 
@@ -168,6 +204,16 @@ impl ShadedTransport {
         self.responses.as_ref().map(EmitterResponses::memory)
     }
 
+    /// Returns the memory of the direct light by emitter, if pixels reflect receivers.
+    pub(super) fn direct_memory(&self) -> Option<&DeviceBuffer> {
+        self.responses.as_ref().and_then(EmitterResponses::direct)
+    }
+
+    /// Returns whether pixels reflect receivers.
+    fn reflections(&self) -> bool {
+        self.responses.as_ref().map_or(self.radiosity.is_some(), |r| r.direct().is_some())
+    }
+
     /// Returns the number of emitters whose light changes with each frame.
     pub fn emitters(&self) -> u32 {
         self.responses.as_ref().map_or(0, EmitterResponses::emitters)
@@ -191,6 +237,7 @@ impl ShadedTransport {
             counts: [self.scene.receivers(), self.lights.len() as u32, self.gaussians],
             responses: self.responses.is_some(),
             gains: self.log_gains.is_some(),
+            reflections: self.reflections(),
         }
     }
 
@@ -204,15 +251,18 @@ impl ShadedTransport {
         let shape: &SurfelTreeShape = self.scene.tree_shape();
         let n = u64::from(self.gaussians.max(1));
         let responses = self.responses.as_ref().map(|r| r.declare(g));
-        let (lights, irradiance, emission) = match (&self.responses, &responses) {
+        let three = 12 * u64::from(self.scene.receivers());
+        let (lights, irradiance, radiosity, emission) = match (&self.responses, &responses) {
             (Some(r), Some(declared)) => (
                 r.lights(declared),
-                g.transient("receiver_irradiance", 12 * u64::from(self.scene.receivers())),
+                g.transient("receiver_irradiance", three),
+                r.direct().map(|_| g.transient("radiosity", three)),
                 g.transient("gaussian_emission", 16 * n),
             ),
             _ => (
                 AreaLights::declare(g, self.lights.len() as u32),
                 g.input("receiver_irradiance", self.irradiance.bytes()),
+                self.radiosity.as_ref().map(|r| g.input("radiosity", r.bytes())),
                 g.input("gaussian_emission", 16 * n),
             ),
         };
@@ -221,6 +271,7 @@ impl ShadedTransport {
             lights,
             neighbors: ["neighbors", "neighbor_weights"].map(|name| g.input(name, 4 * NEIGHBORS as u64 * n)),
             irradiance,
+            radiosity,
             emission,
             log_gains: self.log_gains.as_ref().map(|_| g.input("log_gains", 4 * n)),
             split_sum: g.input("split_sum", self.split_sum.bytes()),
@@ -247,6 +298,9 @@ impl ShadedTransport {
         exec.bind(d.lights.records, &self.light_memory[0])?;
         exec.bind(d.lights.colors, &self.light_memory[1])?;
         exec.bind(d.irradiance, &self.irradiance)?;
+        if let (Some(handle), Some(buffer)) = (d.radiosity, &self.radiosity) {
+            exec.bind(handle, buffer)?;
+        }
         exec.bind(d.emission, &self.emission)
     }
 
@@ -265,7 +319,8 @@ impl ShadedTransport {
         let (screen, count) = (pixels.screen, pixels.screen.pixels());
         let list = d.emitters().map(|e| e.list);
         if let (Some(responses), Some(declared)) = (&self.responses, &d.responses) {
-            responses.sum(g, t, declared, [d.irradiance, d.emission])?;
+            let into = Summed { irradiance: d.irradiance, emission: d.emission, radiosity: d.radiosity };
+            responses.sum(g, t, declared, &into)?;
         }
         let values = g.transient("gaussian_irradiance", 16 * u64::from(self.gaussians.max(1)));
         let gather = GatherInputs {
@@ -278,13 +333,17 @@ impl ShadedTransport {
             log_gains: d.log_gains,
         };
         irradiance_gather(g, t, &gather, values)?;
-        let blended = |g: &mut Graph, name: &str, values: Buffer| {
-            let into = g.transient(name, 16 * count);
+        let blended = |g: &mut Graph, name: &str, bytes: u64, values: Buffer| {
+            let into = g.transient(name, bytes);
             let plain = |buffer| PixelMaterials { materials: buffer, metallic: None };
             materials(g, t, &screen, &plain(values), rows, &plain(into)).map(|()| into)
         };
-        let irradiance = blended(g, "pixel_irradiance", values)?;
-        let emission = blended(g, "pixel_emission", d.emission)?;
+        let bytes = if d.radiosity.is_some() { reflection_bytes(count) } else { 16 * count };
+        let irradiance = blended(g, "pixel_irradiance", bytes, values)?;
+        let emission = blended(g, "pixel_emission", 16 * count, d.emission)?;
+        if let Some(radiosity) = d.radiosity {
+            transport_reflect(g, t, pixels, &self.scene.reflection_rays(d.tree, radiosity), irradiance)?;
+        }
         let unit = g.transient("unit_light", 4 * count * self.lights.len().max(1) as u64);
         let rays: ShadowRays = self.scene.shadow_rays(d.tree);
         let to = LightReceivers::Pixels { screen, surfaces: pixels.surfaces };
@@ -295,6 +354,7 @@ impl ShadedTransport {
             lights: d.lights,
             unit,
             irradiance,
+            reflections: d.radiosity.is_some(),
             emission: Some(emission),
             split_sum: d.split_sum,
         };

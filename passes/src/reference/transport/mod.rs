@@ -7,7 +7,7 @@ mod source;
 
 pub use matrix::Matrix;
 pub use rays::{Bounds, Disc, Possible, direction, gather, gather_bwd};
-pub use responses::{gaussian_emission, response_source, response_sum};
+pub use responses::{gaussian_emission, response_radiosity, response_source, response_sum};
 pub use source::{RoomParameters, RoomSource, SurfelMaterial, blend, reflectance, source};
 
 /// Three numbers.

@@ -23,3 +23,15 @@ pub fn gaussian_emission(numbers: &[u32], radiance: &[V3]) -> Vec<V3> {
 pub fn response_source(unit: &[f64], reflectance: &[V3]) -> Vec<V3> {
     unit.iter().zip(reflectance).map(|(e, r)| r.map(|r| r * e / std::f64::consts::PI)).collect()
 }
+
+/// Returns the radiosity of each receiver as a radiance: reflectance / pi times direct and bounced irradiance.
+///
+/// `unit` holds the direct irradiance by each emitter of color 1.
+pub fn response_radiosity(unit: &[Vec<f64>], colors: &[V3], irradiance: &[V3], reflectance: &[V3]) -> Vec<V3> {
+    let on = || unit.iter().zip(colors).filter(|(_, color)| **color != [0.0; 3]);
+    let of = |(i, (e, rho)): (usize, (&V3, &V3))| {
+        let all = |c: usize| e[c] + on().map(|(unit, color)| color[c] * unit[i]).sum::<f64>();
+        std::array::from_fn(|c| rho[c] / std::f64::consts::PI * all(c))
+    };
+    irradiance.iter().zip(reflectance).enumerate().map(of).collect()
+}
