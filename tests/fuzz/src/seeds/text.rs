@@ -85,7 +85,8 @@ pub(crate) const EMITTERS: &str = r#"{"format": "sgs-emitters-1", "surfels": 819
 {"name": "panel", "on": true, "color": [0, 0, 0], "shape": {"type": "disk", "center": [0, 0, 3], "normal": [0, 0, -1], "radius": 0.5}},
 {"name": "spot", "on": true, "color": [5, 5, 5], "shape": {"type": "spot", "position": [0, 1, 2], "axis": [0, 0, -1],
 "inner_angle": 20, "outer_angle": 35}},
-{"name": "sun", "on": true, "color": [9, 9, 8], "shape": {"type": "directional", "direction": [1, 1, -1], "angular_radius": 0.27}}]}
+{"name": "sun", "on": true, "color": [9, 9, 8], "shape": {"type": "directional", "direction": [1, 1, -1], "angular_radius": 0.27}},
+{"name": "lobe", "on": true, "color": [4, 4, 2], "shape": {"type": "lobe", "position": [1, 1, 2], "axis": [0, 0.6, -0.8], "sharpness": 9.5}}]}
 "#;
 
 pub(crate) const EDITS: [&str; 3] = [
