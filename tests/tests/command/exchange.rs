@@ -99,7 +99,7 @@ fn edits_of_other_programs_override_stored_attributes() {
     let mut expected = sample(30);
     expected.log_scales[0][0] = 2.0_f32.ln();
     assert_eq!(file.splats, expected);
-    assert_eq!(file.lights.unwrap().lights[0].position, [5.0, 6.0, 7.0]);
+    assert_eq!(file.lights.unwrap().published().unwrap().lights[0].position, [5.0, 6.0, 7.0]);
 }
 
 #[test]
@@ -282,7 +282,7 @@ fn foreign_gltf_is_read_in_place() {
     assert!(s.opacity_logits[0] > 10.0);
     near(&s.opacity_logits[1..], &[-(4.0_f32.ln())]);
     near(&s.sh[0], &[0.5, -0.5, 0.0, 1.0, 1.0, 1.0]);
-    let lights = file.lights.unwrap();
+    let lights = file.lights.unwrap().published().unwrap();
     assert_eq!((lights.lights.len(), lights.normalizer, lights.lights[0].position), (1, 1.0, [1.0, 2.0, 3.0]));
     near(&lights.lights[0].lobes[0].amplitude, &[40.0, 20.0, 0.0]);
     let notes = GltfScene::read(&path).unwrap().left_out;
@@ -455,7 +455,7 @@ proptest! {
         let name = if kind < 6 { "a.ply" } else if kind == 6 { "a.glb" } else { "a.gltf" };
         let path = folder.path().join(name);
         let splats = sample(3);
-        write_exchange(&path, &splats, PlyDialect::ALL.get(kind).copied(), Some(&foreign_lights()), None).unwrap();
+        write_exchange(&path, &splats, PlyDialect::ALL.get(kind).copied(), Some(&foreign_lights().into()), None).unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
         let whole = bytes.len();
         bytes.truncate((whole as f64 * keep) as usize);

@@ -17,6 +17,7 @@ mod light_table;
 mod lights;
 mod live;
 mod materials;
+mod new_light;
 mod painted;
 mod select;
 mod true_light;

@@ -5,8 +5,10 @@
 //! format keeps and loses.
 
 use crate::error::{Result, RunError};
-use crate::lights::{LightFile, LightRow, LobeRow, read_lights, write_lights};
+use crate::light_list::{LightList, ListedLight, read_light_list, write_light_list};
+use crate::lights::{FORMAT, LightRow, LobeRow};
 use crate::placement::{join, placed};
+use crate::published::mean;
 use crate::shaded::{RunLight, Texels, Visibility};
 use crate::shadows::Rays;
 use serde::{Deserialize, Serialize};
@@ -21,7 +23,7 @@ pub struct Exchange {
     /// Gaussians of the file.
     pub splats: Splats,
     /// Lights in the file or beside it.
-    pub lights: Option<LightFile>,
+    pub lights: Option<LightList>,
     /// Path of the environment map beside the file, a latitude-longitude image.
     pub environment: Option<PathBuf>,
     /// Kind of the file: a name of [`PlyDialect`], or `gltf`.
@@ -76,7 +78,7 @@ pub fn read_exchange(path: &Path) -> Result<Exchange> {
     }
     let (splats, dialect) = Splats::read_ply_dialect(path)?;
     let lights = beside(path, "lights.json");
-    let lights = if lights.is_file() { Some(read_lights(&lights)?) } else { None };
+    let lights = if lights.is_file() { Some(read_light_list(&lights)?) } else { None };
     Ok(Exchange { splats, lights, environment, format: dialect.name() })
 }
 
@@ -90,9 +92,11 @@ pub fn read_light(path: &Path, size: u32) -> Result<RunLight> {
     let (light_table, environment_map) = (beside(path, "lights.json"), beside(path, "environment.exr"));
     let lights = match is_gltf(path)? {
         true => lights_of(path, &GltfScene::read(path)?)?,
-        false if light_table.is_file() => Some(read_lights(&light_table)?),
+        false if light_table.is_file() => Some(read_light_list(&light_table)?),
         false => None,
     };
+    let fail = |reason| RunError::File { path: path.to_owned(), reason };
+    let lights = lights.map(|list| list.published()).transpose().map_err(fail)?;
     let environment = if environment_map.is_file() { Some(Texels::read(&environment_map, size)?) } else { None };
     let visibility = if lights.is_some() { Visibility::Traced(Rays::default()) } else { Visibility::None };
     Ok(RunLight { lights, environment, visibility })
@@ -108,15 +112,15 @@ pub fn write_exchange(
     path: &Path,
     splats: &Splats,
     dialect: Option<PlyDialect>,
-    lights: Option<&LightFile>,
+    lights: Option<&LightList>,
     environment: Option<&Path>,
 ) -> Result<Vec<PathBuf>> {
     let mut written = vec![path.to_owned()];
     match (dialect, lights) {
         (Some(dialect), _) => splats.write_ply_as(path, dialect)?,
         (None, Some(file)) => {
-            let extras = json!({"sgs": Together { format: file.format.clone(), normalizer: file.normalizer }});
-            write_gltf(path, splats, &file.lights.iter().map(|l| point(file, l)).collect::<Vec<_>>(), Some(&extras))?;
+            let extras = json!({"sgs": Together { format: FORMAT.to_owned(), normalizer: file.normalizer }});
+            write_gltf(path, splats, &points(file), Some(&extras))?;
         }
         (None, None) => write_gltf(path, splats, &[], None)?,
     }
@@ -125,7 +129,7 @@ pub fn write_exchange(
     }
     if let (Some(_), Some(lights)) = (dialect, lights) {
         let file = beside(path, "lights.json");
-        write_lights(&file, lights)?;
+        write_light_list(&file, lights)?;
         written.push(file);
     }
     if let Some(from) = environment {
@@ -166,11 +170,16 @@ struct Beyond {
     lobes: Vec<LobeRow>,
 }
 
+fn points(file: &LightList) -> Vec<PointLight> {
+    let lobes = file.lights.iter().filter_map(|light| match light {
+        ListedLight::Lobes(row) => Some(point(file, row)),
+        ListedLight::Physical(_) => None,
+    });
+    lobes.collect()
+}
+
 /// Converts a light to a point light of its mean intensity.
-///
-/// The mean of `exp(s (cos - 1))` over the sphere is `(1 - exp(-2 s)) / (2 s)`.
-fn point(file: &LightFile, light: &LightRow) -> PointLight {
-    let mean = |s: f64| if s < 1e-6 { 1.0 } else { (1.0 - (-2.0 * s).exp()) / (2.0 * s) };
+fn point(file: &LightList, light: &LightRow) -> PointLight {
     let factor = f64::from(file.normalizer) * f64::from(light.gain);
     let of = |l: &LobeRow, c: usize| f64::from(l.amplitude[c]) * mean(f64::from(l.sharpness));
     let sent = [0, 1, 2].map(|c| factor * light.lobes.iter().map(|l| of(l, c)).sum::<f64>());
@@ -183,7 +192,7 @@ fn point(file: &LightFile, light: &LightRow) -> PointLight {
 /// Returns the lights of a glTF file.
 ///
 /// Lights written by SGS have all their lobes. Other lights have one isotropic lobe.
-fn lights_of(path: &Path, scene: &GltfScene) -> Result<Option<LightFile>> {
+fn lights_of(path: &Path, scene: &GltfScene) -> Result<Option<LightList>> {
     if scene.lights.is_empty() {
         return Ok(None);
     }
@@ -208,12 +217,12 @@ fn lights_of(path: &Path, scene: &GltfScene) -> Result<Option<LightFile>> {
                 LightRow { position: light.position, gain: 1.0, lobes: vec![lobe] }
             }
         };
-        rows.push(row);
+        rows.push(ListedLight::Lobes(row));
     }
-    let mut file = LightFile::new(normalizer, rows);
-    if let Some(together) = together {
-        file.format = together.format;
+    if let Some(Together { format, .. }) = together.filter(|t| t.format != FORMAT) {
+        return Err(fail(format!("the format of its lights is \"{format}\", not \"{FORMAT}\"")));
     }
-    file.check().map_err(fail)?;
-    Ok(Some(file))
+    let list = LightList { normalizer, lights: rows };
+    list.check().map_err(fail)?;
+    Ok(Some(list))
 }

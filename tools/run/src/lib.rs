@@ -12,10 +12,12 @@ mod exchange;
 pub mod floats;
 pub mod harmonics;
 mod head;
+mod light_list;
 mod lights;
 mod lock;
 pub mod materials;
 mod placement;
+mod published;
 mod render;
 mod rollback;
 mod shaded;
@@ -31,9 +33,11 @@ pub use emitters::{EmitterFile, EmitterRow, EnclosureRow, read_emitters, write_e
 pub use error::{Result, RunError, remove};
 pub use exchange::{Exchange, read_exchange, read_light, read_splats, write_exchange};
 pub use head::SemanticHead;
+pub use light_list::{LightList, ListedLight, PhysicalRow, read_light_list, write_light_list};
 pub use lights::{LightFile, LightRow, LobeRow, MOST as MOST_LIGHTS, raw_lobe, read_lights, write_lights};
 pub use lock::{DirectoryLock, LockHolder};
 pub use placement::{join, placed};
+pub use published::{MOST_AMPLITUDE, PATCHES, published_light, rectangle_patches};
 pub use render::render_view;
 pub use rollback::RollbackFiles;
 pub use shaded::{

@@ -51,7 +51,7 @@ pub(crate) fn gltf(bytes: &[u8]) -> String {
     let splats = text_of(read_splats(&path), |splats| sound(&splats));
     let all = text_of(read_exchange(&path), |exchange| {
         if let Some(lights) = &exchange.lights {
-            lights.raw();
+            let _ = lights.published().map(|lights| lights.raw());
         }
         exchange.format.to_owned()
     });

@@ -3,7 +3,7 @@
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::failure::refuse_usage;
-use sgs_run::{RunDirectory, read_exchange, read_lights, write_exchange};
+use sgs_run::{RunDirectory, read_exchange, read_light_list, write_exchange};
 use sgs_scene::PlyDialect;
 use std::path::{Path, PathBuf};
 
@@ -95,7 +95,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         let (splats, _) = splats_of(&a.source)?;
         let run = RunDirectory::open(&a.source)?;
         let [lights, environment] = ["lights.json", "environment.exr"].map(|name| run.path(name));
-        let lights = if lights.is_file() { Some(read_lights(&lights)?) } else { None };
+        let lights = if lights.is_file() { Some(read_light_list(&lights)?) } else { None };
         (splats, lights, Some(environment).filter(|file| file.is_file()))
     };
     let dialect = format.dialect();
