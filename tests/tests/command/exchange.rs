@@ -10,6 +10,7 @@ use ply_rs_bw::ply::{DefaultElement, Property};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use sgs_config::VisibilityKind;
+use sgs_passes::transport::LightShape;
 use sgs_run::{read_exchange, read_lights, read_splats, write_exchange, write_lights};
 use sgs_scene::{ALBEDO_RANGE, Camera, GltfScene, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats, read_exr, write_exr};
 use sgs_tests::Place;
@@ -282,11 +283,15 @@ fn foreign_gltf_is_read_in_place() {
     assert!(s.opacity_logits[0] > 10.0);
     near(&s.opacity_logits[1..], &[-(4.0_f32.ln())]);
     near(&s.sh[0], &[0.5, -0.5, 0.0, 1.0, 1.0, 1.0]);
-    let lights = file.lights.unwrap().published().unwrap();
-    assert_eq!((lights.lights.len(), lights.normalizer, lights.lights[0].position), (1, 1.0, [1.0, 2.0, 3.0]));
-    near(&lights.lights[0].lobes[0].amplitude, &[40.0, 20.0, 0.0]);
-    let notes = GltfScene::read(&path).unwrap().left_out;
-    assert_eq!(notes, ["1 lights that are no points"]);
+    let emitters = file.lights.unwrap().emitters();
+    let shapes: Vec<LightShape> = emitters.iter().map(|e| e.shape).collect();
+    let sun = LightShape::Directional { direction: [0.0, 0.0, -1.0], angular_radius: 0.0 };
+    assert_eq!(shapes, [LightShape::Point { position: [1.0, 2.0, 3.0] }, sun]);
+    assert_eq!((emitters[0].color, emitters[1].color), ([40.0, 20.0, 0.0], [1.0; 3]));
+    let mut other = foreign();
+    other["extensions"]["KHR_lights_punctual"]["lights"][1]["type"] = json!("area");
+    std::fs::write(&path, other.to_string()).unwrap();
+    assert_eq!(GltfScene::read(&path).unwrap().left_out, ["1 lights of unknown kinds"]);
 }
 
 #[test]

@@ -193,6 +193,7 @@ impl Edit {
         let mut edit: Edit = serde_json::from_str(text).map_err(|e| format!("not an edit: {e}"))?;
         edit.check()?;
         edit.environment.file = edit.environment.file.map(|file| beside.join(file));
+        edit.emitters.file = edit.emitters.file.map(|file| beside.join(file));
         edit.insert.iter_mut().for_each(|i| i.source = beside.join(&i.source));
         Ok(edit)
     }

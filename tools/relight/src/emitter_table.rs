@@ -127,7 +127,7 @@ impl Row {
         let color = if now.on { [0, 1, 2].map(|c| file.color[c] * now.color[c] * now.gain) } else { [0.0; 3] };
         let by = [0, 1, 2].map(|k| now.position[k] - before[k]);
         let shape = if by == [0.0; 3] { file.shape } else { file.shape.translated(by) };
-        let light = AreaLight { color, shape: shape.into() };
+        let light = AreaLight { color, shape };
         // The surface of a moved emitter is dark.
         FrameEmitter { light, surface: if *in_place && by == [0.0; 3] { color } else { [0.0; 3] } }
     }
@@ -169,7 +169,7 @@ mod tests {
         all.set(0, away).unwrap();
         let frame = all.frame()[0];
         let there = LightShape::Sphere { center: [1.5, 2.0, 3.0], radius: 0.1 };
-        assert_eq!((frame.light.shape, frame.surface), (there.into(), [0.0; 3]));
+        assert_eq!((frame.light.shape, frame.surface), (there, [0.0; 3]));
         assert_eq!(all.take_stale(), Some((0, frame.light)));
         assert_eq!(all.take_stale(), None);
         // A reset makes the response stale again.

@@ -1,9 +1,13 @@
 //! Edit of the emitters of a run.
 
+use crate::edit::{Edit, Insert};
 use crate::error::{RelightError, Result};
+use glam::{DQuat, DVec3, Vec3};
 use serde::{Deserialize, Serialize};
-use sgs_passes::transport::LightShape;
-use sgs_run::{EmitterFile, EmitterRow};
+use sgs_passes::transport::{AreaLight, LightShape};
+use sgs_run::{EmitterFile, EmitterRow, ListedLight, is_gltf, read_light_source};
+use sgs_scene::MOST_EMITTERS;
+use std::path::PathBuf;
 
 /// Edit of the emitters of a run with `emitters.json`. Their light bounces.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -17,6 +21,10 @@ pub struct EmitterEdit {
     pub change: Vec<EmitterChange>,
     /// New emitters.
     pub add: Vec<NewEmitter>,
+    /// Lights to add: a glTF file or a `lights.json`.
+    ///
+    /// A relative path starts at the directory of the edit file.
+    pub file: Option<PathBuf>,
 }
 
 /// Change of one emitter.
@@ -39,6 +47,9 @@ pub struct EmitterChange {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NewEmitter {
+    /// Name; "new 1" and so on by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// Shape and place, as in `emitters.json`.
     pub shape: LightShape,
     /// Linear RGB: radiance, radiant intensity or irradiance, as in `emitters.json`.
@@ -66,6 +77,50 @@ impl EmitterEdit {
             row.light().check().map_err(|e| format!("emitters.add[{i}]: {e}"))?;
         }
         Ok(())
+    }
+}
+
+impl Edit {
+    /// Returns the edit of the emitters with the lights of all files.
+    ///
+    /// The lights of its `file` and of inserted glTF files are among the new emitters. Inserted lights are scaled, turned and
+    /// moved with their scene. Learned lights with lobes stay behind: they are the light of another room.
+    ///
+    /// # Errors
+    /// If a file cannot be read.
+    pub fn all_emitters(&self) -> Result<EmitterEdit> {
+        let mut all = EmitterEdit { file: None, ..self.emitters.clone() };
+        if let Some(file) = &self.emitters.file {
+            all.add.extend(read_light_source(file)?.emitters().into_iter().map(NewEmitter::of));
+        }
+        for insert in &self.insert {
+            if insert.source.is_dir() || !is_gltf(&insert.source)? {
+                continue;
+            }
+            let mut list = read_light_source(&insert.source)?;
+            list.lights.retain(|light| matches!(light, ListedLight::Physical(_)));
+            all.add.extend(list.emitters().into_iter().map(|row| NewEmitter::of(inserted(row, insert))));
+        }
+        let wrong = |reason| RelightError::Edit(format!("The edit cannot be applied: {reason}."));
+        all.check().map_err(wrong)?;
+        Ok(all)
+    }
+}
+
+/// Places an emitter of an inserted scene. Surfaces around it receive what they received before.
+fn inserted(row: EmitterRow, insert: &Insert) -> EmitterRow {
+    let [w, x, y, z] = insert.rotation;
+    let turn = DQuat::from_xyzw(x, y, z, w).normalize();
+    let (scale, to) = (f64::from(insert.scale), DVec3::from(insert.translation.map(f64::from)));
+    let turned = |v: Vec3| (turn * v.as_dvec3()).as_vec3();
+    let placed = |v: Vec3| (turn * v.as_dvec3() * scale + to).as_vec3();
+    let AreaLight { color, .. } = row.light().scaled(insert.scale);
+    EmitterRow { shape: row.shape.transformed(insert.scale, turned, placed), color, ..row }
+}
+
+impl NewEmitter {
+    fn of(row: EmitterRow) -> NewEmitter {
+        NewEmitter { name: Some(row.name), shape: row.shape, color: row.color }
     }
 }
 
@@ -110,7 +165,15 @@ pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result
         }
     }
     for (i, new) in edit.add.iter().enumerate() {
-        file.emitters.push(EmitterRow { name: format!("new {}", i + 1), on: true, color: new.color, shape: new.shape });
+        let name = new.name.clone().unwrap_or_else(|| format!("new {}", i + 1));
+        let taken = |name: &String| file.emitters.iter().any(|e| e.name == *name);
+        let others = (2..).map(|n| format!("{name} ({n})"));
+        let name = std::iter::once(name.clone()).chain(others).find(|name| !taken(name)).unwrap_or(name);
+        file.emitters.push(EmitterRow { name, on: true, color: new.color, shape: new.shape });
+    }
+    if file.emitters.len() > MOST_EMITTERS as usize {
+        let count = file.emitters.len();
+        return Err(RelightError::Edit(format!("The edit leads to {count} emitters; use {MOST_EMITTERS} at most.")));
     }
     Ok(EditedEmitters { file, in_place })
 }
@@ -153,6 +216,49 @@ mod tests {
         found.file.check().unwrap();
         let off = edited(r#"{"off": true, "change": [{"emitter": "window 1", "on": true}]}"#);
         assert_eq!(off.file.emitters.iter().map(|e| e.on).collect::<Vec<_>>(), [true, false]);
+    }
+
+    #[test]
+    fn lights_of_files_and_insertions_are_added() {
+        let folder = tempfile::tempdir().unwrap();
+        let lights = r#"{"format": "sgs-lights-2", "normalizer": 0.5, "lights": [
+            {"type": "point", "name": "bulb", "position": [1,2,3], "color": [4,2,0], "gain": 0.5},
+            {"type": "lobes", "position": [0,0,0], "gain": 1, "lobes": [{"axis": [0,1,0], "sharpness": 2, "amplitude": [1,1,1]}]}]}"#;
+        std::fs::write(folder.path().join("lights.json"), lights).unwrap();
+        let half = 0.5_f64.sqrt();
+        let gltf = serde_json::json!({
+            "asset": {"version": "2.0"},
+            "scene": 0, "scenes": [{"nodes": [0, 1]}],
+            "nodes": [
+                // Turned by a quarter about x: -Z becomes +Y.
+                {"name": "spot", "translation": [1, 0, 0], "rotation": [half, 0, 0, half], "extensions": {"KHR_lights_punctual": {"light": 0}}},
+                {"name": "bulb", "extensions": {"KHR_lights_punctual": {"light": 1}}},
+            ],
+            "extensions": {"KHR_lights_punctual": {"lights": [
+                {"type": "spot", "intensity": 8, "color": [1, 0.5, 0], "spot": {"outerConeAngle": 0.5}},
+                {"type": "point"}
+            ]}},
+        });
+        std::fs::write(folder.path().join("chair.gltf"), gltf.to_string()).unwrap();
+        let text = format!(
+            r#"{{"emitters": {{"file": "lights.json"}},
+                "insert": [{{"source": "chair.gltf", "scale": 2, "rotation": [{half}, 0, 0, {half}], "translation": [0, 0, 1]}}]}}"#
+        );
+        let edit = Edit::parse(&text, folder.path()).unwrap();
+        let all = edit.all_emitters().unwrap();
+        let found = edit_emitters(&all, file()).unwrap().file;
+        found.check().unwrap();
+        let names: Vec<&str> = found.emitters.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!(names, ["window 1", "light 1", "bulb", "light 1 (2)", "spot", "bulb (2)"]);
+        assert_eq!(found.emitters[2].color, [2.0, 1.0, 0.0]);
+        assert!(matches!(found.emitters[3].shape, LightShape::Lobe { axis: [_, -1.0, _], .. }));
+        // A quarter turn about z, twice as large.
+        let LightShape::Spot { position, axis, inner_angle, outer_angle } = found.emitters[4].shape else { panic!() };
+        let near = |a: [f32; 3], b: [f32; 3]| Vec3::from(a).distance(Vec3::from(b)) < 1e-6;
+        assert!(near(position, [0.0, 2.0, 1.0]) && near(axis, [-1.0, 0.0, 0.0]), "{position:?} {axis:?}");
+        assert_eq!((inner_angle, outer_angle, found.emitters[4].color), (0.0, 0.5, [32.0, 16.0, 0.0]));
+        let missing = EmitterEdit { file: Some("none.glb".into()), ..Default::default() };
+        assert!(Edit { emitters: missing, ..Default::default() }.all_emitters().is_err());
     }
 
     #[test]

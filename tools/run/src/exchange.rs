@@ -5,15 +5,14 @@
 //! format keeps and loses.
 
 use crate::error::{Result, RunError};
+use crate::gltf_lights::{lights_of, punctual};
 use crate::light_list::{LightList, ListedLight, read_light_list, write_light_list};
-use crate::lights::{FORMAT, LightRow, LobeRow};
+use crate::lights::read_lights;
 use crate::placement::{join, placed};
-use crate::published::mean;
 use crate::shaded::{RunLight, Texels, Visibility};
 use crate::shadows::Rays;
-use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
-use sgs_scene::{GltfScene, Placement, PlyDialect, PointLight, Splats, write_gltf};
+use sgs_passes::transport::LightShape;
+use sgs_scene::{GltfScene, Placement, PlyDialect, Splats, write_gltf};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -35,7 +34,11 @@ fn beside(path: &Path, what: &str) -> PathBuf {
     path.with_extension(what)
 }
 
-fn is_gltf(path: &Path) -> Result<bool> {
+/// Returns whether a file is glTF, by its content.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn is_gltf(path: &Path) -> Result<bool> {
     let fail = |e: std::io::Error| RunError::File { path: path.to_owned(), reason: e.to_string() };
     let mut first = [0; 4];
     let mut file = std::fs::File::open(path).map_err(fail)?;
@@ -82,6 +85,19 @@ pub fn read_exchange(path: &Path) -> Result<Exchange> {
     Ok(Exchange { splats, lights, environment, format: dialect.name() })
 }
 
+/// Leaves out directional lights, which the published model does not shade. Logs their number.
+fn without_directional(path: &Path, mut list: LightList) -> LightList {
+    let all = list.lights.len();
+    let directional = |light: &ListedLight| matches!(light, ListedLight::Physical(row) if matches!(row.shape, LightShape::Directional { .. }));
+    list.lights.retain(|light| !directional(light));
+    let left_out = all - list.lights.len();
+    if left_out > 0 {
+        let path = path.display();
+        tracing::warn!("{path}: left out: {left_out} directional lights, which the published model does not shade");
+    }
+    list
+}
+
 /// Reads the light of a file: lights and environment map in it or beside it.
 ///
 /// Shadows of the lights are traced. The environment map has `size` texels per edge of a cube face.
@@ -91,12 +107,14 @@ pub fn read_exchange(path: &Path) -> Result<Exchange> {
 pub fn read_light(path: &Path, size: u32) -> Result<RunLight> {
     let (light_table, environment_map) = (beside(path, "lights.json"), beside(path, "environment.exr"));
     let lights = match is_gltf(path)? {
-        true => lights_of(path, &GltfScene::read(path)?)?,
-        false if light_table.is_file() => Some(read_light_list(&light_table)?),
+        true => {
+            let list = lights_of(path, &GltfScene::read(path)?)?.map(|list| without_directional(path, list));
+            let list = list.filter(|list| !list.lights.is_empty());
+            list.map(|list| list.published()).transpose().map_err(|reason| RunError::file(path, reason))?
+        }
+        false if light_table.is_file() => Some(read_lights(&light_table)?),
         false => None,
     };
-    let fail = |reason| RunError::File { path: path.to_owned(), reason };
-    let lights = lights.map(|list| list.published()).transpose().map_err(fail)?;
     let environment = if environment_map.is_file() { Some(Texels::read(&environment_map, size)?) } else { None };
     let visibility = if lights.is_some() { Visibility::Traced(Rays::default()) } else { Visibility::None };
     Ok(RunLight { lights, environment, visibility })
@@ -118,9 +136,9 @@ pub fn write_exchange(
     let mut written = vec![path.to_owned()];
     match (dialect, lights) {
         (Some(dialect), _) => splats.write_ply_as(path, dialect)?,
-        (None, Some(file)) => {
-            let extras = json!({"sgs": Together { format: FORMAT.to_owned(), normalizer: file.normalizer }});
-            write_gltf(path, splats, &points(file), Some(&extras))?;
+        (None, Some(list)) => {
+            let (lights, extras) = punctual(list);
+            write_gltf(path, splats, &lights, Some(&extras))?;
         }
         (None, None) => write_gltf(path, splats, &[], None)?,
     }
@@ -154,75 +172,4 @@ fn joined(parts: Vec<(Splats, Placement)>) -> Splats {
         host
     })
     .unwrap_or_default()
-}
-
-/// SGS extension data of all lights together.
-#[derive(Serialize, Deserialize)]
-struct Together {
-    format: String,
-    normalizer: f32,
-}
-
-/// SGS extension data of a light.
-#[derive(Serialize, Deserialize)]
-struct Beyond {
-    gain: f32,
-    lobes: Vec<LobeRow>,
-}
-
-fn points(file: &LightList) -> Vec<PointLight> {
-    let lobes = file.lights.iter().filter_map(|light| match light {
-        ListedLight::Lobes(row) => Some(point(file, row)),
-        ListedLight::Physical(_) => None,
-    });
-    lobes.collect()
-}
-
-/// Converts a light to a point light of its mean intensity.
-fn point(file: &LightList, light: &LightRow) -> PointLight {
-    let factor = f64::from(file.normalizer) * f64::from(light.gain);
-    let of = |l: &LobeRow, c: usize| f64::from(l.amplitude[c]) * mean(f64::from(l.sharpness));
-    let sent = [0, 1, 2].map(|c| factor * light.lobes.iter().map(|l| of(l, c)).sum::<f64>());
-    let most = sent.iter().fold(0.0_f64, |a, b| a.max(*b));
-    let color = sent.map(|v| if most > 0.0 { (v / most) as f32 } else { 1.0 });
-    let beyond = Beyond { gain: light.gain, lobes: light.lobes.clone() };
-    PointLight { position: light.position, color, intensity: most as f32, extras: Some(json!({"sgs": beyond})) }
-}
-
-/// Returns the lights of a glTF file.
-///
-/// Lights written by SGS have all their lobes. Other lights have one isotropic lobe.
-fn lights_of(path: &Path, scene: &GltfScene) -> Result<Option<LightList>> {
-    if scene.lights.is_empty() {
-        return Ok(None);
-    }
-    let fail = |reason: String| RunError::File { path: path.to_owned(), reason };
-    let own = |value: &Option<Value>| value.as_ref().and_then(|v| v.get("sgs")).cloned();
-    let together: Option<Together> = own(&scene.light_extras)
-        .map(|v| serde_json::from_value(v).map_err(|e| fail(format!("its lights are not as SGS writes them: {e}"))))
-        .transpose()?;
-    let normalizer = together.as_ref().map_or(1.0, |t| t.normalizer);
-    let mut rows = Vec::new();
-    for (i, light) in scene.lights.iter().enumerate() {
-        let row = match own(&light.extras).filter(|_| together.is_some()) {
-            Some(v) => {
-                let b: Beyond = serde_json::from_value(v)
-                    .map_err(|e| fail(format!("its light {i} is not as SGS writes them: {e}")))?;
-                LightRow { position: light.position, gain: b.gain, lobes: b.lobes }
-            }
-            None => {
-                let factor = light.intensity / if normalizer > 0.0 { normalizer } else { 1.0 };
-                let lobe =
-                    LobeRow { axis: [0.0, 0.0, 1.0], sharpness: 0.0, amplitude: light.color.map(|c| c * factor) };
-                LightRow { position: light.position, gain: 1.0, lobes: vec![lobe] }
-            }
-        };
-        rows.push(ListedLight::Lobes(row));
-    }
-    if let Some(Together { format, .. }) = together.filter(|t| t.format != FORMAT) {
-        return Err(fail(format!("the format of its lights is \"{format}\", not \"{FORMAT}\"")));
-    }
-    let list = LightList { normalizer, lights: rows };
-    list.check().map_err(fail)?;
-    Ok(Some(list))
 }

@@ -1,11 +1,14 @@
 //! Lights of all types in a file: `lights.json` of both versions.
 
+use crate::emitters::{EmitterFile, EmitterRow};
 use crate::error::{Result, RunError};
+use crate::gltf_lights;
 use crate::lights::{FORMAT, LightFile, LightRow, MOST};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 use sgs_passes::transport::{AreaLight, LightShape};
+use sgs_scene::GltfScene;
 use std::path::Path;
 
 /// Format identifier of files with physical lights.
@@ -33,8 +36,11 @@ pub enum ListedLight {
 }
 
 /// Physical light, in the units of `emitters.json`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PhysicalRow {
+    /// Name of the light.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// Shape and place.
     #[serde(flatten)]
     pub shape: LightShape,
@@ -57,6 +63,16 @@ impl PhysicalRow {
     /// Returns the light. A light that is off is black.
     pub fn light(&self) -> AreaLight {
         AreaLight { shape: self.shape, color: self.color.map(|c| self.gain * c) }
+    }
+
+    /// Returns whether the light shines.
+    pub fn is_on(&self) -> bool {
+        self.light().color != [0.0; 3]
+    }
+
+    /// Returns the name, or that of light `i` of a list.
+    pub fn name_or(&self, i: usize) -> String {
+        self.name.clone().unwrap_or_else(|| format!("light {i}"))
     }
 
     fn check(&self) -> std::result::Result<(), String> {
@@ -105,7 +121,9 @@ impl ListedLight {
         }
         let color = fields.remove("color").ok_or_else(|| failed(Error::missing_field("color")))?;
         let gain = fields.remove("gain").unwrap_or(Value::from(1));
+        let name = fields.remove("name").map(serde_json::from_value).transpose().map_err(failed)?;
         let row = PhysicalRow {
+            name,
             color: serde_json::from_value(color).map_err(failed)?,
             gain: serde_json::from_value(gain).map_err(failed)?,
             shape: serde_json::from_value(Value::Object(fields)).map_err(failed)?,
@@ -164,6 +182,43 @@ impl LightList {
     }
 }
 
+impl LightList {
+    /// Returns the emitters of a run as lights. Emitters that are off have a gain of 0.
+    pub fn of_emitters(file: &EmitterFile) -> LightList {
+        let row = |e: &EmitterRow| PhysicalRow {
+            name: Some(e.name.clone()),
+            shape: e.shape,
+            color: e.color,
+            gain: f32::from(u8::from(e.on)),
+        };
+        LightList { normalizer: 1.0, lights: file.emitters.iter().map(row).map(ListedLight::Physical).collect() }
+    }
+
+    /// Returns the lights as emitters: a light with lobes is one per lobe. Lights that are off are left out.
+    ///
+    /// Names are those of the lights, and not unique.
+    pub fn emitters(&self) -> Vec<EmitterRow> {
+        let mut rows = Vec::new();
+        for (i, light) in self.lights.iter().enumerate() {
+            match light {
+                ListedLight::Physical(row) => {
+                    let AreaLight { shape, color } = row.light();
+                    rows.push(EmitterRow { name: row.name_or(i), on: true, color, shape });
+                }
+                ListedLight::Lobes(LightRow { position, gain, lobes }) => rows.extend(lobes.iter().map(|lobe| {
+                    // Axes of lobes point to the light, those of emitters follow it.
+                    let axis = lobe.axis.map(|x| -x);
+                    let shape = LightShape::Lobe { position: *position, axis, sharpness: lobe.sharpness };
+                    let color = lobe.amplitude.map(|a| self.normalizer * gain * a);
+                    EmitterRow { name: format!("light {i}"), on: true, color, shape }
+                })),
+            }
+        }
+        rows.retain(|row| row.color != [0.0; 3]);
+        rows
+    }
+}
+
 impl From<LightFile> for LightList {
     fn from(file: LightFile) -> LightList {
         LightList { normalizer: file.normalizer, lights: file.lights.into_iter().map(ListedLight::Lobes).collect() }
@@ -182,11 +237,27 @@ pub fn read_light_list(path: &Path) -> Result<LightList> {
     Ok(list)
 }
 
-fn parsed(text: &str) -> std::result::Result<LightList, String> {
-    #[derive(Deserialize)]
-    struct Head {
-        format: String,
+/// Reads the lights of a `lights.json` or a glTF file, recognized by its content. The glTF file needs no Gaussians.
+///
+/// # Errors
+/// If the file is of neither kind, or damaged.
+pub fn read_light_source(path: &Path) -> Result<LightList> {
+    let bytes = std::fs::read(path).map_err(|e| RunError::file(path, e.to_string()))?;
+    let text = std::str::from_utf8(&bytes).unwrap_or_default();
+    if serde_json::from_str::<Head>(text).is_ok() {
+        return read_light_list(path);
     }
+    let none = LightList { normalizer: 1.0, lights: Vec::new() };
+    Ok(gltf_lights::lights_of(path, &GltfScene::read_lights(path)?)?.unwrap_or(none))
+}
+
+/// First field of a file of lights.
+#[derive(Deserialize)]
+struct Head {
+    format: String,
+}
+
+fn parsed(text: &str) -> std::result::Result<LightList, String> {
     let fail = |e: serde_json::Error| format!("not lights: {e}");
     let Head { format } = serde_json::from_str(text).map_err(fail)?;
     match format.as_str() {
@@ -225,7 +296,7 @@ mod tests {
     }
 
     fn physical(shape: LightShape) -> ListedLight {
-        ListedLight::Physical(PhysicalRow { shape, color: [3.0, 2.0, 1.0], gain: 0.5 })
+        ListedLight::Physical(PhysicalRow { name: None, shape, color: [3.0, 2.0, 1.0], gain: 0.5 })
     }
 
     fn all() -> LightList {
@@ -258,6 +329,18 @@ mod tests {
             assert!(text.contains(&format!("\"format\": \"{format}\"")), "{text}");
             assert_eq!(text.contains("\"type\""), format == TYPED);
         }
+    }
+
+    #[test]
+    fn lights_become_emitters_with_turned_axes() {
+        let emitters = all().emitters();
+        assert_eq!(emitters.len(), 9);
+        // Normalizer 0.25, gain 0.5.
+        let lobe = LightShape::Lobe { position: [1.0, 2.0, 3.0], axis: [-0.0, -0.0, -1.0], sharpness: 2.5 };
+        assert_eq!((emitters[1].shape, emitters[1].color), (lobe, [0.125, 0.0625, 0.03125]));
+        assert_eq!((emitters[3].shape.name(), emitters[3].color), ("sphere", [1.5, 1.0, 0.5]));
+        let dark = LightList { normalizer: 0.0, ..all() };
+        assert_eq!(dark.emitters().len(), 7);
     }
 
     #[test]

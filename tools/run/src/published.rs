@@ -29,7 +29,7 @@ impl LightList {
     pub fn published(&self) -> Result<LightFile, String> {
         let mut file = LightFile::new(self.normalizer, Vec::new());
         // Under a normalizer of 0, lights with lobes are dark. Physical lights are not.
-        let dark = !(self.normalizer > 0.0) && self.lights.iter().any(|l| matches!(l, ListedLight::Physical(_)));
+        let dark = self.normalizer <= 0.0 && self.lights.iter().any(|l| matches!(l, ListedLight::Physical(_)));
         if dark {
             file.normalizer = 1.0;
         }
@@ -55,7 +55,7 @@ impl LightList {
 /// # Errors
 /// The cause, as part of a sentence: the light is directional or too bright.
 pub fn published_light(light: &PhysicalRow, normalizer: f32) -> Result<Vec<LightRow>, String> {
-    let PhysicalRow { shape, color, gain } = *light;
+    let PhysicalRow { shape, color, gain, .. } = *light;
     let Some(power) = (AreaLight { shape, color }).power() else {
         return Err(
             "directional, which the published model does not shade; use an emitter of a run that the transport stage \
@@ -99,7 +99,7 @@ pub fn published_light(light: &PhysicalRow, normalizer: f32) -> Result<Vec<Light
         LightShape::Directional { .. } => Vec::new(),
     };
     let brightest = rows.iter().flat_map(|l| &l.lobes).flat_map(|l| l.amplitude).fold(0.0, f32::max);
-    if !(brightest <= MOST_AMPLITUDE) {
+    if brightest > MOST_AMPLITUDE {
         return Err(format!("too bright: intensities end at {}", MOST_AMPLITUDE * normalizer));
     }
     Ok(rows)
@@ -133,7 +133,9 @@ pub(crate) fn mean(sharpness: f64) -> f64 {
     if sharpness < 1e-6 { 1.0 } else { -(-2.0 * sharpness).exp_m1() / (2.0 * sharpness) }
 }
 
-/// Returns the sharpness of the lobe that is nearest to a spot in the mean square over the sphere.
+/// Returns the sharpness of the lobe that fits a spot best.
+///
+/// It has the smallest mean square difference over the sphere.
 fn spot_sharpness(inner_angle: f32, outer_angle: f32) -> f64 {
     const STEPS: u32 = 400;
     let low = f64::from(outer_angle).cos();
@@ -172,7 +174,7 @@ mod tests {
     const NORMALIZER: f32 = 0.25;
 
     fn row(shape: LightShape) -> PhysicalRow {
-        PhysicalRow { shape, color: [4.0, 2.0, 0.0], gain: 0.5 }
+        PhysicalRow { name: None, shape, color: [4.0, 2.0, 0.0], gain: 0.5 }
     }
 
     /// Returns the irradiance of a receiver from the points, in red.
@@ -264,7 +266,7 @@ mod tests {
         let list = |row| LightList { normalizer: 0.25, lights: vec![ListedLight::Physical(row); 2] };
         let error = list(sun).published().unwrap_err();
         assert!(error.starts_with("light 0 is directional") && error.contains("transport stage"), "{error}");
-        let bright = PhysicalRow { color: [1e9; 3], ..point };
+        let bright = PhysicalRow { color: [1e9; 3], ..point.clone() };
         assert_eq!(list(bright).published().unwrap_err(), "light 0 is too bright: intensities end at 800000");
         let dark = LightList { normalizer: 0.0, ..list(point) }.published().unwrap();
         assert_eq!((dark.normalizer, dark.lights[0].lobes[0].amplitude), (1.0, [4.0, 2.0, 0.0]));

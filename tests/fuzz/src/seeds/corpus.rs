@@ -9,7 +9,7 @@ use exr::prelude::{Blocks, Compression, Encoding, LineOrder, Vec2};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use sgs_provider::{Array, Kind, Message};
-use sgs_run::{LightFile, SemanticHead, VisibilityFile, write_exchange};
+use sgs_run::{LightFile, SemanticHead, VisibilityFile, read_light_list, write_exchange};
 use sgs_scene::Splats;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -168,6 +168,9 @@ fn models() -> Files {
     let glb = folder.path("scene.glb");
     write_exchange(&glb, &read, None, Some(&lights), None).expect("glTF is written");
     files.push(("gltf", "own.glb", std::fs::read(&glb).expect("it is there")));
+    let typed = read_light_list(&folder.put("lights.json", TYPED_LIGHTS.as_bytes())).expect("lights are whole");
+    write_exchange(&glb, &read, None, Some(&typed), None).expect("glTF is written");
+    files.push(("gltf", "types.glb", std::fs::read(&glb).expect("it is there")));
     let gltf = folder.path("scene.gltf");
     write_exchange(&gltf, &read, None, None, None).expect("glTF is written");
     files.push(("gltf", "beside.gltf", std::fs::read(&gltf).expect("it is there")));
