@@ -47,6 +47,10 @@ pub unsafe extern "C" fn sgs_relight_emitter_get(
     }
 }
 
+fn degrees(radians: f32) -> f32 {
+    f64::from(radians).to_degrees() as f32
+}
+
 fn emitter_of(row: &EmitterRow) -> SgsEmitter {
     let none = SgsEmitter {
         struct_size: 0,
@@ -71,11 +75,11 @@ fn emitter_of(row: &EmitterRow) -> SgsEmitter {
             SgsEmitter { shape: SGS_EMITTER_DISK, position: center, axis: normal, radius, ..none }
         }
         LightShape::Spot { position, axis, inner_angle, outer_angle } => {
-            let angles = [inner_angle, outer_angle].map(f32::to_degrees);
+            let angles = [inner_angle, outer_angle].map(degrees);
             SgsEmitter { shape: SGS_EMITTER_SPOT, position, axis, angles, ..none }
         }
         LightShape::Directional { direction, angular_radius } => {
-            let angles = [angular_radius.to_degrees(), 0.0];
+            let angles = [degrees(angular_radius), 0.0];
             SgsEmitter { shape: SGS_EMITTER_DIRECTIONAL, axis: direction, angles, ..none }
         }
         LightShape::Lobe { position, axis, sharpness } => {

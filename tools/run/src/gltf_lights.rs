@@ -175,7 +175,9 @@ fn restored(i: usize, light: &PunctualLight, extras: ListedLight) -> PhysicalRow
     if by != Vec3::ZERO {
         row.shape = row.shape.translated(by.to_array());
     }
-    if Vec3::from(light.direction).distance(Vec3::from(written.direction)) > 1e-5
+    let direction = Vec3::from(light.direction);
+    if direction != Vec3::ZERO
+        && direction.distance(Vec3::from(written.direction)) > 1e-5
         && let LightShape::Spot { axis, .. }
         | LightShape::Lobe { axis, .. }
         | LightShape::Directional { direction: axis, .. } = &mut row.shape

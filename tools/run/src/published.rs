@@ -42,9 +42,12 @@ impl LightList {
                 }
             };
             file.push(rows);
-        }
-        if file.lights.len() > MOST {
-            return Err(format!("its lights have {} points, more than {MOST}", file.lights.len()));
+            if file.lights.len() > MOST {
+                return Err(format!(
+                    "its lights have more than {MOST} points; a rectangle and a disk have {}",
+                    PATCHES * PATCHES
+                ));
+            }
         }
         Ok(file)
     }
