@@ -6,6 +6,7 @@
 use crate::emitters::EmitterEdit;
 use crate::error::{RelightError, Result};
 pub use crate::new_light::NewLight;
+use crate::numbers::{finite, positive};
 use serde::{Deserialize, Serialize};
 use sgs_scene::Placement;
 use std::path::{Path, PathBuf};
@@ -269,20 +270,6 @@ impl MaterialEdit {
             Some(v) => Err(format!("{name}.set holds {v}, but materials are at most 1")),
             None => Ok(()),
         }
-    }
-}
-
-pub(super) fn finite<'v>(name: &str, values: impl IntoIterator<Item = &'v f32>) -> std::result::Result<(), String> {
-    match values.into_iter().find(|v| !v.is_finite()) {
-        Some(v) => Err(format!("{name} holds {v}, which is not finite")),
-        None => Ok(()),
-    }
-}
-
-pub(super) fn positive<'v>(name: &str, values: impl IntoIterator<Item = &'v f32>) -> std::result::Result<(), String> {
-    match values.into_iter().find(|v| !(v.is_finite() && **v >= 0.0)) {
-        Some(v) => Err(format!("{name} holds {v}, but must be finite and at least 0")),
-        None => Ok(()),
     }
 }
 

@@ -1,6 +1,6 @@
 //! New lights of an edit of the published model.
 
-use super::edit::{finite, positive};
+use super::numbers::{finite, positive};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};

@@ -7,8 +7,8 @@
 use crate::error::{Result, RunError};
 use crate::gltf_lights::{lights_of, punctual};
 use crate::light_list::{LightList, ListedLight, read_light_list, write_light_list};
-use crate::lights::read_lights;
 use crate::placement::{join, placed};
+use crate::published::read_lights;
 use crate::shaded::{RunLight, Texels, Visibility};
 use crate::shadows::Rays;
 use sgs_passes::transport::LightShape;

@@ -4,7 +4,7 @@
 //! intensity. Rectangles and disks have no counterpart. The `extras` of a light hold what its counterpart lacks.
 
 use crate::error::{Result, RunError};
-use crate::light_list::{LightList, ListedLight, PhysicalRow};
+use crate::light_list::{LightList, ListedLight, PhysicalRow, has_format, read_light_list};
 use crate::lights::{FORMAT, LightRow, LobeRow};
 use crate::published::mean;
 use glam::Vec3;
@@ -136,6 +136,20 @@ pub(crate) fn lights_of(path: &Path, scene: &GltfScene) -> Result<Option<LightLi
     let list = LightList { normalizer: together.map_or(1.0, |t| t.normalizer), lights };
     list.check().map_err(fail)?;
     Ok(Some(list))
+}
+
+/// Reads the lights of a `lights.json` or a glTF file, recognized by its content. The glTF file needs no Gaussians.
+///
+/// # Errors
+/// If the file is of neither kind, or damaged.
+pub fn read_light_source(path: &Path) -> Result<LightList> {
+    let bytes = std::fs::read(path).map_err(|e| RunError::file(path, e.to_string()))?;
+    let text = std::str::from_utf8(&bytes).unwrap_or_default();
+    if has_format(text) {
+        return read_light_list(path);
+    }
+    let none = LightList { normalizer: 1.0, lights: Vec::new() };
+    Ok(lights_of(path, &GltfScene::read_lights(path)?)?.unwrap_or(none))
 }
 
 /// Returns a light of another program.

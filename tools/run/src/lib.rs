@@ -33,13 +33,13 @@ pub use directory::RunDirectory;
 pub use emitters::{EmitterFile, EmitterRow, EnclosureRow, read_emitters, write_emitters};
 pub use error::{Result, RunError, remove};
 pub use exchange::{Exchange, is_gltf, read_exchange, read_light, read_splats, write_exchange};
-pub use gltf_lights::gltf_leaves_out;
+pub use gltf_lights::{gltf_leaves_out, read_light_source};
 pub use head::SemanticHead;
-pub use light_list::{LightList, ListedLight, PhysicalRow, read_light_list, read_light_source, write_light_list};
-pub use lights::{LightFile, LightRow, LobeRow, MOST as MOST_LIGHTS, raw_lobe, read_lights, write_lights};
+pub use light_list::{LightList, ListedLight, PhysicalRow, read_light_list, write_light_list};
+pub use lights::{LightFile, LightRow, LobeRow, MOST as MOST_LIGHTS, raw_lobe, write_lights};
 pub use lock::{DirectoryLock, LockHolder};
 pub use placement::{join, placed};
-pub use published::{MOST_AMPLITUDE, PATCHES, published_light, rectangle_patches};
+pub use published::{MOST_AMPLITUDE, PATCHES, published_light, read_lights, rectangle_patches};
 pub use render::render_view;
 pub use rollback::RollbackFiles;
 pub use shaded::{

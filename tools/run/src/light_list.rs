@@ -2,13 +2,11 @@
 
 use crate::emitters::{EmitterFile, EmitterRow};
 use crate::error::{Result, RunError};
-use crate::gltf_lights;
 use crate::lights::{FORMAT, LightFile, LightRow, MOST};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 use sgs_passes::transport::{AreaLight, LightShape};
-use sgs_scene::GltfScene;
 use std::path::Path;
 
 /// Format identifier of files with physical lights.
@@ -237,18 +235,9 @@ pub fn read_light_list(path: &Path) -> Result<LightList> {
     Ok(list)
 }
 
-/// Reads the lights of a `lights.json` or a glTF file, recognized by its content. The glTF file needs no Gaussians.
-///
-/// # Errors
-/// If the file is of neither kind, or damaged.
-pub fn read_light_source(path: &Path) -> Result<LightList> {
-    let bytes = std::fs::read(path).map_err(|e| RunError::file(path, e.to_string()))?;
-    let text = std::str::from_utf8(&bytes).unwrap_or_default();
-    if serde_json::from_str::<Head>(text).is_ok() {
-        return read_light_list(path);
-    }
-    let none = LightList { normalizer: 1.0, lights: Vec::new() };
-    Ok(gltf_lights::lights_of(path, &GltfScene::read_lights(path)?)?.unwrap_or(none))
+/// Returns whether a text is that of `lights.json`, of any version.
+pub(crate) fn has_format(text: &str) -> bool {
+    serde_json::from_str::<Head>(text).is_ok()
 }
 
 /// First field of a file of lights.

@@ -1,7 +1,6 @@
 //! Light files of a run: `lights.json`.
 
 use crate::error::{Result, RunError};
-use crate::light_list::read_light_list;
 use serde::{Deserialize, Serialize};
 use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_scene::Unit;
@@ -213,14 +212,6 @@ pub fn write_lights(path: &Path, lights: &LightFile) -> Result<()> {
     let text = serde_json::to_string_pretty(lights).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
     Ok(())
-}
-
-/// Reads `lights.json` of any version as points with lobes.
-///
-/// # Errors
-/// If the file is missing or damaged, or a light is directional.
-pub fn read_lights(path: &Path) -> Result<LightFile> {
-    read_light_list(path)?.published().map_err(|reason| file(path, reason))
 }
 
 fn file(path: &Path, reason: String) -> RunError {

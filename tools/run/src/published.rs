@@ -3,11 +3,13 @@
 //! Every light keeps its power. A sphere is a point; a spot and a lobe are one lobe; a rectangle and a disk are patches with
 //! the lobe of a cosine.
 
-use crate::light_list::{LightList, ListedLight, PhysicalRow};
+use crate::error::{Result as Loaded, RunError};
+use crate::light_list::{LightList, ListedLight, PhysicalRow, read_light_list};
 use crate::lights::{LightFile, LightRow, LobeRow, MOST};
 use glam::{DVec3, Vec3};
 use sgs_passes::transport::{AreaLight, LightShape};
 use std::f64::consts::PI;
+use std::path::Path;
 
 /// Sharpness of the lobe that approximates a cosine.
 const COSINE_SHARPNESS: f64 = 2.133;
@@ -51,6 +53,14 @@ impl LightList {
         }
         Ok(file)
     }
+}
+
+/// Reads `lights.json` of any version as points with lobes.
+///
+/// # Errors
+/// If the file is missing or damaged, or a light is directional.
+pub fn read_lights(path: &Path) -> Loaded<LightFile> {
+    read_light_list(path)?.published().map_err(|reason| RunError::file(path, reason))
 }
 
 /// Converts a physical light to points with lobes.
