@@ -1,7 +1,7 @@
-// Physical lights: point, sphere, rectangle, disk, spot, directional. `AreaLight::record` fills the records.
+// Physical lights: point, sphere, rectangle, disk, spot, directional, lobe. `AreaLight::record` fills the records.
 //
-// A record has no color. Colors are radiance of spheres, rectangles and disks, radiant intensity of points and spots, and
-// irradiance at normal incidence of directional lights.
+// A record has no color. Colors are radiance of spheres, rectangles and disks, radiant intensity of points, spots and lobes,
+// and irradiance at normal incidence of directional lights.
 
 const uint LIGHT_POINT = 0u;
 const uint LIGHT_SPHERE = 1u;
@@ -9,14 +9,18 @@ const uint LIGHT_RECTANGLE = 2u;
 const uint LIGHT_DISK = 3u;
 const uint LIGHT_SPOT = 4u;
 const uint LIGHT_DIRECTIONAL = 5u;
+const uint LIGHT_LOBE = 6u; // point with a spherical Gaussian
 
 struct LightRecord {
     vec3 origin;  // position, center or corner; directional: unit direction to the light
     uint kind;
-    vec3 axis;    // rectangle: first edge; disk: unit tangent; spot: unit axis
-    float radius; // sphere, disk; directional: sine of the angular radius; spot: factor of the cosine
+    vec3 axis;    // rectangle: first edge; disk: unit tangent; spot, lobe: unit axis
+    float radius; // sphere, disk; directional: sine of the angular radius; spot: factor of the cosine; lobe: sharpness
     vec3 side;    // rectangle: second edge; disk: unit tangent across `axis`
     float bias;   // spot: added to the scaled cosine
     vec3 normal;  // rectangle, disk: unit normal of the side that emits
     float area;   // rectangle, disk
 };
+
+// Whether the light is at a point. Such lights have an intensity, and no extent.
+bool light_is_point(uint kind) { return kind == LIGHT_POINT || kind == LIGHT_SPOT || kind == LIGHT_LOBE; }

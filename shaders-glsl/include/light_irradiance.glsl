@@ -1,13 +1,13 @@
 // Irradiance of a receiver from a physical light of color 1, without occluders. Include area_light.glsl before.
 //
-// Closed forms with the horizon: points and spots by the inverse square law (KHR_lights_punctual); rectangles by Lambert's
+// Closed forms with the horizon: points, spots and lobes by the inverse square law (KHR_lights_punctual); rectangles by Lambert's
 // polygon formula; disks by the same integral along the rim; spheres and directional lights by the cone that they subtend.
 // Lights that are small from the receiver use four points instead, because the closed forms cancel there.
 
 #include "angle.glsl"
 
 const float LIGHT_PI = 3.14159265358979;
-// Nearer points and spots count as if they were this far away, squared.
+// Nearer points, spots and lobes count as if they were this far away, squared.
 const float LIGHT_NEAR_SQUARED = 1e-3;
 // Size over distance, squared, below which four points replace closed forms: above the horizon, and across it.
 const float LIGHT_SMALL = 2.5e-3, LIGHT_SMALL_CUT = 1e-6;
@@ -143,12 +143,17 @@ float light_irradiance(LightRecord light, vec3 point, vec3 normal) {
         // Inside of the sphere, the whole hemisphere is bright.
         return s < 1.0 ? cone_irradiance(cosine, s) : LIGHT_PI;
     }
-    if (light.kind == LIGHT_POINT || light.kind == LIGHT_SPOT) {
-        float cone = 1.0;
+    if (light_is_point(light.kind)) {
+        float share = 1.0;
         if (light.kind == LIGHT_SPOT) {
-            cone = clamp(light.bias - light.radius * dot(light.axis, to) * inverse, 0.0, 1.0);
+            float cone = clamp(light.bias - light.radius * dot(light.axis, to) * inverse, 0.0, 1.0);
+            share = cone * cone;
+        } else if (light.kind == LIGHT_LOBE) {
+            // 1 - cos of the angle to the axis, without cancellation.
+            vec3 apart = light.axis + inverse * to;
+            share = exp(-light.radius * (0.5 * dot(apart, apart)));
         }
-        return max(cosine, 0.0) * cone * cone / max(square, LIGHT_NEAR_SQUARED);
+        return max(cosine, 0.0) * share / max(square, LIGHT_NEAR_SQUARED);
     }
     if (dot(light.normal, to) >= 0.0) return 0.0;
     return light.kind == LIGHT_RECTANGLE ? rectangle_irradiance(to, light, normal) : disk_irradiance(to, light, normal);

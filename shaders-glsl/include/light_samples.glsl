@@ -68,7 +68,7 @@ LightSample light_sample(LightRecord light, vec3 point, vec3 normal, vec2 x) {
         float phi = 2.0 * LIGHT_PI * x.y;
         place = light.radius * sqrt(x.x) * vec2(cos(phi), sin(phi));
     }
-    // Points and spots have no extent: their edges are 0.
+    // Points, spots and lobes are not sampled.
     to += place.x * light.axis + place.y * light.side;
     return LightSample(to, light_geometry(to, normal, light.normal));
 }

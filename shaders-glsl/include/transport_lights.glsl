@@ -72,7 +72,7 @@ void main() {
     if (here) exact = light_irradiance(record, point, normal);
     float result = 0.0;
     if (exact > 0.0) {
-        bool extent = record.kind != LIGHT_POINT && record.kind != LIGHT_SPOT &&
+        bool extent = !light_is_point(record.kind) &&
                       !(record.kind == LIGHT_DIRECTIONAL && record.radius == 0.0);
         float all = 0.0, seen = 0.0;
         if (extent) {

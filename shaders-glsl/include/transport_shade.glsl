@@ -88,7 +88,7 @@ Representative representative(LightRecord light, Pixel p) {
         return Representative(inside ? r : normalize(edge), vec2(0.5 * s));
     }
     vec3 to = light.origin - p.surface.point;
-    if (light.kind == LIGHT_POINT || light.kind == LIGHT_SPOT) {
+    if (light_is_point(light.kind)) {
         return Representative(to * inversesqrt(max(dot(to, to), 1e-30)), vec2(0.0));
     }
     if (light.kind == LIGHT_SPHERE) {

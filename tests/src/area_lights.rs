@@ -43,6 +43,7 @@ pub fn one_of_each(rng: &mut Pcg, distance: f64, size: f64) -> Vec<AreaLight> {
         light(LightShape::Spot { position: e.0, axis: e.1, inner_angle: 0.2, outer_angle: 0.9 }),
         light(LightShape::Directional { direction: f.1, angular_radius: 0.0 }),
         light(LightShape::Directional { direction: g.1, angular_radius: (0.5 * size / distance).atan() as f32 }),
+        light(LightShape::Lobe { position: f.0, axis: f.1, sharpness: (4.0 / size) as f32 }),
     ]
 }
 
@@ -95,7 +96,7 @@ pub fn scale(light: &Light, r: &Receiver) -> f64 {
     let pi = std::f64::consts::PI;
     match light.kind {
         Kind::Directional => 1.0,
-        Kind::Point | Kind::Spot => 1.0 / square.max(1e-3),
+        Kind::Point | Kind::Spot | Kind::Lobe => 1.0 / square.max(1e-3),
         Kind::Sphere | Kind::Disk => pi * (light.radius.powi(2) / square).min(1.0),
         Kind::Rectangle => {
             let center = along(along(to, 0.5, light.axis), 0.5, light.side);

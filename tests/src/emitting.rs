@@ -3,7 +3,8 @@
 use crate::rooms::{self, Room};
 use glam::Vec3;
 use sgs_config::{Settings, TransportSettings, VisibilityKind};
-use sgs_run::{EmitterFile, EmitterRow, EnclosureRow, RunDirectory, ShapeRow, write_emitters};
+use sgs_passes::transport::LightShape;
+use sgs_run::{EmitterFile, EmitterRow, EnclosureRow, RunDirectory, write_emitters};
 use sgs_scene::Splats;
 use std::path::Path;
 
@@ -69,9 +70,9 @@ pub fn fabricate_emitting(root: &Path) {
     run.write_settings(&settings).expect("settings");
     splats.write_ply(&run.path("scene.ply")).expect("a PLY file");
     let shapes = [
-        ShapeRow::Rectangle { corner: [-0.5, 0.5, half.z - 0.01], edge_u: [0.0, -1.0, 0.0], edge_v: [1.0, 0.0, 0.0] },
-        ShapeRow::Sphere { center: [0.4, -0.3, 0.4], radius: 0.1 },
-        ShapeRow::Point { position: [-0.6, 0.3, 0.0] },
+        LightShape::Rectangle { corner: [-0.5, 0.5, half.z - 0.01], edge_u: [0.0, -1.0, 0.0], edge_v: [1.0, 0.0, 0.0] },
+        LightShape::Sphere { center: [0.4, -0.3, 0.4], radius: 0.1 },
+        LightShape::Point { position: [-0.6, 0.3, 0.0] },
     ];
     let colors = [[0.5, 0.6, 1.0], [12.0, 9.0, 6.0], [0.2, 0.6, 0.3]];
     let row = |i: usize| EmitterRow { name: EMITTERS[i].into(), on: i < 2, color: colors[i], shape: shapes[i] };

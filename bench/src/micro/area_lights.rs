@@ -1,7 +1,7 @@
 //! Benchmark of physical lights: `transport_lights` at surfels and at pixels, `transport_reflect`, `transport_shade` and its
 //! gradient.
 //!
-//! The room of `lights` with its walls cut into surfels, discs in it, and eight lights of all shapes. Some pairs and pixels
+//! The room of `lights` with its walls cut into surfels, discs in it, and nine lights of all shapes. Some pairs and pixels
 //! are checked against the reference.
 
 use super::Context;
@@ -38,7 +38,7 @@ const SEED: u32 = 3;
 /// Approximate number of pairs and of pixels that the reference evaluates.
 const CHECKED: usize = 64;
 
-/// Returns eight lights in the room.
+/// Returns nine lights in the room.
 fn lights() -> Vec<AreaLight> {
     let shapes = [
         LightShape::Point { position: [0.5, -0.6, 0.4] },
@@ -49,6 +49,7 @@ fn lights() -> Vec<AreaLight> {
         LightShape::Disk { center: [0.0, 1.4, 0.5], normal: [0.0, -1.0, 0.0], radius: 0.2 },
         LightShape::Spot { position: [-1.0, -1.0, 0.0], axis: [0.6, 0.5, 0.8], inner_angle: 0.3, outer_angle: 0.8 },
         LightShape::Directional { direction: [0.3, 0.8, 0.5], angular_radius: 0.1 },
+        LightShape::Lobe { position: [0.2, 1.0, -0.9], axis: [-0.1, -0.6, 0.7], sharpness: 4.0 },
     ];
     shapes.map(|shape| AreaLight { shape, color: [1.0, 0.8, 0.6] }).to_vec()
 }

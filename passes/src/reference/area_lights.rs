@@ -10,7 +10,7 @@ use std::f64::consts::{PI, TAU};
 
 /// Number of sides of polygons that replace disks.
 pub const SIDES: usize = 1024;
-/// Square of the distance below which points and spots are not nearer.
+/// Square of the distance below which points, spots and lobes are not nearer.
 const NEAR_SQUARED: f64 = 1e-3;
 /// Distance of directional lights.
 const FAR: f64 = 1e15;
@@ -30,6 +30,8 @@ pub enum Kind {
     Spot,
     /// Distant disk.
     Directional,
+    /// Point with a spherical Gaussian.
+    Lobe,
 }
 
 /// Record of the device in double precision; see `area_light.glsl`.
@@ -45,7 +47,7 @@ pub struct Light {
     pub side: V3,
     /// Unit normal of the side that emits.
     pub normal: V3,
-    /// Radius, sine of the angular radius, or factor of the cosine.
+    /// Radius, sine of the angular radius, factor of the cosine, or sharpness.
     pub radius: f64,
     /// Added to the scaled cosine.
     pub bias: f64,
@@ -54,7 +56,7 @@ pub struct Light {
 impl Light {
     /// Converts a record.
     pub fn new(r: &LightRecord) -> Light {
-        let kinds = [Kind::Point, Kind::Sphere, Kind::Rectangle, Kind::Disk, Kind::Spot, Kind::Directional];
+        let kinds = [Kind::Point, Kind::Sphere, Kind::Rectangle, Kind::Disk, Kind::Spot, Kind::Directional, Kind::Lobe];
         let wide = |v: [f32; 3]| v.map(f64::from);
         Light {
             kind: kinds[r.kind as usize],
@@ -70,7 +72,7 @@ impl Light {
     /// Returns whether the light has an extent.
     pub fn has_extent(&self) -> bool {
         match self.kind {
-            Kind::Point | Kind::Spot => false,
+            Kind::Point | Kind::Spot | Kind::Lobe => false,
             Kind::Directional => self.radius > 0.0,
             _ => true,
         }
@@ -173,6 +175,11 @@ pub fn irradiance(light: &Light, r: &Receiver) -> f64 {
         Kind::Spot => {
             let ramp = (light.bias - light.radius * dot(light.axis, unit(to))).clamp(0.0, 1.0);
             dot(r.normal, unit(to)).max(0.0) * ramp * ramp / square.max(NEAR_SQUARED)
+        }
+        Kind::Lobe => {
+            // A point at the light's position sees no direction.
+            let leaving = dot(unit(light.axis), unit(to.map(|x| -x)));
+            dot(r.normal, unit(to)).max(0.0) * (light.radius * (leaving - 1.0)).exp() / square.max(NEAR_SQUARED)
         }
         Kind::Directional if light.radius == 0.0 => dot(r.normal, light.origin).max(0.0),
         Kind::Directional => cone(unit(light.origin), light.radius) / (PI * light.radius * light.radius),
@@ -325,7 +332,7 @@ pub fn integrate(light: &Light, r: &Receiver, s: &Sampling, side: u32, visible: 
         Kind::Sphere if s >= 1.0 => PI,
         Kind::Sphere => cone,
         Kind::Directional => cone / (PI * s * s),
-        Kind::Point | Kind::Spot => 0.0,
+        Kind::Point | Kind::Spot | Kind::Lobe => 0.0,
     };
     sum * measure / f64::from(side * side)
 }

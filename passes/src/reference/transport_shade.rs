@@ -64,7 +64,7 @@ pub fn representative(light: &Light, point: V3, mirrored: V3) -> (V3, [f64; 2]) 
     let to = along(light.origin, -1.0, point);
     let distance = dot(to, to).sqrt();
     match light.kind {
-        Kind::Point | Kind::Spot => (unit(to), [0.0; 2]),
+        Kind::Point | Kind::Spot | Kind::Lobe => (unit(to), [0.0; 2]),
         Kind::Directional => {
             let (s, c) = (light.radius, (1.0 - light.radius * light.radius).sqrt());
             let facing = dot(light.origin, mirrored);

@@ -1,15 +1,19 @@
 //! Physical lights: shapes, units and records of the device.
 //!
-//! Colors are radiance of spheres, rectangles and disks, radiant intensity of points and spots, and irradiance at normal
-//! incidence of directional lights. They are linear RGB.
+//! Colors are radiance of spheres, rectangles and disks, radiant intensity of points, spots and lobes (in the direction of
+//! its axis), and irradiance at normal incidence of directional lights. They are linear RGB.
 
+use super::light_shape::degrees;
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_shaders::structs::LightRecord;
 use std::f32::consts::{FRAC_PI_2, PI};
 
-/// Shape and place of a light, in world space. Lengths are in the unit of the caller, angles in radians.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Shape and place of a light, in world space. Lengths are in the unit of the caller, angles in radians. Files hold
+/// degrees.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "type", rename_all = "lowercase", deny_unknown_fields)]
 pub enum LightShape {
     /// Point that emits equally in all directions.
     Point {
@@ -48,8 +52,10 @@ pub enum LightShape {
         /// Axis of the cone, of any length.
         axis: [f32; 3],
         /// Angle from the axis at which the light begins to fall off, at least 0.
+        #[serde(with = "degrees")]
         inner_angle: f32,
         /// Angle from the axis at which the light ends. Not below the inner one, at most pi / 2.
+        #[serde(with = "degrees")]
         outer_angle: f32,
     },
     /// Light from a distant disk, such as the sun.
@@ -57,7 +63,18 @@ pub enum LightShape {
         /// Direction in which the light travels, of any length.
         direction: [f32; 3],
         /// Angular radius, from 0 to below pi / 2.
+        #[serde(with = "degrees")]
         angular_radius: f32,
+    },
+    /// Point whose intensity is a spherical Gaussian: `color * exp(sharpness * (cos - 1))`. `cos` is the cosine between the
+    /// axis and the direction in which the light leaves.
+    Lobe {
+        /// Position.
+        position: [f32; 3],
+        /// Direction in which the most light leaves, of any length.
+        axis: [f32; 3],
+        /// Sharpness, at least 0. A lobe of sharpness 0 is a point.
+        sharpness: f32,
     },
 }
 
@@ -85,6 +102,12 @@ pub enum AreaLightError {
     #[error("color: {value} is negative; use 0 or more")]
     NegativeColor {
         /// Most negative number.
+        value: f32,
+    },
+    /// A sharpness is negative.
+    #[error("sharpness: {value} is negative; use 0 or more")]
+    Sharpness {
+        /// Sharpness.
         value: f32,
     },
     /// A length is zero, negative, or too small or large for single precision.
@@ -132,6 +155,7 @@ const RECTANGLE: u32 = 2;
 const DISK: u32 = 3;
 const SPOT: u32 = 4;
 const DIRECTIONAL: u32 = 5;
+const LOBE: u32 = 6;
 
 impl AreaLight {
     /// Checks that the light is valid.
@@ -172,6 +196,12 @@ impl AreaLight {
                 direction("direction", along)?;
                 angle("angular_radius", angular_radius, 0.0, MAX_ANGULAR_RADIUS)
             }
+            LightShape::Lobe { position, axis, sharpness } => {
+                finite("position", &position)?;
+                direction("axis", axis)?;
+                finite("sharpness", &[sharpness])?;
+                if sharpness < 0.0 { Err(AreaLightError::Sharpness { value: sharpness }) } else { Ok(()) }
+            }
         }
     }
 
@@ -189,6 +219,7 @@ impl AreaLight {
                 2.0 * PI * ((1.0 - end) + (end - low).powi(3) / (3.0 * width * width))
             }
             LightShape::Directional { .. } => return None,
+            LightShape::Lobe { sharpness, .. } => 4.0 * PI * mean_of_lobe(sharpness),
         };
         Some(self.color.map(|c| factor * c))
     }
@@ -196,22 +227,9 @@ impl AreaLight {
     /// Returns the light in another unit of length: lengths are multiplied by `factor`, irradiance is unchanged.
     #[must_use]
     pub fn scaled(&self, factor: f32) -> AreaLight {
-        let by = |v: [f32; 3]| v.map(|x| factor * x);
-        let mut light = *self;
-        match &mut light.shape {
-            LightShape::Point { position } | LightShape::Spot { position, .. } => {
-                *position = by(*position);
-                light.color = light.color.map(|c| factor * factor * c);
-            }
-            LightShape::Sphere { center, radius } | LightShape::Disk { center, radius, .. } => {
-                (*center, *radius) = (by(*center), factor * *radius);
-            }
-            LightShape::Rectangle { corner, edge_u, edge_v } => {
-                (*corner, *edge_u, *edge_v) = (by(*corner), by(*edge_u), by(*edge_v));
-            }
-            LightShape::Directional { .. } => {}
-        }
-        light
+        let shape = self.shape.transformed(factor, |v| v, |place| factor * place);
+        let by = if shape.has_intensity() { factor * factor } else { 1.0 };
+        AreaLight { shape, color: self.color.map(|c| by * c) }
     }
 
     /// Returns the record of the device, without the color. The light must be valid ([`AreaLight::check`]).
@@ -272,6 +290,9 @@ impl AreaLight {
                 radius: angular_radius.sin(),
                 ..zero
             },
+            LightShape::Lobe { position, axis, sharpness } => {
+                LightRecord { origin: position, kind: LOBE, axis: unit(axis).into(), radius: sharpness, ..zero }
+            }
         }
     }
 }
@@ -280,6 +301,12 @@ impl AreaLight {
 fn spot_ramp(inner_angle: f32, outer_angle: f32) -> (f32, f32) {
     let low = outer_angle.cos();
     (low, (inner_angle.cos() - low).max(MIN_EDGE))
+}
+
+/// Returns the mean of a spherical Gaussian over all directions; its largest value is 1.
+fn mean_of_lobe(sharpness: f32) -> f32 {
+    let twice = 2.0 * f64::from(sharpness);
+    if twice > 0.0 { (-(-twice).exp_m1() / twice) as f32 } else { 1.0 }
 }
 
 fn finite(property: &'static str, values: &[f32]) -> Result<(), AreaLightError> {
@@ -409,6 +436,26 @@ mod tests {
         assert_eq!(sun(0.1).power(), None);
         let [r, ..] = disk([1.0, 0.0, 0.0], 2.0).power().unwrap();
         assert!((r - PI * PI * 4.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn power_of_a_lobe_matches_quadrature() {
+        let lobe = |sharpness| light(LightShape::Lobe { position: [0.0; 3], axis: [0.0, 3.0, 0.0], sharpness });
+        for sharpness in [0.0, 1e-6, 0.5, 9.5, 1e4] {
+            // Over the cosine, where the lobe is not 0.
+            let (n, width) = (200_000, 2.0_f64.min(40.0 / f64::from(sharpness)));
+            let sum: f64 =
+                (0..n).map(|i| (-f64::from(sharpness) * width * (f64::from(i) + 0.5) / f64::from(n)).exp()).sum();
+            let expected = 2.0 * std::f64::consts::PI * sum * width / f64::from(n);
+            let [r, ..] = lobe(sharpness).power().unwrap().map(f64::from);
+            assert!((r / expected - 1.0).abs() < 1e-6, "{sharpness}: {r} {expected}");
+        }
+        assert_eq!(lobe(0.0).power(), light(LightShape::Point { position: [0.0; 3] }).power());
+        assert_eq!(lobe(-1.0).check().unwrap_err().to_string(), "sharpness: -1 is negative; use 0 or more");
+        assert!(lobe(f32::INFINITY).check().unwrap_err().to_string().starts_with("sharpness: inf is not finite"));
+        let flat = LightShape::Lobe { position: [0.0; 3], axis: [0.0; 3], sharpness: 1.0 };
+        assert!(light(flat).check().unwrap_err().to_string().starts_with("axis: length 0 is"));
+        assert_eq!(lobe(2.0).scaled(4.0).color, [16.0, 32.0, 0.0]);
     }
 
     #[test]

@@ -6,8 +6,8 @@
 //! share, weighted by the geometric term. Receivers without occluders therefore have no noise. The set of points is
 //! shifted by a hash of receiver and light, so that banding becomes noise. A receiver in the dark traces no ray.
 //!
-//! Guarantees: results are bit-identical from run to run. Points and spots nearer than about 0.03 count as if they were at
-//! that distance. Inside of a sphere, the whole hemisphere is bright. Values that are not finite give 0.
+//! Guarantees: results are bit-identical from run to run. Points, spots and lobes nearer than about 0.03 count as if they
+//! were at that distance. Inside of a sphere, the whole hemisphere is bright. Values that are not finite give 0.
 //!
 //! Cost of a pair of receiver and light: 32 bytes (28 of a pixel) and 4 written. About 60 operations for the closed forms of
 //! points, 200 of rectangles and disks. Half of the pairs face each other; each traces one ray, or [`ShadowRays::samples`]

@@ -7,6 +7,7 @@
 mod area_light;
 mod enclosure;
 mod gather;
+mod light_shape;
 mod lights;
 mod matrix;
 mod nearest;

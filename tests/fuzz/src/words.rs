@@ -137,14 +137,14 @@ impl Words {
                 "\"environment_after_4294967295\"" "\"relit_queried_at\"" "\"last_error\":\"-0\""
             ),
             Words::Light => words!(
-                "\"format\"" "\"sgs-lights-1\"" "\"normalizer\"" "\"lights\"" "\"position\"" "\"gain\"" "\"lobes\"" "\"axis\"" "\"sharpness\""
+                "\"format\"" "\"sgs-lights-1\"" "\"sgs-lights-2\"" "\"normalizer\"" "\"lights\"" "\"position\"" "\"gain\"" "\"lobes\"" "\"axis\"" "\"sharpness\""
                 "\"amplitude\"" "\"off\"" "\"only\"" "\"change\"" "\"add\"" "\"light\"" "\"on\"" "\"by\"" "\"to\"" "\"color\"" "\"intensity\""
                 "\"corners\"" "\"radiance\"" "\"patches\"" "\"environment\"" "\"file\"" "\"rotate\"" "\"degrees\"" "\"materials\""
                 "\"where\"" "\"box\"" "\"gaussians\"" "\"class\"" "\"region\"" "\"view\"" "\"id\"" "\"set\"" "\"scale\"" "\"albedo\"" "\"roughness\""
                 "\"metallic\"" "\"insert\"" "\"source\"" "\"rotation\"" "\"translation\"" "[0,0,0]" "[0,0,0,0]" "[1,1,1]" "[1e38,1e38,1e38]"
                 "\"training\"" "\"relight\"" "\"point_light_intensity_equivalent\"" "\"instance_id\"" "\"new_base_color_linear\""
                 "\"sgs-emitters-1\"" "\"enclosure\"" "\"low\"" "\"high\"" "\"surfels\"" "\"rays\"" "\"emitters\"" "\"name\"" "\"shape\"" "\"type\""
-                "\"point\"" "\"sphere\"" "\"rectangle\"" "\"disk\"" "\"spot\"" "\"directional\"" "\"center\"" "\"radius\"" "\"corner\""
+                "\"point\"" "\"sphere\"" "\"rectangle\"" "\"disk\"" "\"spot\"" "\"directional\"" "\"lobe\"" "\"center\"" "\"radius\"" "\"corner\""
                 "\"edge_u\"" "\"edge_v\"" "\"normal\"" "\"inner_angle\"" "\"outer_angle\"" "\"direction\"" "\"angular_radius\""
             ),
             Words::Provider => words!(

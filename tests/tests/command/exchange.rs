@@ -10,6 +10,7 @@ use ply_rs_bw::ply::{DefaultElement, Property};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 use sgs_config::VisibilityKind;
+use sgs_passes::transport::LightShape;
 use sgs_run::{read_exchange, read_lights, read_splats, write_exchange, write_lights};
 use sgs_scene::{ALBEDO_RANGE, Camera, GltfScene, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats, read_exr, write_exr};
 use sgs_tests::Place;
@@ -99,7 +100,7 @@ fn edits_of_other_programs_override_stored_attributes() {
     let mut expected = sample(30);
     expected.log_scales[0][0] = 2.0_f32.ln();
     assert_eq!(file.splats, expected);
-    assert_eq!(file.lights.unwrap().lights[0].position, [5.0, 6.0, 7.0]);
+    assert_eq!(file.lights.unwrap().published().unwrap().lights[0].position, [5.0, 6.0, 7.0]);
 }
 
 #[test]
@@ -282,11 +283,15 @@ fn foreign_gltf_is_read_in_place() {
     assert!(s.opacity_logits[0] > 10.0);
     near(&s.opacity_logits[1..], &[-(4.0_f32.ln())]);
     near(&s.sh[0], &[0.5, -0.5, 0.0, 1.0, 1.0, 1.0]);
-    let lights = file.lights.unwrap();
-    assert_eq!((lights.lights.len(), lights.normalizer, lights.lights[0].position), (1, 1.0, [1.0, 2.0, 3.0]));
-    near(&lights.lights[0].lobes[0].amplitude, &[40.0, 20.0, 0.0]);
-    let notes = GltfScene::read(&path).unwrap().left_out;
-    assert_eq!(notes, ["1 lights that are no points"]);
+    let emitters = file.lights.unwrap().emitters();
+    let shapes: Vec<LightShape> = emitters.iter().map(|e| e.shape).collect();
+    let sun = LightShape::Directional { direction: [0.0, 0.0, -1.0], angular_radius: 0.0 };
+    assert_eq!(shapes, [LightShape::Point { position: [1.0, 2.0, 3.0] }, sun]);
+    assert_eq!((emitters[0].color, emitters[1].color), ([40.0, 20.0, 0.0], [1.0; 3]));
+    let mut other = foreign();
+    other["extensions"]["KHR_lights_punctual"]["lights"][1]["type"] = json!("area");
+    std::fs::write(&path, other.to_string()).unwrap();
+    assert_eq!(GltfScene::read(&path).unwrap().left_out, ["1 lights of unknown kinds"]);
 }
 
 #[test]
@@ -455,7 +460,7 @@ proptest! {
         let name = if kind < 6 { "a.ply" } else if kind == 6 { "a.glb" } else { "a.gltf" };
         let path = folder.path().join(name);
         let splats = sample(3);
-        write_exchange(&path, &splats, PlyDialect::ALL.get(kind).copied(), Some(&foreign_lights()), None).unwrap();
+        write_exchange(&path, &splats, PlyDialect::ALL.get(kind).copied(), Some(&foreign_lights().into()), None).unwrap();
         let mut bytes = std::fs::read(&path).unwrap();
         let whole = bytes.len();
         bytes.truncate((whole as f64 * keep) as usize);

@@ -238,13 +238,14 @@ fn with_unreal(mut line: Line) -> Line {
 
 /// Returns the line with lights whose centers or corners are those of surfels.
 fn with_lights_in_surfels(line: Line) -> Line {
-    let lights = (0..4).map(|i| {
+    let lights = (0..5).map(|i| {
         let center = line.surfels.points[i];
         light(match i {
             0 => LightShape::Point { position: center },
             1 => LightShape::Sphere { center, radius: 0.05 },
             2 => LightShape::Rectangle { corner: center, edge_u: [0.5, 0.0, 0.0], edge_v: [0.0, 0.5, 0.0] },
-            _ => LightShape::Disk { center, normal: line.surfels.normals[i], radius: 0.5 },
+            3 => LightShape::Disk { center, normal: line.surfels.normals[i], radius: 0.5 },
+            _ => LightShape::Lobe { position: center, axis: line.surfels.normals[i], sharpness: 1e4 },
         })
     });
     Line { lights: lights.collect(), ..line }

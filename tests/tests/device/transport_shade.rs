@@ -285,6 +285,7 @@ fn extreme_surfaces_match_reference() {
         LightShape::Disk { center: [0.0, 0.0, -1.0], normal: [0.0, 0.0, 1.0], radius: 0.25 },
         LightShape::Directional { direction: [0.0, 0.0, -1.0], angular_radius: 1.57 },
         LightShape::Directional { direction: [1.0, 0.0, -0.001], angular_radius: 0.0 },
+        LightShape::Lobe { position: [0.0, 0.0, 0.0], axis: [0.0, 0.0, 1.0], sharpness: 1e4 },
     ]
     .map(light);
     let mut bright = lights;

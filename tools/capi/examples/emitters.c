@@ -33,7 +33,7 @@ static void only(int one, const SgsLight *before, uint32_t count) {
 }
 
 int main(int argc, char **argv) {
-    static const char *const shapes[] = {"point", "sphere", "rectangle", "disk", "spot", "directional"};
+    static const char *const shapes[] = {"point", "sphere", "rectangle", "disk", "spot", "directional", "lobe"};
     static float all[FLOATS], sum[FLOATS], one[FLOATS];
     char why[1024];
     SgsRelightState state = {sizeof state};

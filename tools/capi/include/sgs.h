@@ -116,6 +116,10 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // Emitter: light from a distant disk.
 #define SGS_EMITTER_DIRECTIONAL 5
 
+// Emitter: point whose intensity is color * exp(sharpness * (c - 1)). c is the cosine between the axis and the direction in
+// which the light leaves.
+#define SGS_EMITTER_LOBE 6
+
 // Result of a call.
 enum SgsResult
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -470,12 +474,12 @@ typedef struct {
   uint32_t struct_size;
   // SGS_EMITTER_...
   uint32_t shape;
-  // Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points and spots,
-  // irradiance of directional light.
+  // Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points, spots and
+  // lobes, irradiance of directional light.
   float color[3];
   // Center; the corner of a rectangle where both edges begin. 0 for directional light.
   float position[3];
-  // First edge of a rectangle; else normal of a disk, axis of a spot, direction of directional light.
+  // First edge of a rectangle; else normal of a disk, axis of a spot or lobe, direction of directional light.
   float axis[3];
   // Second edge of a rectangle.
   float side[3];
@@ -483,6 +487,8 @@ typedef struct {
   float radius;
   // Inner and outer angle of a spot in degrees; angular radius of directional light, and 0.
   float angles[2];
+  // Sharpness of a lobe.
+  float sharpness;
 } SgsEmitter;
 
 // Options for opening a trainer.

@@ -3,7 +3,8 @@
 use crate::border::{put_text, write};
 use crate::context::{SgsContext, with};
 use crate::types::*;
-use sgs_run::{EmitterRow, ShapeRow};
+use sgs_passes::transport::LightShape;
+use sgs_run::EmitterRow;
 use std::ffi::c_char;
 
 /// Emitter: point that emits equally in all directions.
@@ -18,6 +19,9 @@ pub const SGS_EMITTER_DISK: u32 = 3;
 pub const SGS_EMITTER_SPOT: u32 = 4;
 /// Emitter: light from a distant disk.
 pub const SGS_EMITTER_DIRECTIONAL: u32 = 5;
+/// Emitter: point whose intensity is color * exp(sharpness * (c - 1)). c is the cosine between the axis and the direction in
+/// which the light leaves.
+pub const SGS_EMITTER_LOBE: u32 = 6;
 
 /// Returns an emitter of a run, numbered from 0 as in emitters.json. Emitters are the lights of such a run:
 /// sgs_relight_light_count counts them, sgs_relight_light_set switches, dims and recolors them. `name`, if not null, has
@@ -43,6 +47,10 @@ pub unsafe extern "C" fn sgs_relight_emitter_get(
     }
 }
 
+fn degrees(radians: f32) -> f32 {
+    f64::from(radians).to_degrees() as f32
+}
+
 fn emitter_of(row: &EmitterRow) -> SgsEmitter {
     let none = SgsEmitter {
         struct_size: 0,
@@ -53,23 +61,29 @@ fn emitter_of(row: &EmitterRow) -> SgsEmitter {
         side: [0.0; 3],
         radius: 0.0,
         angles: [0.0; 2],
+        sharpness: 0.0,
     };
     match row.shape {
-        ShapeRow::Point { position } => SgsEmitter { position, ..none },
-        ShapeRow::Sphere { center, radius } => {
+        LightShape::Point { position } => SgsEmitter { position, ..none },
+        LightShape::Sphere { center, radius } => {
             SgsEmitter { shape: SGS_EMITTER_SPHERE, position: center, radius, ..none }
         }
-        ShapeRow::Rectangle { corner, edge_u, edge_v } => {
+        LightShape::Rectangle { corner, edge_u, edge_v } => {
             SgsEmitter { shape: SGS_EMITTER_RECTANGLE, position: corner, axis: edge_u, side: edge_v, ..none }
         }
-        ShapeRow::Disk { center, normal, radius } => {
+        LightShape::Disk { center, normal, radius } => {
             SgsEmitter { shape: SGS_EMITTER_DISK, position: center, axis: normal, radius, ..none }
         }
-        ShapeRow::Spot { position, axis, inner_angle, outer_angle } => {
-            SgsEmitter { shape: SGS_EMITTER_SPOT, position, axis, angles: [inner_angle, outer_angle], ..none }
+        LightShape::Spot { position, axis, inner_angle, outer_angle } => {
+            let angles = [inner_angle, outer_angle].map(degrees);
+            SgsEmitter { shape: SGS_EMITTER_SPOT, position, axis, angles, ..none }
         }
-        ShapeRow::Directional { direction, angular_radius } => {
-            SgsEmitter { shape: SGS_EMITTER_DIRECTIONAL, axis: direction, angles: [angular_radius, 0.0], ..none }
+        LightShape::Directional { direction, angular_radius } => {
+            let angles = [degrees(angular_radius), 0.0];
+            SgsEmitter { shape: SGS_EMITTER_DIRECTIONAL, axis: direction, angles, ..none }
+        }
+        LightShape::Lobe { position, axis, sharpness } => {
+            SgsEmitter { shape: SGS_EMITTER_LOBE, position, axis, sharpness, ..none }
         }
     }
 }

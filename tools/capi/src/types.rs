@@ -390,12 +390,12 @@ pub struct SgsEmitter {
     pub struct_size: u32,
     /// SGS_EMITTER_...
     pub shape: u32,
-    /// Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points and spots,
-    /// irradiance of directional light.
+    /// Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points, spots and
+    /// lobes, irradiance of directional light.
     pub color: [f32; 3],
     /// Center; the corner of a rectangle where both edges begin. 0 for directional light.
     pub position: [f32; 3],
-    /// First edge of a rectangle; else normal of a disk, axis of a spot, direction of directional light.
+    /// First edge of a rectangle; else normal of a disk, axis of a spot or lobe, direction of directional light.
     pub axis: [f32; 3],
     /// Second edge of a rectangle.
     pub side: [f32; 3],
@@ -403,6 +403,8 @@ pub struct SgsEmitter {
     pub radius: f32,
     /// Inner and outer angle of a spot in degrees; angular radius of directional light, and 0.
     pub angles: [f32; 2],
+    /// Sharpness of a lobe.
+    pub sharpness: f32,
 }
 
 /// Light. sgs_relight_light_set applies every field: get a light, change it, set it.

@@ -9,7 +9,7 @@
 use super::emitting::Emitting;
 use super::materials::edit_materials;
 use super::painted::{LEARNED, key_of, painted_of, read};
-use super::true_light::{TrueLight, TrueLights, center};
+use super::true_light::{TrueLight, TrueLights};
 use crate::error::Result;
 use glam::Vec3;
 use sgs_engine::Device;
@@ -258,7 +258,7 @@ fn same(a: &TrueLight, b: &TrueLight) -> bool {
         _ => Vec3::ZERO,
     };
     let (Some(a), Some(b)) = (a.as_area(), b.as_area()) else { return false };
-    match (center(&a), center(&b)) {
+    match (a.shape.center(), b.shape.center()) {
         (Some(a), Some(b)) => a.distance(b) < 1e-3,
         (None, None) => along(&a).distance(along(&b)) < 1e-3,
         _ => false,
@@ -267,8 +267,8 @@ fn same(a: &TrueLight, b: &TrueLight) -> bool {
 
 /// Returns the light of a list that is nearest to an emitter, and its distance.
 fn nearest(emitter: &AreaLight, list: &[TrueLight]) -> Option<(usize, f32)> {
-    let at = center(emitter)?;
-    let places = list.iter().enumerate().filter_map(|(i, l)| Some((i, center(&l.as_area()?)?.distance(at))));
+    let at = emitter.shape.center()?;
+    let places = list.iter().enumerate().filter_map(|(i, l)| Some((i, l.as_area()?.shape.center()?.distance(at))));
     places.min_by(|a, b| a.1.total_cmp(&b.1))
 }
 

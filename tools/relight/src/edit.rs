@@ -5,8 +5,9 @@
 
 use crate::emitters::EmitterEdit;
 use crate::error::{RelightError, Result};
+pub use crate::new_light::NewLight;
+use crate::numbers::{finite, positive};
 use serde::{Deserialize, Serialize};
-use sgs_run::LobeRow;
 use sgs_scene::Placement;
 use std::path::{Path, PathBuf};
 
@@ -56,26 +57,6 @@ pub struct LightChange {
     pub by: Option<[f32; 3]>,
     /// New position.
     pub to: Option<[f32; 3]>,
-}
-
-/// New light: a position with an intensity or lobes, or a rectangle.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct NewLight {
-    /// Position.
-    pub position: Option<[f32; 3]>,
-    /// Radiant intensity, equal in all directions.
-    pub intensity: Option<[f32; 3]>,
-    /// Radiant intensity as spherical Gaussians; axes point from the lit surface to the light.
-    pub lobes: Option<Vec<LobeRow>>,
-    /// Corners of a rectangle, in order around it.
-    ///
-    /// The rectangle emits to the side from which they run counterclockwise.
-    pub corners: Option<[[f32; 3]; 4]>,
-    /// Radiance of the rectangle.
-    pub radiance: Option<[f32; 3]>,
-    /// Patches along each side of the rectangle; default 4.
-    pub patches: Option<u32>,
 }
 
 /// Edit of the environment map.
@@ -213,6 +194,7 @@ impl Edit {
         let mut edit: Edit = serde_json::from_str(text).map_err(|e| format!("not an edit: {e}"))?;
         edit.check()?;
         edit.environment.file = edit.environment.file.map(|file| beside.join(file));
+        edit.emitters.file = edit.emitters.file.map(|file| beside.join(file));
         edit.insert.iter_mut().for_each(|i| i.source = beside.join(&i.source));
         Ok(edit)
     }
@@ -265,36 +247,6 @@ impl Edit {
     }
 }
 
-impl NewLight {
-    pub(super) fn check(&self, name: &str) -> std::result::Result<(), String> {
-        let place = self.position.is_some();
-        let sends = usize::from(self.intensity.is_some()) + usize::from(self.lobes.is_some());
-        let rectangle = self.corners.is_some() && self.radiance.is_some();
-        let parts = self.corners.is_some() || self.radiance.is_some() || self.patches.is_some();
-        let point = place && sends == 1 && !parts;
-        if !(point || rectangle && !place && sends == 0) {
-            return Err(format!(
-                "{name} must have either \"position\" and one of \"intensity\" and \"lobes\", or \"corners\" and \"radiance\""
-            ));
-        }
-        finite(name, self.position.iter().flatten())?;
-        finite(name, self.corners.iter().flatten().flatten())?;
-        positive(name, self.intensity.iter().chain(&self.radiance).flatten())?;
-        let lobes = self.lobes.iter().flatten();
-        positive(name, lobes.clone().flat_map(|l| l.amplitude.iter().chain([&l.sharpness])))?;
-        if lobes.clone().any(|l| !l.axis.iter().all(|v| v.is_finite()) || l.axis == [0.0; 3]) {
-            return Err(format!("{name} has a lobe whose axis is no direction"));
-        }
-        if self.lobes.as_ref().is_some_and(|l| l.is_empty() || l.len() > 32) {
-            return Err(format!("{name} must have 1 to 32 lobes"));
-        }
-        match self.patches {
-            Some(n) if !(1..=64).contains(&n) => Err(format!("{name}.patches is {n}, but must be 1 to 64")),
-            _ => Ok(()),
-        }
-    }
-}
-
 impl MaterialEdit {
     fn check(&self, name: &str) -> std::result::Result<(), String> {
         if self.place == Where::default() {
@@ -321,20 +273,6 @@ impl MaterialEdit {
     }
 }
 
-fn finite<'v>(name: &str, values: impl IntoIterator<Item = &'v f32>) -> std::result::Result<(), String> {
-    match values.into_iter().find(|v| !v.is_finite()) {
-        Some(v) => Err(format!("{name} holds {v}, which is not finite")),
-        None => Ok(()),
-    }
-}
-
-fn positive<'v>(name: &str, values: impl IntoIterator<Item = &'v f32>) -> std::result::Result<(), String> {
-    match values.into_iter().find(|v| !(v.is_finite() && **v >= 0.0)) {
-        Some(v) => Err(format!("{name} holds {v}, but must be finite and at least 0")),
-        None => Ok(()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -355,6 +293,12 @@ mod tests {
             (r#"{"lights": {"change": [{"light": 1, "intensity": -1}]}}"#, "holds -1"),
             (r#"{"lights": {"add": [{"position": [0,0,0]}]}}"#, "lights.add[0] must have either"),
             (r#"{"lights": {"add": [{"position": [0,0,0], "lobes": []}]}}"#, "1 to 32 lobes"),
+            (r#"{"lights": {"add": [{"position": [0,0,0], "glow": 1}]}}"#, "unknown field `glow`"),
+            (r#"{"lights": {"add": [{"type": "cube", "color": [1,1,1]}]}}"#, "the type \"cube\"; use lobes, point"),
+            (
+                r#"{"lights": {"add": [{"type": "point", "position": [0,0,0], "color": [1,-1,1]}]}}"#,
+                "lights.add[0] holds color: -1",
+            ),
             (r#"{"emitters": {"change": [{"on": true}]}}"#, "emitters.change[0] has no \"emitter\""),
             (r#"{"environment": {"off": true, "scale": 2}}"#, "off and changed"),
             (r#"{"environment": {"rotate": {"axis": [0,0,0], "degrees": 1}}}"#, "axis that is not zero"),

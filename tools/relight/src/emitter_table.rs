@@ -1,9 +1,7 @@
 //! Emitters whose light changes per frame.
 
-use super::emitters::moved;
 use super::emitting::Emitting;
 use super::light_table::LightParameters;
-use super::true_light::center;
 use crate::error::{RelightError, Result};
 use glam::Vec3;
 use sgs_passes::pipeline::FrameEmitter;
@@ -34,7 +32,7 @@ impl EmitterTable {
         let [low, high] = [emitting.file.enclosure.low, emitting.file.enclosure.high].map(Vec3::from);
         let row = |(row, in_place): (&EmitterRow, &bool)| {
             // Directional light comes from everywhere. Its handle lies in the middle of the room.
-            let position = center(&row.light()).unwrap_or((low + high) / 2.0).to_array();
+            let position = row.shape.center().unwrap_or((low + high) / 2.0).to_array();
             let now = LightParameters { on: row.on, position, gain: 1.0, color: [1.0; 3] };
             Row { file: row.clone(), in_place: *in_place, before: position, now, stale: false }
         };
@@ -128,8 +126,8 @@ impl Row {
         let Row { file, now, in_place, before, .. } = self;
         let color = if now.on { [0, 1, 2].map(|c| file.color[c] * now.color[c] * now.gain) } else { [0.0; 3] };
         let by = [0, 1, 2].map(|k| now.position[k] - before[k]);
-        let shape = if by == [0.0; 3] { file.shape } else { moved(file.shape, by) };
-        let light = AreaLight { color, shape: shape.into() };
+        let shape = if by == [0.0; 3] { file.shape } else { file.shape.translated(by) };
+        let light = AreaLight { color, shape };
         // The surface of a moved emitter is dark.
         FrameEmitter { light, surface: if *in_place && by == [0.0; 3] { color } else { [0.0; 3] } }
     }
@@ -138,11 +136,11 @@ impl Row {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use sgs_run::ShapeRow;
+    use sgs_passes::transport::LightShape;
 
     fn table() -> EmitterTable {
         let row = |name: &str, on| {
-            let shape = ShapeRow::Sphere { center: [1.0, 2.0, 3.0], radius: 0.1 };
+            let shape = LightShape::Sphere { center: [1.0, 2.0, 3.0], radius: 0.1 };
             let file = EmitterRow { name: name.to_owned(), on, color: [1.0, 2.0, 4.0], shape };
             let now = LightParameters { on, position: [1.0, 2.0, 3.0], gain: 1.0, color: [1.0; 3] };
             Row { file, in_place: name != "moved", before: now.position, now, stale: false }
@@ -170,8 +168,8 @@ mod tests {
         let away = LightParameters { position: [1.5, 2.0, 3.0], ..now };
         all.set(0, away).unwrap();
         let frame = all.frame()[0];
-        let there = ShapeRow::Sphere { center: [1.5, 2.0, 3.0], radius: 0.1 };
-        assert_eq!((frame.light.shape, frame.surface), (there.into(), [0.0; 3]));
+        let there = LightShape::Sphere { center: [1.5, 2.0, 3.0], radius: 0.1 };
+        assert_eq!((frame.light.shape, frame.surface), (there, [0.0; 3]));
         assert_eq!(all.take_stale(), Some((0, frame.light)));
         assert_eq!(all.take_stale(), None);
         // A reset makes the response stale again.

@@ -1,9 +1,11 @@
 //! Edit of the emitters of a run.
 
 use crate::error::{RelightError, Result};
-use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use sgs_run::{EmitterFile, EmitterRow, ShapeRow};
+use sgs_passes::transport::LightShape;
+use sgs_run::{EmitterFile, EmitterRow};
+use sgs_scene::MOST_EMITTERS;
+use std::path::PathBuf;
 
 /// Edit of the emitters of a run with `emitters.json`. Their light bounces.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -17,6 +19,10 @@ pub struct EmitterEdit {
     pub change: Vec<EmitterChange>,
     /// New emitters.
     pub add: Vec<NewEmitter>,
+    /// Lights to add: a glTF file or a `lights.json`.
+    ///
+    /// A relative path starts at the directory of the edit file.
+    pub file: Option<PathBuf>,
 }
 
 /// Change of one emitter.
@@ -39,8 +45,11 @@ pub struct EmitterChange {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NewEmitter {
+    /// Name; "new 1" and so on by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// Shape and place, as in `emitters.json`.
-    pub shape: ShapeRow,
+    pub shape: LightShape,
     /// Linear RGB: radiance, radiant intensity or irradiance, as in `emitters.json`.
     pub color: [f32; 3],
 }
@@ -66,6 +75,12 @@ impl EmitterEdit {
             row.light().check().map_err(|e| format!("emitters.add[{i}]: {e}"))?;
         }
         Ok(())
+    }
+}
+
+impl NewEmitter {
+    pub(crate) fn of(row: EmitterRow) -> NewEmitter {
+        NewEmitter { name: Some(row.name), shape: row.shape, color: row.color }
     }
 }
 
@@ -106,27 +121,21 @@ pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result
         emitter.color = [0, 1, 2].map(|c| emitter.color[c] * color[c] * by);
         if let Some(by) = change.by.filter(|by| *by != [0.0; 3]) {
             in_place[i] = false;
-            emitter.shape = moved(emitter.shape, by);
+            emitter.shape = emitter.shape.translated(by);
         }
     }
     for (i, new) in edit.add.iter().enumerate() {
-        file.emitters.push(EmitterRow { name: format!("new {}", i + 1), on: true, color: new.color, shape: new.shape });
+        let name = new.name.clone().unwrap_or_else(|| format!("new {}", i + 1));
+        let taken = |name: &String| file.emitters.iter().any(|e| e.name == *name);
+        let others = (2..).map(|n| format!("{name} ({n})"));
+        let name = std::iter::once(name.clone()).chain(others).find(|name| !taken(name)).unwrap_or(name);
+        file.emitters.push(EmitterRow { name, on: true, color: new.color, shape: new.shape });
+    }
+    if file.emitters.len() > MOST_EMITTERS as usize {
+        let count = file.emitters.len();
+        return Err(RelightError::Edit(format!("The edit leads to {count} emitters; use {MOST_EMITTERS} at most.")));
     }
     Ok(EditedEmitters { file, in_place })
-}
-
-pub(crate) fn moved(shape: ShapeRow, by: [f32; 3]) -> ShapeRow {
-    let to = |place: [f32; 3]| (Vec3::from(place) + Vec3::from(by)).to_array();
-    match shape {
-        ShapeRow::Point { position } => ShapeRow::Point { position: to(position) },
-        ShapeRow::Sphere { center, radius } => ShapeRow::Sphere { center: to(center), radius },
-        ShapeRow::Rectangle { corner, edge_u, edge_v } => ShapeRow::Rectangle { corner: to(corner), edge_u, edge_v },
-        ShapeRow::Disk { center, normal, radius } => ShapeRow::Disk { center: to(center), normal, radius },
-        ShapeRow::Spot { position, axis, inner_angle, outer_angle } => {
-            ShapeRow::Spot { position: to(position), axis, inner_angle, outer_angle }
-        }
-        ShapeRow::Directional { .. } => shape,
-    }
 }
 
 #[cfg(test)]
@@ -141,7 +150,7 @@ mod tests {
             name: name.to_owned(),
             on: true,
             color: [1.0, 2.0, 3.0],
-            shape: ShapeRow::Sphere { center: [0.5; 3], radius: 0.1 },
+            shape: LightShape::Sphere { center: [0.5; 3], radius: 0.1 },
         };
         EmitterFile::new(enclosure, TransportSettings::default(), vec![row("window 1"), row("light 1")])
     }
@@ -162,7 +171,7 @@ mod tests {
         assert_eq!((on, found.in_place), (vec![false, true, true], vec![true, false]));
         let light = &found.file.emitters[1];
         assert_eq!(light.color, [0.5, 0.0, 3.0]);
-        assert_eq!(light.shape, ShapeRow::Sphere { center: [0.5, 1.5, 0.5], radius: 0.1 });
+        assert_eq!(light.shape, LightShape::Sphere { center: [0.5, 1.5, 0.5], radius: 0.1 });
         assert_eq!(found.file.emitters[2].name, "new 1");
         found.file.check().unwrap();
         let off = edited(r#"{"off": true, "change": [{"emitter": "window 1", "on": true}]}"#);

@@ -46,6 +46,8 @@ impl Emitting {
 
     /// Applies an edit to the emitters. The surface of a moved emitter is dark.
     ///
+    /// [`crate::Edit::all_emitters`] returns the edit with the lights of its files.
+    ///
     /// # Errors
     /// If the edit names an emitter that does not exist.
     pub fn edited(self, edit: &EmitterEdit) -> Result<Emitting> {

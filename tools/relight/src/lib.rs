@@ -13,10 +13,13 @@ mod environment;
 mod error;
 #[doc(hidden)]
 pub mod fuzzed;
+mod joined_lights;
 mod light_table;
 mod lights;
 mod live;
 mod materials;
+mod new_light;
+mod numbers;
 mod painted;
 mod select;
 mod true_light;

@@ -4,11 +4,11 @@
 //! content. Memory is allocated only if the lights exceed the capacity.
 
 use super::edit::NewLight;
-use super::lights::{MOST_AMPLITUDE, new_light};
+use super::lights::new_light;
 use crate::error::{RelightError, Result};
 use sgs_passes::pipeline::{FrameEmitter, Lighting};
 use sgs_passes::shade::lights::{Axes, LightModel};
-use sgs_run::{LightFile, LightRow, LobeRow, raw_lobe};
+use sgs_run::{LightFile, LightRow, LobeRow, MOST_AMPLITUDE, raw_lobe};
 
 /// Maximum number of lights.
 const MOST: usize = 1 << 16;

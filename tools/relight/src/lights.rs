@@ -4,14 +4,10 @@
 
 use super::edit::{LightEdit, NewLight};
 use crate::error::{RelightError, Result};
-use glam::DVec3;
-use sgs_run::{LightFile, LightRow, LobeRow, MOST_LIGHTS};
-
-/// Sharpness of the lobe that approximates a cosine.
-const COSINE_SHARPNESS: f64 = 2.133;
-
-/// Largest amplitude that shading supports.
-pub const MOST_AMPLITUDE: f32 = 3.2e6;
+use glam::Vec3;
+use sgs_run::{
+    LightFile, LightRow, ListedLight, LobeRow, MOST_AMPLITUDE, MOST_LIGHTS, PATCHES, published_light, rectangle_patches,
+};
 
 /// Applies an edit to the lights of a run, if any.
 ///
@@ -19,17 +15,20 @@ pub const MOST_AMPLITUDE: f32 = 3.2e6;
 /// If the edit names a light that does not exist, or a light is too bright.
 pub fn edit_lights(edit: &LightEdit, lights: Option<LightFile>) -> Result<Option<LightFile>> {
     let mut file = lights.unwrap_or_else(|| LightFile::new(1.0, Vec::new()));
-    let count = file.lights.len();
+    let groups = file.groups();
+    let count = groups.len();
+    // The points of a light: several for a rectangle or disk.
     let known = |light: usize| {
-        if light < count {
-            return Ok(light);
+        if let Some(points) = groups.get(light) {
+            return Ok(points.clone());
         }
         let has = if count == 0 { "has no lights".to_owned() } else { format!("has lights 0 to {}", count - 1) };
         Err(RelightError::Edit(format!("The edit names light {light}, but the scene {has}.")))
     };
     if let Some(only) = &edit.only {
         let retained = only.iter().map(|l| known(*l)).collect::<Result<Vec<_>>>()?;
-        file.lights.iter_mut().enumerate().filter(|(i, _)| !retained.contains(i)).for_each(|(_, l)| l.gain = 0.0);
+        let stays = |i: usize| retained.iter().any(|points| points.contains(&i));
+        file.lights.iter_mut().enumerate().filter(|(i, _)| !stays(*i)).for_each(|(_, l)| l.gain = 0.0);
     }
     let trained: Vec<f32> = file.lights.iter().map(|l| l.gain).collect();
     if edit.off {
@@ -37,23 +36,31 @@ pub fn edit_lights(edit: &LightEdit, lights: Option<LightFile>) -> Result<Option
     }
     for change in &edit.change {
         let Some(number) = change.light else { continue };
-        let light = &mut file.lights[known(number)?];
-        match change.on {
-            Some(false) => light.gain = 0.0,
-            Some(true) => light.gain = if trained[number] > 0.0 { trained[number] } else { 1.0 },
-            None => {}
-        }
-        light.gain *= change.intensity.unwrap_or(1.0);
+        let points = known(number)?;
+        let center = center(&file.lights[points.clone()]);
+        let by = match change.to {
+            Some(to) => Vec3::from(to) - center,
+            None => change.by.unwrap_or([0.0; 3]).into(),
+        };
         let color = change.color.unwrap_or([1.0; 3]);
-        for lobe in &mut light.lobes {
-            lobe.amplitude = [0, 1, 2].map(|c| lobe.amplitude[c] * color[c]);
+        for (light, trained) in file.lights[points.clone()].iter_mut().zip(&trained[points]) {
+            match change.on {
+                Some(false) => light.gain = 0.0,
+                Some(true) => light.gain = if *trained > 0.0 { *trained } else { 1.0 },
+                None => {}
+            }
+            light.gain *= change.intensity.unwrap_or(1.0);
+            for lobe in &mut light.lobes {
+                lobe.amplitude = [0, 1, 2].map(|c| lobe.amplitude[c] * color[c]);
+            }
+            light.position = (Vec3::from(light.position) + by).to_array();
         }
-        let by = change.by.unwrap_or([0.0; 3]);
-        light.position = change.to.unwrap_or([0, 1, 2].map(|c| light.position[c] + by[c]));
+        if let (Some(to), [light]) = (change.to, &mut file.lights[known(number)?]) {
+            light.position = to;
+        }
     }
     for new in &edit.add {
-        let mut rows = new_light(new, file.normalizer)?;
-        file.lights.append(&mut rows);
+        file.push(new_light(new, file.normalizer)?);
         if file.lights.len() > MOST_LIGHTS {
             return Err(RelightError::Edit(format!("The edit leads to more lights than {MOST_LIGHTS}.")));
         }
@@ -62,12 +69,17 @@ pub fn edit_lights(edit: &LightEdit, lights: Option<LightFile>) -> Result<Option
     Ok(Some(file).filter(|f| !f.lights.is_empty()))
 }
 
-/// Converts a light to rows: one for a point light, one per patch of a rectangle.
+/// Returns the mean position.
+fn center(points: &[LightRow]) -> Vec3 {
+    points.iter().map(|l| Vec3::from(l.position)).sum::<Vec3>() / points.len().max(1) as f32
+}
+
+/// Converts a light to rows: one for a point light, one per patch of a rectangle or disk.
 ///
 /// # Errors
-/// If the light is too bright.
+/// If the light is directional or too bright.
 pub fn new_light(new: &NewLight, normalizer: f32) -> Result<Vec<LightRow>> {
-    let rows = rows(new, normalizer);
+    let rows = rows(new, normalizer)?;
     let brightest = rows.iter().flat_map(|l| &l.lobes).flat_map(|l| l.amplitude).fold(0.0, f32::max);
     if brightest > MOST_AMPLITUDE {
         let most = MOST_AMPLITUDE * normalizer;
@@ -76,40 +88,27 @@ pub fn new_light(new: &NewLight, normalizer: f32) -> Result<Vec<LightRow>> {
     Ok(rows)
 }
 
-fn rows(new: &NewLight, normalizer: f32) -> Vec<LightRow> {
+fn rows(new: &NewLight, normalizer: f32) -> Result<Vec<LightRow>> {
     let amplitude = |v: [f32; 3]| v.map(|a| a / normalizer.max(1e-30));
-    if let (Some(corners), Some(radiance)) = (new.corners, new.radiance) {
-        return rectangle(corners, amplitude(radiance), new.patches.unwrap_or(4));
+    let lobes_of =
+        |lobes: &[LobeRow]| lobes.iter().map(|l| LobeRow { amplitude: amplitude(l.amplitude), ..*l }).collect();
+    match &new.light {
+        Some(ListedLight::Lobes(row)) => return Ok(vec![LightRow { lobes: lobes_of(&row.lobes), ..row.clone() }]),
+        Some(ListedLight::Physical(row)) => {
+            return published_light(row, normalizer).map_err(|e| RelightError::Edit(format!("A new light is {e}.")));
+        }
+        None => {}
     }
-    let Some(position) = new.position else { return Vec::new() };
+    if let (Some(corners), Some(radiance)) = (new.corners, new.radiance) {
+        return Ok(rectangle_patches(corners, amplitude(radiance), new.patches.unwrap_or(PATCHES)));
+    }
+    let Some(position) = new.position else { return Ok(Vec::new()) };
     let lobes = match (&new.lobes, new.intensity) {
-        (Some(lobes), _) => lobes.iter().map(|l| LobeRow { amplitude: amplitude(l.amplitude), ..*l }).collect(),
+        (Some(lobes), _) => lobes_of(lobes),
         (None, Some(i)) => vec![LobeRow { axis: [0.0, 0.0, 1.0], sharpness: 0.0, amplitude: amplitude(i) }],
         (None, None) => Vec::new(),
     };
-    vec![LightRow { position, gain: 1.0, lobes }]
-}
-
-/// Splits a rectangle into patches of one lobe each.
-///
-/// A lobe emits the total flux of a cosine emitter.
-fn rectangle(corners: [[f32; 3]; 4], radiance: [f32; 3], patches: u32) -> Vec<LightRow> {
-    let [a, b, c, d] = corners.map(|p| DVec3::from(p.map(f64::from)));
-    let across = (b - a).cross(d - a);
-    let area = 0.5 * (across.length() + (b - c).cross(d - c).length()) / f64::from(patches * patches);
-    let flux = COSINE_SHARPNESS / (2.0 * (1.0 - (-2.0 * COSINE_SHARPNESS).exp()));
-    // The axis points from the lit surface to the light, opposite to the emitting side.
-    let axis = (-across.normalize_or_zero()).as_vec3().to_array();
-    let amplitude = radiance.map(|l| (f64::from(l) * area * flux) as f32);
-    let lobe = LobeRow { axis, sharpness: COSINE_SHARPNESS as f32, amplitude };
-    let middle = |i: u32| (f64::from(i) + 0.5) / f64::from(patches);
-    (0..patches * patches)
-        .map(|i| {
-            let (s, t) = (middle(i % patches), middle(i / patches));
-            let place = a.lerp(b, s).lerp(d.lerp(c, s), t);
-            LightRow { position: place.as_vec3().to_array(), gain: 1.0, lobes: vec![lobe] }
-        })
-        .collect()
+    Ok(vec![LightRow { position, gain: 1.0, lobes }])
 }
 
 /// Returns whether a light of the run is still on at its original position.
@@ -125,6 +124,8 @@ pub(super) fn any_left(before: Option<&LightFile>, after: Option<&LightFile>) ->
 mod tests {
     use super::*;
     use crate::edit::LightChange;
+    use glam::DVec3;
+    use sgs_run::LightList;
 
     fn two() -> LightFile {
         let lobe = LobeRow { axis: [0.0, 0.0, 1.0], sharpness: 1.0, amplitude: [1.0, 2.0, 3.0] };
@@ -155,6 +156,45 @@ mod tests {
         let error = edit_lights(&missing, Some(two())).unwrap_err().to_string();
         assert!(error.contains("light 2") && error.contains("0 to 1"), "{error}");
         assert!(edit_lights(&LightEdit::default(), None).unwrap().is_none());
+    }
+
+    #[test]
+    fn patches_of_a_light_change_together() {
+        let listed = |text: &str| serde_json::from_str::<ListedLight>(text).unwrap();
+        let pane = r#"{"type": "rectangle", "corner": [0,0,0], "edge_u": [1,0,0], "edge_v": [0,1,0], "color": [1,1,1], "gain": 0.5}"#;
+        let point = r#"{"type": "point", "position": [1,2,3], "color": [1,1,1]}"#;
+        let file = || LightList { normalizer: 0.5, lights: vec![listed(pane), listed(point)] }.published().unwrap();
+        let darker = LightChange { intensity: Some(0.5), color: Some([1.0, 0.0, 0.0]), ..change(0) };
+        let edit =
+            LightEdit { change: vec![LightChange { to: Some([4.0, 5.0, 6.0]), ..darker }], ..Default::default() };
+        let f = edit_lights(&edit, Some(file())).unwrap().unwrap();
+        let (panes, last) = f.lights.split_at(16);
+        assert!((center(panes) - Vec3::new(4.0, 5.0, 6.0)).length() < 1e-5);
+        assert!(panes.iter().all(|l| l.gain == 0.25 && l.lobes[0].amplitude[1] == 0.0 && l.position[2] == 6.0));
+        assert_eq!(last, &file().lights[16..]);
+        let only = LightEdit { only: Some(vec![1]), ..Default::default() };
+        let f = edit_lights(&only, Some(file())).unwrap().unwrap();
+        assert_eq!(f.lights.iter().filter(|l| l.gain > 0.0).count(), 1);
+        let missing = LightEdit { only: Some(vec![2]), ..Default::default() };
+        assert!(edit_lights(&missing, Some(file())).unwrap_err().to_string().contains("lights 0 to 1"));
+    }
+
+    #[test]
+    fn lights_of_all_types_are_added() {
+        let edit = |text: &str| {
+            let add = serde_json::from_str::<LightEdit>(&format!("{{\"add\": [{text}]}}")).unwrap();
+            add.add[0].check("lights.add[0]").unwrap();
+            edit_lights(&add, Some(two()))
+        };
+        let f = edit(r#"{"type": "disk", "center": [0,0,2], "normal": [0,0,-1], "radius": 1, "color": [1,1,1]}"#);
+        assert_eq!(f.unwrap().unwrap().lights.len(), 18);
+        let lobes = r#"{"type": "lobes", "position": [1,2,3], "gain": 0.5,
+            "lobes": [{"axis": [0,1,0], "sharpness": 2, "amplitude": [1,2,3]}]}"#;
+        let f = edit(lobes).unwrap().unwrap();
+        assert_eq!((f.lights[2].gain, f.lights[2].lobes[0].amplitude), (0.5, [2.0, 4.0, 6.0]));
+        let sun = edit(r#"{"type": "directional", "direction": [0,-1,0], "angular_radius": 0.27, "color": [1,1,1]}"#);
+        let error = sun.unwrap_err().to_string();
+        assert!(error.contains("A new light is directional") && error.contains("transport stage"), "{error}");
     }
 
     #[test]

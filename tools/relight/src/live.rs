@@ -355,7 +355,7 @@ impl Relighter {
         };
         let emitting = match &self.emitting {
             Some(live) if !edit.changes_published_light() => {
-                Some(live.edited(&self.device, &edit.emitters, altered.as_ref())?)
+                Some(live.edited(&self.device, &edit.all_emitters()?, altered.as_ref())?)
             }
             _ => None,
         };

@@ -114,18 +114,6 @@ fn rectangle(corners: [[f32; 3]; 4], normal: Option<[f32; 3]>) -> LightShape {
     LightShape::Rectangle { corner: a.into(), edge_u: u.into(), edge_v: v.into() }
 }
 
-/// Returns the center of a light; `None` for directional light.
-pub fn center(light: &AreaLight) -> Option<Vec3> {
-    match light.shape {
-        LightShape::Point { position } | LightShape::Spot { position, .. } => Some(position.into()),
-        LightShape::Sphere { center, .. } | LightShape::Disk { center, .. } => Some(center.into()),
-        LightShape::Rectangle { corner, edge_u, edge_v } => {
-            Some(Vec3::from(corner) + 0.5 * (Vec3::from(edge_u) + Vec3::from(edge_v)))
-        }
-        LightShape::Directional { .. } => None,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -142,7 +130,7 @@ mod tests {
         let area = pane.as_area().unwrap();
         let LightShape::Rectangle { edge_u, edge_v, .. } = area.shape else { panic!("{area:?}") };
         assert!(Vec3::from(edge_u).cross(edge_v.into()) == Vec3::new(0.0, 0.0, -2.0), "it shines along its normal");
-        assert!(area.check().is_ok() && center(&area) == Some(Vec3::new(1.0, 0.5, 0.0)));
+        assert!(area.check().is_ok() && area.shape.center() == Some(Vec3::new(1.0, 0.5, 0.0)));
         let bulb = r#"{"on": true, "position": [0,1,0], "radius": 0.1, "radiance": [9,9,9],
             "point_light_intensity_equivalent": [1,1,1]}"#;
         assert!(matches!(light(bulb).as_area().unwrap().shape, LightShape::Sphere { .. }));
@@ -150,7 +138,9 @@ mod tests {
         assert_eq!(point.as_area().unwrap().color, [1.0, 2.0, 3.0]);
         assert!(matches!(point.as_area().unwrap().shape, LightShape::Point { .. }));
         let sun = light(r#"{"on": true, "direction": [0,-1,0], "irradiance": [5,5,4], "angular_radius": 0.27}"#);
-        assert!(sun.as_area().is_some_and(|l| l.check().is_ok() && center(&l).is_none()) && sun.as_new().is_none());
+        assert!(
+            sun.as_area().is_some_and(|l| l.check().is_ok() && l.shape.center().is_none()) && sun.as_new().is_none()
+        );
         let spot =
             r#"{"on": true, "position": [0,1,0], "direction": [0,-1,0], "intensity": [5,5,4], "cutoff_angle": 30}"#;
         assert!(matches!(light(spot).as_area().unwrap().shape, LightShape::Spot { .. }));

@@ -53,134 +53,23 @@ pub struct EmitterRow {
     pub name: String,
     /// Whether the emitter shines.
     pub on: bool,
-    /// Linear RGB: radiance of spheres, rectangles and disks, radiant intensity of points and spots, irradiance at normal
-    /// incidence of directional lights.
+    /// Linear RGB: radiance of spheres, rectangles and disks, radiant intensity of points, spots and lobes, irradiance at
+    /// normal incidence of directional lights.
     pub color: [f32; 3],
     /// Shape and place.
-    pub shape: ShapeRow,
-}
-
-/// Shape and place of an emitter.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "type", rename_all = "lowercase", deny_unknown_fields)]
-pub enum ShapeRow {
-    /// Point that emits equally in all directions.
-    Point {
-        /// Position.
-        position: [f32; 3],
-    },
-    /// Sphere of constant radiance.
-    Sphere {
-        /// Center.
-        center: [f32; 3],
-        /// Radius.
-        radius: f32,
-    },
-    /// Rectangle of constant radiance. Emits on the side of `edge_u` x `edge_v`.
-    Rectangle {
-        /// Corner where both edges begin.
-        corner: [f32; 3],
-        /// First edge.
-        edge_u: [f32; 3],
-        /// Second edge, perpendicular to the first.
-        edge_v: [f32; 3],
-    },
-    /// Disk of constant radiance. Emits on the side of its normal.
-    Disk {
-        /// Center.
-        center: [f32; 3],
-        /// Normal of any length.
-        normal: [f32; 3],
-        /// Radius.
-        radius: f32,
-    },
-    /// Point with a cone of light.
-    Spot {
-        /// Position.
-        position: [f32; 3],
-        /// Axis of the cone, of any length.
-        axis: [f32; 3],
-        /// Angle from the axis at which the light begins to fall off, in degrees.
-        inner_angle: f32,
-        /// Angle from the axis at which the light ends, in degrees; at most 90.
-        outer_angle: f32,
-    },
-    /// Light from a distant disk, such as the sun.
-    Directional {
-        /// Direction in which the light travels, of any length.
-        direction: [f32; 3],
-        /// Angular radius in degrees, from 0 to below 90.
-        angular_radius: f32,
-    },
-}
-
-fn radians(degrees: f32) -> f32 {
-    f64::from(degrees).to_radians() as f32
-}
-
-fn degrees(radians: f32) -> f32 {
-    f64::from(radians).to_degrees() as f32
-}
-
-impl From<LightShape> for ShapeRow {
-    fn from(shape: LightShape) -> ShapeRow {
-        match shape {
-            LightShape::Point { position } => ShapeRow::Point { position },
-            LightShape::Sphere { center, radius } => ShapeRow::Sphere { center, radius },
-            LightShape::Rectangle { corner, edge_u, edge_v } => ShapeRow::Rectangle { corner, edge_u, edge_v },
-            LightShape::Disk { center, normal, radius } => ShapeRow::Disk { center, normal, radius },
-            LightShape::Spot { position, axis, inner_angle, outer_angle } => {
-                ShapeRow::Spot { position, axis, inner_angle: degrees(inner_angle), outer_angle: degrees(outer_angle) }
-            }
-            LightShape::Directional { direction, angular_radius } => {
-                ShapeRow::Directional { direction, angular_radius: degrees(angular_radius) }
-            }
-        }
-    }
-}
-
-impl From<ShapeRow> for LightShape {
-    fn from(row: ShapeRow) -> LightShape {
-        match row {
-            ShapeRow::Point { position } => LightShape::Point { position },
-            ShapeRow::Sphere { center, radius } => LightShape::Sphere { center, radius },
-            ShapeRow::Rectangle { corner, edge_u, edge_v } => LightShape::Rectangle { corner, edge_u, edge_v },
-            ShapeRow::Disk { center, normal, radius } => LightShape::Disk { center, normal, radius },
-            ShapeRow::Spot { position, axis, inner_angle, outer_angle } => LightShape::Spot {
-                position,
-                axis,
-                inner_angle: radians(inner_angle),
-                outer_angle: radians(outer_angle),
-            },
-            ShapeRow::Directional { direction, angular_radius } => {
-                LightShape::Directional { direction, angular_radius: radians(angular_radius) }
-            }
-        }
-    }
+    pub shape: LightShape,
 }
 
 impl EmitterRow {
     /// Returns the light, also if it is off.
     pub fn light(&self) -> AreaLight {
-        AreaLight { shape: self.shape.into(), color: self.color }
+        AreaLight { shape: self.shape, color: self.color }
     }
 
     /// Converts lengths to another unit; irradiance is unchanged.
     fn convert(&mut self, unit: Unit) {
-        let by = (1.0 / unit.length()) as f32;
-        match &mut self.shape {
-            ShapeRow::Point { position } | ShapeRow::Spot { position, .. } => {
-                *position = unit.place(*position);
-                self.color = self.color.map(|c| by * by * c);
-            }
-            ShapeRow::Sphere { center, radius } | ShapeRow::Disk { center, radius, .. } => {
-                (*center, *radius) = (unit.place(*center), by * *radius);
-            }
-            ShapeRow::Rectangle { corner, edge_u, edge_v } => {
-                (*corner, *edge_u, *edge_v) = (unit.place(*corner), unit.place(*edge_u), unit.place(*edge_v));
-            }
-            ShapeRow::Directional { .. } => {}
-        }
+        let AreaLight { shape, color } = self.light().scaled((1.0 / unit.length()) as f32);
+        (self.shape, self.color) = (shape, color);
     }
 }
 
@@ -283,15 +172,22 @@ pub fn read_emitters(path: &Path) -> Result<EmitterFile> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f32::consts::{FRAC_PI_2, FRAC_PI_6};
 
     fn file() -> EmitterFile {
         let shapes = [
-            ShapeRow::Point { position: [1.0, 2.0, 3.0] },
-            ShapeRow::Sphere { center: [1.0, 2.0, 3.0], radius: 0.5 },
-            ShapeRow::Rectangle { corner: [0.0; 3], edge_u: [2.0, 0.0, 0.0], edge_v: [0.0, 1.0, 0.0] },
-            ShapeRow::Disk { center: [0.0; 3], normal: [0.0, 0.0, 2.0], radius: 1.0 },
-            ShapeRow::Spot { position: [0.0; 3], axis: [0.0, 0.0, -1.0], inner_angle: 30.0, outer_angle: 90.0 },
-            ShapeRow::Directional { direction: [0.0, -1.0, 0.0], angular_radius: 0.27 },
+            LightShape::Point { position: [1.0, 2.0, 3.0] },
+            LightShape::Sphere { center: [1.0, 2.0, 3.0], radius: 0.5 },
+            LightShape::Rectangle { corner: [0.0; 3], edge_u: [2.0, 0.0, 0.0], edge_v: [0.0, 1.0, 0.0] },
+            LightShape::Disk { center: [0.0; 3], normal: [0.0, 0.0, 2.0], radius: 1.0 },
+            LightShape::Spot {
+                position: [0.0; 3],
+                axis: [0.0, 0.0, -1.0],
+                inner_angle: FRAC_PI_6,
+                outer_angle: FRAC_PI_2,
+            },
+            LightShape::Directional { direction: [0.0, -1.0, 0.0], angular_radius: 0.0047 },
+            LightShape::Lobe { position: [1.0, 2.0, 3.0], axis: [0.0, 0.0, -2.0], sharpness: 9.5 },
         ];
         let row = |(i, shape)| EmitterRow { name: format!("e{i}"), on: i != 1, color: [1.0, 2.0, 0.5], shape };
         let enclosure = EnclosureRow { low: [-1.0, -2.0, -3.0], high: [4.0, 5.0, 6.0], albedo: [[0.5; 3]; 6] };
@@ -318,15 +214,35 @@ mod tests {
     }
 
     #[test]
-    fn lights_have_radians_and_are_black_when_off() {
+    fn angles_have_short_degrees_and_come_back() {
+        let sun = |angular_radius| LightShape::Directional { direction: [0.0, -1.0, 0.0], angular_radius };
+        for (radians, text) in
+            [(FRAC_PI_6, "30.0"), (FRAC_PI_2, "90.0"), (0.27_f64.to_radians() as f32, "0.27"), (0.0, "0.0")]
+        {
+            let json = serde_json::to_string(&sun(radians)).unwrap();
+            assert!(json.ends_with(&format!("\"angular_radius\":{text}}}")), "{json}");
+        }
+        for i in 0..2000 {
+            let angle = 1.57 * (i as f32 / 2000.0).powi(3);
+            let json = serde_json::to_string(&sun(angle)).unwrap();
+            assert_eq!(serde_json::from_str::<LightShape>(&json).unwrap(), sun(angle));
+        }
+    }
+
+    #[test]
+    fn shapes_have_their_names_in_files() {
+        for row in file().emitters {
+            assert_eq!(serde_json::to_value(row.shape).unwrap()["type"], row.shape.name());
+        }
+    }
+
+    #[test]
+    fn lights_are_black_when_off() {
         let lights = file().lights();
-        assert_eq!((lights.len(), lights[0].color, lights[1].color), (6, [1.0, 2.0, 0.5], [0.0; 3]));
-        let LightShape::Spot { inner_angle, outer_angle, .. } = lights[4].shape else { panic!("a spot") };
-        assert_eq!((inner_angle, outer_angle), (std::f32::consts::FRAC_PI_6, std::f32::consts::FRAC_PI_2));
+        assert_eq!((lights.len(), lights[0].color, lights[1].color), (7, [1.0, 2.0, 0.5], [0.0; 3]));
         for (light, row) in lights.iter().zip(file().emitters) {
             assert_eq!(light.check(), Ok(()));
-            assert_eq!(LightShape::from(ShapeRow::from(light.shape)), light.shape);
-            assert_eq!(ShapeRow::from(light.shape), row.shape);
+            assert_eq!(light.shape, row.shape);
         }
     }
 
@@ -360,7 +276,7 @@ mod tests {
         assert!(refused(&|f| f.rays = 0).contains("transport.rays is 0"));
         assert_eq!(refused(&|f| f.emitters[2].name = " ".into()), "emitter 2 has no name");
         assert!(refused(&|f| f.emitters[2].name = "e0".into()).contains("two emitters have the name \"e0\""));
-        let error = refused(&|f| f.emitters[1].shape = ShapeRow::Sphere { center: [0.0; 3], radius: -1.0 });
+        let error = refused(&|f| f.emitters[1].shape = LightShape::Sphere { center: [0.0; 3], radius: -1.0 });
         assert!(error.starts_with("emitter 1, \"e1\": radius: length -1"), "{error}");
         assert!(refused(&|f| f.emitters[0].color[0] = -1.0).contains("emitter 0, \"e0\": color"));
         let many = |f: &mut EmitterFile| {

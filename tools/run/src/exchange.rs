@@ -5,13 +5,14 @@
 //! format keeps and loses.
 
 use crate::error::{Result, RunError};
-use crate::lights::{LightFile, LightRow, LobeRow, read_lights, write_lights};
+use crate::gltf_lights::{lights_of, punctual};
+use crate::light_list::{LightList, ListedLight, read_light_list, write_light_list};
 use crate::placement::{join, placed};
+use crate::published::read_lights;
 use crate::shaded::{RunLight, Texels, Visibility};
 use crate::shadows::Rays;
-use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
-use sgs_scene::{GltfScene, Placement, PlyDialect, PointLight, Splats, write_gltf};
+use sgs_passes::transport::LightShape;
+use sgs_scene::{GltfScene, Placement, PlyDialect, Splats, write_gltf};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -21,7 +22,7 @@ pub struct Exchange {
     /// Gaussians of the file.
     pub splats: Splats,
     /// Lights in the file or beside it.
-    pub lights: Option<LightFile>,
+    pub lights: Option<LightList>,
     /// Path of the environment map beside the file, a latitude-longitude image.
     pub environment: Option<PathBuf>,
     /// Kind of the file: a name of [`PlyDialect`], or `gltf`.
@@ -33,7 +34,11 @@ fn beside(path: &Path, what: &str) -> PathBuf {
     path.with_extension(what)
 }
 
-fn is_gltf(path: &Path) -> Result<bool> {
+/// Returns whether a file is glTF, by its content.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn is_gltf(path: &Path) -> Result<bool> {
     let fail = |e: std::io::Error| RunError::File { path: path.to_owned(), reason: e.to_string() };
     let mut first = [0; 4];
     let mut file = std::fs::File::open(path).map_err(fail)?;
@@ -76,8 +81,21 @@ pub fn read_exchange(path: &Path) -> Result<Exchange> {
     }
     let (splats, dialect) = Splats::read_ply_dialect(path)?;
     let lights = beside(path, "lights.json");
-    let lights = if lights.is_file() { Some(read_lights(&lights)?) } else { None };
+    let lights = if lights.is_file() { Some(read_light_list(&lights)?) } else { None };
     Ok(Exchange { splats, lights, environment, format: dialect.name() })
+}
+
+/// Leaves out directional lights, which the published model does not shade. Logs their number.
+fn without_directional(path: &Path, mut list: LightList) -> LightList {
+    let all = list.lights.len();
+    let directional = |light: &ListedLight| matches!(light, ListedLight::Physical(row) if matches!(row.shape, LightShape::Directional { .. }));
+    list.lights.retain(|light| !directional(light));
+    let left_out = all - list.lights.len();
+    if left_out > 0 {
+        let path = path.display();
+        tracing::warn!("{path}: left out: {left_out} directional lights, which the published model does not shade");
+    }
+    list
 }
 
 /// Reads the light of a file: lights and environment map in it or beside it.
@@ -89,7 +107,11 @@ pub fn read_exchange(path: &Path) -> Result<Exchange> {
 pub fn read_light(path: &Path, size: u32) -> Result<RunLight> {
     let (light_table, environment_map) = (beside(path, "lights.json"), beside(path, "environment.exr"));
     let lights = match is_gltf(path)? {
-        true => lights_of(path, &GltfScene::read(path)?)?,
+        true => {
+            let list = lights_of(path, &GltfScene::read(path)?)?.map(|list| without_directional(path, list));
+            let list = list.filter(|list| !list.lights.is_empty());
+            list.map(|list| list.published()).transpose().map_err(|reason| RunError::file(path, reason))?
+        }
         false if light_table.is_file() => Some(read_lights(&light_table)?),
         false => None,
     };
@@ -108,15 +130,15 @@ pub fn write_exchange(
     path: &Path,
     splats: &Splats,
     dialect: Option<PlyDialect>,
-    lights: Option<&LightFile>,
+    lights: Option<&LightList>,
     environment: Option<&Path>,
 ) -> Result<Vec<PathBuf>> {
     let mut written = vec![path.to_owned()];
     match (dialect, lights) {
         (Some(dialect), _) => splats.write_ply_as(path, dialect)?,
-        (None, Some(file)) => {
-            let extras = json!({"sgs": Together { format: file.format.clone(), normalizer: file.normalizer }});
-            write_gltf(path, splats, &file.lights.iter().map(|l| point(file, l)).collect::<Vec<_>>(), Some(&extras))?;
+        (None, Some(list)) => {
+            let (lights, extras) = punctual(list);
+            write_gltf(path, splats, &lights, Some(&extras))?;
         }
         (None, None) => write_gltf(path, splats, &[], None)?,
     }
@@ -125,7 +147,7 @@ pub fn write_exchange(
     }
     if let (Some(_), Some(lights)) = (dialect, lights) {
         let file = beside(path, "lights.json");
-        write_lights(&file, lights)?;
+        write_light_list(&file, lights)?;
         written.push(file);
     }
     if let Some(from) = environment {
@@ -150,70 +172,4 @@ fn joined(parts: Vec<(Splats, Placement)>) -> Splats {
         host
     })
     .unwrap_or_default()
-}
-
-/// SGS extension data of all lights together.
-#[derive(Serialize, Deserialize)]
-struct Together {
-    format: String,
-    normalizer: f32,
-}
-
-/// SGS extension data of a light.
-#[derive(Serialize, Deserialize)]
-struct Beyond {
-    gain: f32,
-    lobes: Vec<LobeRow>,
-}
-
-/// Converts a light to a point light of its mean intensity.
-///
-/// The mean of `exp(s (cos - 1))` over the sphere is `(1 - exp(-2 s)) / (2 s)`.
-fn point(file: &LightFile, light: &LightRow) -> PointLight {
-    let mean = |s: f64| if s < 1e-6 { 1.0 } else { (1.0 - (-2.0 * s).exp()) / (2.0 * s) };
-    let factor = f64::from(file.normalizer) * f64::from(light.gain);
-    let of = |l: &LobeRow, c: usize| f64::from(l.amplitude[c]) * mean(f64::from(l.sharpness));
-    let sent = [0, 1, 2].map(|c| factor * light.lobes.iter().map(|l| of(l, c)).sum::<f64>());
-    let most = sent.iter().fold(0.0_f64, |a, b| a.max(*b));
-    let color = sent.map(|v| if most > 0.0 { (v / most) as f32 } else { 1.0 });
-    let beyond = Beyond { gain: light.gain, lobes: light.lobes.clone() };
-    PointLight { position: light.position, color, intensity: most as f32, extras: Some(json!({"sgs": beyond})) }
-}
-
-/// Returns the lights of a glTF file.
-///
-/// Lights written by SGS have all their lobes. Other lights have one isotropic lobe.
-fn lights_of(path: &Path, scene: &GltfScene) -> Result<Option<LightFile>> {
-    if scene.lights.is_empty() {
-        return Ok(None);
-    }
-    let fail = |reason: String| RunError::File { path: path.to_owned(), reason };
-    let own = |value: &Option<Value>| value.as_ref().and_then(|v| v.get("sgs")).cloned();
-    let together: Option<Together> = own(&scene.light_extras)
-        .map(|v| serde_json::from_value(v).map_err(|e| fail(format!("its lights are not as SGS writes them: {e}"))))
-        .transpose()?;
-    let normalizer = together.as_ref().map_or(1.0, |t| t.normalizer);
-    let mut rows = Vec::new();
-    for (i, light) in scene.lights.iter().enumerate() {
-        let row = match own(&light.extras).filter(|_| together.is_some()) {
-            Some(v) => {
-                let b: Beyond = serde_json::from_value(v)
-                    .map_err(|e| fail(format!("its light {i} is not as SGS writes them: {e}")))?;
-                LightRow { position: light.position, gain: b.gain, lobes: b.lobes }
-            }
-            None => {
-                let factor = light.intensity / if normalizer > 0.0 { normalizer } else { 1.0 };
-                let lobe =
-                    LobeRow { axis: [0.0, 0.0, 1.0], sharpness: 0.0, amplitude: light.color.map(|c| c * factor) };
-                LightRow { position: light.position, gain: 1.0, lobes: vec![lobe] }
-            }
-        };
-        rows.push(row);
-    }
-    let mut file = LightFile::new(normalizer, rows);
-    if let Some(together) = together {
-        file.format = together.format;
-    }
-    file.check().map_err(fail)?;
-    Ok(Some(file))
 }

@@ -4,10 +4,11 @@ use crate::error::{Result, RunError};
 use serde::{Deserialize, Serialize};
 use sgs_passes::shade::lights::{Axes, LightModel};
 use sgs_scene::Unit;
+use std::ops::Range;
 use std::path::Path;
 
 /// Format identifier of the file.
-const FORMAT: &str = "sgs-lights-1";
+pub(crate) const FORMAT: &str = "sgs-lights-1";
 
 /// Maximum number of lights in a file.
 pub const MOST: usize = 1 << 16;
@@ -25,6 +26,9 @@ pub struct LightFile {
     pub normalizer: f32,
     /// Lights of the file.
     pub lights: Vec<LightRow>,
+    /// Number of points of each light of the file, in order; empty if each has one.
+    #[serde(skip)]
+    points: Vec<usize>,
 }
 
 /// Point light with directional lobes.
@@ -63,7 +67,30 @@ pub fn raw_lobe(lobe: Option<&LobeRow>) -> [f32; 7] {
 impl LightFile {
     /// Creates a file of some lights.
     pub fn new(normalizer: f32, lights: Vec<LightRow>) -> LightFile {
-        LightFile { format: FORMAT.to_owned(), normalizer, lights }
+        LightFile { format: FORMAT.to_owned(), normalizer, lights, points: Vec::new() }
+    }
+
+    /// Adds the points of a light.
+    pub fn push(&mut self, mut light: Vec<LightRow>) {
+        if self.points.is_empty() && light.len() != 1 {
+            self.points = vec![1; self.lights.len()];
+        }
+        if light.len() != 1 || !self.points.is_empty() {
+            self.points.push(light.len());
+        }
+        self.lights.append(&mut light);
+    }
+
+    /// Returns the indices of the points of each light of the file.
+    pub fn groups(&self) -> Vec<Range<usize>> {
+        if self.points.is_empty() {
+            return (0..self.lights.len()).map(|i| i..i + 1).collect();
+        }
+        let ends = self.points.iter().scan(0, |end, n| {
+            *end += n;
+            Some(*end - n..*end)
+        });
+        ends.collect()
     }
 
     /// Converts raw parameters to a file.
@@ -86,7 +113,7 @@ impl LightFile {
                 .collect(),
         };
         let lights = (0..model.lights as usize).map(light).collect();
-        LightFile { format: FORMAT.to_owned(), normalizer, lights }
+        LightFile::new(normalizer, lights)
     }
 
     /// Returns the same lights with lengths in another unit.
@@ -139,18 +166,22 @@ impl LightFile {
             ));
         }
         for (i, light) in self.lights.iter().enumerate() {
-            let numbers = light
-                .position
-                .iter()
-                .chain([&light.gain])
-                .chain(light.lobes.iter().flat_map(|l| l.axis.iter().chain([&l.sharpness]).chain(&l.amplitude)));
-            if let Some(bad) = numbers.into_iter().find(|v| !v.is_finite()) {
-                return Err(format!("light {i} holds {bad}"));
-            }
-            if light.gain < 0.0 || light.lobes.iter().any(|l| l.sharpness < 0.0 || l.amplitude.iter().any(|a| *a < 0.0))
-            {
-                return Err(format!("light {i} has a negative gain, sharpness or amplitude"));
-            }
+            light.check().map_err(|e| format!("light {i} {e}"))?;
+        }
+        Ok(())
+    }
+}
+
+impl LightRow {
+    /// Checks values that the types do not constrain.
+    pub(crate) fn check(&self) -> std::result::Result<(), String> {
+        let lobes = self.lobes.iter().flat_map(|l| l.axis.iter().chain([&l.sharpness]).chain(&l.amplitude));
+        let mut numbers = self.position.iter().chain([&self.gain]).chain(lobes);
+        if let Some(bad) = numbers.find(|v| !v.is_finite()) {
+            return Err(format!("holds {bad}"));
+        }
+        if self.gain < 0.0 || self.lobes.iter().any(|l| l.sharpness < 0.0 || l.amplitude.iter().any(|a| *a < 0.0)) {
+            return Err("has a negative gain, sharpness or amplitude".to_owned());
         }
         Ok(())
     }
@@ -181,17 +212,6 @@ pub fn write_lights(path: &Path, lights: &LightFile) -> Result<()> {
     let text = serde_json::to_string_pretty(lights).map_err(|e| file(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?;
     Ok(())
-}
-
-/// Reads `lights.json`.
-///
-/// # Errors
-/// If the file is missing or damaged.
-pub fn read_lights(path: &Path) -> Result<LightFile> {
-    let text = std::fs::read_to_string(path).map_err(|e| file(path, e.to_string()))?;
-    let lights: LightFile = serde_json::from_str(&text).map_err(|e| file(path, format!("not lights: {e}")))?;
-    lights.check().map_err(|reason| file(path, reason))?;
-    Ok(lights)
 }
 
 fn file(path: &Path, reason: String) -> RunError {
@@ -230,7 +250,7 @@ mod tests {
     fn invalid_values_are_named() {
         let lobe = LobeRow { axis: [0.0, 0.0, 1.0], sharpness: 1.0, amplitude: [1.0; 3] };
         let light = LightRow { position: [0.0; 3], gain: 1.0, lobes: vec![lobe] };
-        let good = LightFile { format: FORMAT.into(), normalizer: 1.0, lights: vec![light.clone(); 2] };
+        let good = LightFile::new(1.0, vec![light.clone(); 2]);
         assert_eq!(good.check(), Ok(()));
         let mut bad = good.clone();
         bad.lights[1].position[2] = f32::NAN;

@@ -3,7 +3,8 @@
 use crate::convert::{camera, gaussian_data};
 use crate::directory::RunDirectory;
 use crate::error::{Result, RunError};
-use crate::lights::{LightFile, read_lights};
+use crate::lights::LightFile;
+use crate::published::read_lights;
 use crate::shadows::{Rays, traced};
 use crate::visibility::{VisibilityFile, field_box};
 use sgs_config::{Settings, VisibilityKind};

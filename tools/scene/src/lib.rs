@@ -38,7 +38,7 @@ pub use beside::GroundTruthKind;
 pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR};
 pub use depth::DepthDefinition;
 pub use error::{Result, SceneError};
-pub use gltf::{GltfScene, Placement, PointLight, write_gltf};
+pub use gltf::{GltfScene, Placement, PunctualKind, PunctualLight, write_gltf};
 pub use ground_truth::GroundTruth;
 pub use image::{
     ExrImage, Image, NpyArray, encode_jpeg, encode_png, linear_to_srgb, names_exr_layer, read_environment, read_exr,

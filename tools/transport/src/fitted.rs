@@ -75,7 +75,7 @@ fn named(emitters: &[AreaLight]) -> Vec<EmitterRow> {
             _ => ("light", &mut counts[1]),
         };
         *count += 1;
-        EmitterRow { name: format!("{kind} {count}"), on: true, color: light.color, shape: light.shape.into() }
+        EmitterRow { name: format!("{kind} {count}"), on: true, color: light.color, shape: light.shape }
     };
     emitters.iter().map(row).collect()
 }

@@ -9,7 +9,7 @@ use exr::prelude::{Blocks, Compression, Encoding, LineOrder, Vec2};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use sgs_provider::{Array, Kind, Message};
-use sgs_run::{LightFile, SemanticHead, VisibilityFile, write_exchange};
+use sgs_run::{LightFile, SemanticHead, VisibilityFile, read_light_list, write_exchange};
 use sgs_scene::Splats;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -62,11 +62,13 @@ fn texts() -> Files {
         ("splats_ply", "emitters.ply", &emitting),
         ("points_ply", "ascii.ply", POINTS_ASCII),
         ("lights", "three.json", LIGHTS),
-        ("emitters", "six.json", EMITTERS),
+        ("lights", "types.json", TYPED_LIGHTS),
+        ("emitters", "seven.json", EMITTERS),
         ("lights_beside", "three.json", LIGHTS),
         ("edit", "add.json", EDITS[0]),
         ("edit", "change.json", EDITS[1]),
         ("edit", "file.json", EDITS[2]),
+        ("edit", "types.json", EDITS[3]),
         ("true_lights", "sets.json", TRUE_LIGHTS),
         ("true_edit", "paint.json", TRUE_EDIT),
         ("settings", "some.toml", SETTINGS),
@@ -162,9 +164,13 @@ fn models() -> Files {
     let ply = folder.put("own.ply", &splats(1, false, &own));
     let read = Splats::read_ply(&ply).expect("splats are whole");
     let lights: LightFile = serde_json::from_str(LIGHTS).expect("lights are whole");
+    let lights = lights.into();
     let glb = folder.path("scene.glb");
     write_exchange(&glb, &read, None, Some(&lights), None).expect("glTF is written");
     files.push(("gltf", "own.glb", std::fs::read(&glb).expect("it is there")));
+    let typed = read_light_list(&folder.put("lights.json", TYPED_LIGHTS.as_bytes())).expect("lights are whole");
+    write_exchange(&glb, &read, None, Some(&typed), None).expect("glTF is written");
+    files.push(("gltf", "types.glb", std::fs::read(&glb).expect("it is there")));
     let gltf = folder.path("scene.gltf");
     write_exchange(&gltf, &read, None, None, None).expect("glTF is written");
     files.push(("gltf", "beside.gltf", std::fs::read(&gltf).expect("it is there")));

@@ -75,6 +75,16 @@ pub(crate) const LIGHTS: &str = r#"{"format": "sgs-lights-1", "normalizer": 0.06
 {"position": [-1, 0.5, 2], "gain": 2.5, "lobes": [{"axis": [0.6, 0, 0.8], "sharpness": 9.5, "amplitude": [3, 2, 1]}]}]}
 "#;
 
+pub(crate) const TYPED_LIGHTS: &str = r#"{"format": "sgs-lights-2", "normalizer": 0.0625, "lights": [
+{"type": "lobes", "position": [0, 1.5, 0], "gain": 1, "lobes": [{"axis": [0, 0, 1], "sharpness": 2, "amplitude": [1, 0.5, 0.25]}]},
+{"type": "point", "position": [0, 0, 2], "color": [3, 2, 1], "gain": 0.5},
+{"type": "sphere", "center": [1, 0, 2], "radius": 0.1, "color": [3, 2, 1]},
+{"type": "rectangle", "corner": [0, 0, 1], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1], "color": [3, 2, 1], "gain": 0},
+{"type": "disk", "center": [0, 0, 3], "normal": [0, 0, -1], "radius": 0.5, "color": [3, 2, 1]},
+{"type": "spot", "position": [0, 1, 2], "axis": [0, 0, -1], "inner_angle": 20, "outer_angle": 35, "color": [3, 2, 1]},
+{"type": "lobe", "position": [1, 1, 2], "axis": [0, 0.6, -0.8], "sharpness": 9.5, "color": [3, 2, 1]}]}
+"#;
+
 pub(crate) const EMITTERS: &str = r#"{"format": "sgs-emitters-1", "surfels": 8192, "rays": 64,
 "enclosure": {"low": [-2, -1.5, 0], "high": [2, 1.5, 3], "albedo": [[0.5, 0.5, 0.5], [0.5, 0.5, 0.5], [0.6, 0.5, 0.4],
 [0.5, 0.5, 0.5], [0, 0, 0], [1, 1, 1]]}, "emitters": [
@@ -85,10 +95,11 @@ pub(crate) const EMITTERS: &str = r#"{"format": "sgs-emitters-1", "surfels": 819
 {"name": "panel", "on": true, "color": [0, 0, 0], "shape": {"type": "disk", "center": [0, 0, 3], "normal": [0, 0, -1], "radius": 0.5}},
 {"name": "spot", "on": true, "color": [5, 5, 5], "shape": {"type": "spot", "position": [0, 1, 2], "axis": [0, 0, -1],
 "inner_angle": 20, "outer_angle": 35}},
-{"name": "sun", "on": true, "color": [9, 9, 8], "shape": {"type": "directional", "direction": [1, 1, -1], "angular_radius": 0.27}}]}
+{"name": "sun", "on": true, "color": [9, 9, 8], "shape": {"type": "directional", "direction": [1, 1, -1], "angular_radius": 0.27}},
+{"name": "lobe", "on": true, "color": [4, 4, 2], "shape": {"type": "lobe", "position": [1, 1, 2], "axis": [0, 0.6, -0.8], "sharpness": 9.5}}]}
 "#;
 
-pub(crate) const EDITS: [&str; 3] = [
+pub(crate) const EDITS: [&str; 4] = [
     r#"{"lights": {"off": true, "add": [{"position": [0, 1, 0], "intensity": [1, 2, 3]},
 {"corners": [[0, 2, 0], [1, 2, 0], [1, 2, 1], [0, 2, 1]], "radiance": [5, 5, 5], "patches": 3},
 {"position": [1, 1, 1], "lobes": [{"axis": [0, 0, 1], "sharpness": 3, "amplitude": [1, 1, 1]}]}]},
@@ -102,6 +113,10 @@ pub(crate) const EDITS: [&str; 3] = [
 "insert": [{"source": "chair.ply", "scale": 0.5, "rotation": [1, 0, 0, 1], "translation": [0, 0, 1]}]}
 "#,
     "{\"environment\": {\"file\": \"sky.exr\", \"rotate\": {\"axis\": [1, 1, 0], \"degrees\": -90}}}\n",
+    r#"{"lights": {"add": [{"type": "disk", "center": [0, 0, 3], "normal": [0, 0, -1], "radius": 0.5, "color": [3, 2, 1], "gain": 2},
+{"type": "spot", "position": [0, 1, 2], "axis": [0, 0, -1], "inner_angle": 20, "outer_angle": 35, "color": [3, 2, 1]},
+{"type": "lobes", "position": [0, 1, 0], "gain": 1, "lobes": [{"axis": [0, 0, 1], "sharpness": 2, "amplitude": [1, 1, 1]}]}]}}
+"#,
 ];
 
 pub(crate) const TRUE_LIGHTS: &str = r#"{"unit": "metre", "training": [{"on": true, "position": [0, 1, 0], "point_light_intensity_equivalent": [1, 2, 3]}],

@@ -4,7 +4,10 @@ use super::text_of;
 use crate::place::Place;
 use crate::seeds;
 use sgs_relight::{Edit, fuzzed};
-use sgs_run::{LightFile, read_emitters, read_exchange, read_light, read_lights, write_emitters};
+use sgs_run::{
+    LightFile, LightList, read_emitters, read_exchange, read_light, read_light_list, read_lights, write_emitters,
+    write_light_list,
+};
 use sgs_scene::read_environment;
 
 /// Checks the invariants of all lights that are read.
@@ -15,9 +18,20 @@ fn sound(lights: &LightFile) -> String {
     format!("{} lights of {} lobes", model.lights.min(4), model.lobes.min(4))
 }
 
+/// Returns the lights in the published model, or why it does not shade them.
+fn published(list: &LightList) -> String {
+    list.published().map_or_else(|reason| reason.chars().take(20).collect(), |lights| sound(&lights))
+}
+
+/// Reads lights and writes them again.
 pub(crate) fn lights(bytes: &[u8]) -> String {
     let place = Place::of("lights", |_| ());
-    text_of(read_lights(&place.put("lights.json", bytes)), |lights| sound(&lights))
+    text_of(read_light_list(&place.put("lights.json", bytes)), |list| {
+        let again = place.path("again.json");
+        let back = write_light_list(&again, &list).and_then(|()| read_light_list(&again));
+        assert_eq!(back.as_ref().ok(), Some(&list), "lights come back");
+        format!("{} {}", list.format(), published(&list))
+    })
 }
 
 /// Reads emitters and writes them again.
@@ -40,7 +54,7 @@ pub(crate) fn lights_beside(bytes: &[u8]) -> String {
     });
     place.put("scene.lights.json", bytes);
     let path = place.path("scene.ply");
-    let all = text_of(read_exchange(&path), |e| e.lights.as_ref().map_or_else(String::new, sound));
+    let all = text_of(read_exchange(&path), |e| e.lights.as_ref().map_or_else(String::new, published));
     all + &text_of(read_light(&path, 16), |light| format!("{}", light.lights.is_some()))
 }
 

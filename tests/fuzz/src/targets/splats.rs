@@ -2,7 +2,7 @@
 
 use super::text_of;
 use crate::place::Place;
-use sgs_run::{read_exchange, read_light, read_splats};
+use sgs_run::{read_exchange, read_light, read_light_source, read_splats};
 use sgs_scene::{PointCloud, Splats};
 
 /// Checks the invariants of all splats that are read.
@@ -49,11 +49,15 @@ pub(crate) fn gltf(bytes: &[u8]) -> String {
     let path = place.put("scene.glb", bytes);
     let light = text_of(read_light(&path, 16), |light| format!("{}", light.lights.is_some()));
     let splats = text_of(read_splats(&path), |splats| sound(&splats));
+    let alone = text_of(read_light_source(&path), |list| {
+        let valid = list.emitters().iter().all(|row| row.light().check().is_ok());
+        format!("{} {valid}", list.lights.len().min(3))
+    });
     let all = text_of(read_exchange(&path), |exchange| {
         if let Some(lights) = &exchange.lights {
-            lights.raw();
+            let _ = lights.published().map(|lights| lights.raw());
         }
         exchange.format.to_owned()
     });
-    format!("{splats} {light} {all}")
+    format!("{splats} {light} {alone} {all}")
 }

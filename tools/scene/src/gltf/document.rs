@@ -98,6 +98,8 @@ pub(super) struct Node {
     pub(super) rotation: Option<[f64; 4]>,
     pub(super) scale: Option<[f64; 3]>,
     #[serde(default)]
+    pub(super) name: String,
+    #[serde(default)]
     pub(super) extensions: BTreeMap<String, Value>,
 }
 
@@ -129,7 +131,25 @@ pub(super) struct Light {
     pub(super) color: [f32; 3],
     #[serde(default = "one")]
     pub(super) intensity: f32,
+    #[serde(default)]
+    pub(super) spot: Cone,
+    #[serde(default)]
+    pub(super) name: String,
     pub(super) extras: Option<Value>,
+}
+
+/// Cone of a spot, in radians from its axis.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Cone {
+    pub(super) inner_cone_angle: f32,
+    pub(super) outer_cone_angle: f32,
+}
+
+impl Default for Cone {
+    fn default() -> Cone {
+        Cone { inner_cone_angle: 0.0, outer_cone_angle: std::f32::consts::FRAC_PI_4 }
+    }
 }
 
 fn white() -> [f32; 3] {

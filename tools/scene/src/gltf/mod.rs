@@ -5,8 +5,8 @@
 //! Other programs read what the extensions define: scales, unit quaternions and opacities after activation, and
 //! spherical harmonics by coefficient. Application-specific attributes have names that begin with an underscore, as
 //! glTF requires. They hold materials, normals, and the stored values before activation, from which this reader
-//! restores every bit (docs/reference/exchange.md). Lights are point lights with their mean intensity. Callers store
-//! further properties of a light in its `extras`.
+//! restores every bit (docs/reference/exchange.md). Callers store further properties of a light in its
+//! `extras`.
 
 mod buffer;
 mod document;
@@ -28,8 +28,8 @@ pub(crate) const LIGHTS: &str = "KHR_lights_punctual";
 pub struct GltfScene {
     /// Sets of splats as stored, each with its placement.
     pub parts: Vec<(Splats, Placement)>,
-    /// Point lights.
-    pub lights: Vec<PointLight>,
+    /// Lights.
+    pub lights: Vec<PunctualLight>,
     /// `extras` of the document's light extension.
     pub light_extras: Option<serde_json::Value>,
     /// Descriptions of content that was skipped.
@@ -52,14 +52,36 @@ impl Placement {
     pub const NONE: Placement = Placement { scale: 1.0, rotation: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
 }
 
-/// Light with equal intensity in all directions.
+/// Kind of a punctual light. Angles are in radians, from the axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum PunctualKind {
+    /// Light with equal intensity in all directions.
+    Point,
+    /// Cone of light.
+    Spot {
+        /// Angle at which the light begins to fall off.
+        inner_angle: f32,
+        /// Angle at which the light ends; above the inner one.
+        outer_angle: f32,
+    },
+    /// Light from afar.
+    Directional,
+}
+
+/// Light of `KHR_lights_punctual`.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PointLight {
+pub struct PunctualLight {
+    /// Name; empty if the file has none.
+    pub name: String,
+    /// Kind.
+    pub kind: PunctualKind,
     /// Position in world space.
     pub position: [f32; 3],
+    /// Direction in which spots and directional lights shine, of unit length: -Z of the node.
+    pub direction: [f32; 3],
     /// Linear red, green and blue factors of the intensity.
     pub color: [f32; 3],
-    /// Intensity in candela, as in glTF.
+    /// Intensity in candela, or lux of directional lights, as in glTF.
     pub intensity: f32,
     /// Application-specific data.
     pub extras: Option<serde_json::Value>,

@@ -2,12 +2,12 @@
 
 use super::document::{Document, Light, Lights, NodeLight, Primitive, Splatting};
 use super::{
-    GltfScene, LIGHTS, METALLIC_RANGE, Placement, PointLight, SPLATTING, agrees, buffer, logistic, material, nodes,
-    sh_name, unit, unlogistic, unmaterial,
+    GltfScene, LIGHTS, METALLIC_RANGE, Placement, PunctualKind, PunctualLight, SPLATTING, agrees, buffer, logistic,
+    material, nodes, sh_name, unit, unlogistic, unmaterial,
 };
 use crate::error::{Result, SceneError, io_error};
 use crate::splats::{ALBEDO_RANGE, ROUGHNESS_RANGE, Splats};
-use glam::DMat4;
+use glam::{DMat4, DVec3};
 use serde_json::Value;
 use std::path::Path;
 
@@ -18,8 +18,7 @@ type Found<T> = std::result::Result<T, String>;
 const LEAST_BYTES: usize = 20;
 
 impl GltfScene {
-    /// Reads a `.gltf` or `.glb` file. Reads all primitives with `KHR_gaussian_splatting` and all point lights of the
-    /// scene.
+    /// Reads a `.gltf` or `.glb` file. Reads all primitives with `KHR_gaussian_splatting` and all lights of the scene.
     ///
     /// # Errors
     /// Fails if the file is damaged, requires an unsupported extension, holds no splats, or places them with an
@@ -28,14 +27,34 @@ impl GltfScene {
         let bytes = std::fs::read(path).map_err(io_error("read", path))?;
         read(path, &bytes).map_err(|problem| SceneError::points(path, "", problem))
     }
+
+    /// Reads the lights of a `.gltf` or `.glb` file, which needs no splats.
+    ///
+    /// # Errors
+    /// Fails if the file is damaged, or a light is invalid.
+    pub fn read_lights(path: &Path) -> Result<GltfScene> {
+        let bytes = std::fs::read(path).map_err(io_error("read", path))?;
+        let read = || -> Found<GltfScene> {
+            let document = document(buffer::chunks(&bytes)?.0)?;
+            let mut scene = GltfScene::default();
+            lights(&document, &nodes::all(&document)?, &mut scene)?;
+            Ok(scene)
+        };
+        read().map_err(|problem| SceneError::points(path, "", problem))
+    }
 }
 
-fn read(path: &Path, bytes: &[u8]) -> Found<GltfScene> {
-    let (json, binary) = buffer::chunks(bytes)?;
+fn document(json: &[u8]) -> Found<Document> {
     let document: Document = serde_json::from_slice(json).map_err(|e| format!("it is no glTF: {e}"))?;
     if !document.asset.version.starts_with("2.") {
         return Err(format!("it is glTF {}, not 2", document.asset.version));
     }
+    Ok(document)
+}
+
+fn read(path: &Path, bytes: &[u8]) -> Found<GltfScene> {
+    let (json, binary) = buffer::chunks(bytes)?;
+    let document = document(json)?;
     if let Some(other) = document.extensions_required.iter().find(|e| !matches!(e.as_str(), SPLATTING | LIGHTS)) {
         return Err(format!("it needs the extension {other}, which is not read; export it without"));
     }
@@ -229,25 +248,46 @@ fn lights(document: &Document, placed: &[(usize, DMat4)], scene: &mut GltfScene)
         let Some(light) = all.lights.get(node.light) else {
             return Err(format!("node {index}: there is no light {}", node.light));
         };
-        match light.kind.as_str() {
-            "point" => scene.lights.push(point(light, matrix).map_err(|e| format!("node {index}: {e}"))?),
-            _ => others += 1,
-        }
+        let cone =
+            PunctualKind::Spot { inner_angle: light.spot.inner_cone_angle, outer_angle: light.spot.outer_cone_angle };
+        let kind = match light.kind.as_str() {
+            "point" => PunctualKind::Point,
+            "spot" => cone,
+            "directional" => PunctualKind::Directional,
+            _ => {
+                others += 1;
+                continue;
+            }
+        };
+        let name = if light.name.is_empty() { &document.nodes[*index].name } else { &light.name };
+        scene.lights.push(punctual(light, kind, name, matrix).map_err(|e| format!("node {index}: {e}"))?);
     }
     if others > 0 {
-        scene.left_out.push(format!("{others} lights that are no points"));
+        scene.left_out.push(format!("{others} lights of unknown kinds"));
     }
     scene.light_extras = all.extras;
     Ok(())
 }
 
-fn point(light: &Light, matrix: &DMat4) -> Found<PointLight> {
+fn punctual(light: &Light, kind: PunctualKind, name: &str, matrix: &DMat4) -> Found<PunctualLight> {
     let position = matrix.w_axis.truncate().as_vec3().to_array();
     let numbers = position.iter().chain(&light.color).chain([&light.intensity]);
     if numbers.clone().any(|v| !v.is_finite()) || light.intensity < 0.0 || light.color.iter().any(|v| *v < 0.0) {
         return Err("its light has a place, color or intensity that no light has".into());
     }
-    Ok(PointLight { position, color: light.color, intensity: light.intensity, extras: light.extras.clone() })
+    let along = (-matrix.z_axis.truncate()).normalize_or_zero();
+    if kind != PunctualKind::Point && along == DVec3::ZERO {
+        return Err("its light has no direction, because the node is flat; scale it by more than 0".into());
+    }
+    Ok(PunctualLight {
+        name: name.to_owned(),
+        kind,
+        position,
+        direction: along.as_vec3().to_array(),
+        color: light.color,
+        intensity: light.intensity,
+        extras: light.extras.clone(),
+    })
 }
 
 impl GltfScene {

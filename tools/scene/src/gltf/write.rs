@@ -1,10 +1,11 @@
 //! Writer of splats and lights to glTF files.
 
-use super::{LIGHTS, METALLIC_RANGE, PointLight, SPLATTING, logistic, material, sh_name, unit};
+use super::{LIGHTS, METALLIC_RANGE, PunctualKind, PunctualLight, SPLATTING, logistic, material, sh_name, unit};
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
 use crate::image::srgb_to_linear;
 use crate::splats::{ALBEDO_RANGE, ROUGHNESS_RANGE, SH_C0, Splats};
+use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 use std::io::{self, Write};
 use std::path::Path;
@@ -26,7 +27,7 @@ struct Attribute<'a> {
 ///
 /// # Errors
 /// Fails if there are no splats, which glTF cannot express, if a `.glb` would exceed 4 GiB, or if writing fails.
-pub fn write_gltf(path: &Path, splats: &Splats, lights: &[PointLight], light_extras: Option<&Value>) -> Result<()> {
+pub fn write_gltf(path: &Path, splats: &Splats, lights: &[PunctualLight], light_extras: Option<&Value>) -> Result<()> {
     splats.check()?;
     if splats.is_empty() {
         let problem = "there are none, and glTF has no way to say so; write a PLY".into();
@@ -133,12 +134,32 @@ fn attributes<'a>(s: &'a Splats) -> Vec<Attribute<'a>> {
     all
 }
 
+/// Returns the node of a light, and the light. Lights shine along -Z of their node.
+fn punctual(light: &PunctualLight) -> (Value, Value) {
+    let mut node = json!({"name": light.name, "translation": light.position});
+    let mut object = json!({"name": light.name, "color": light.color, "intensity": light.intensity});
+    let along = DVec3::from(light.direction.map(f64::from)).normalize_or(DVec3::NEG_Z);
+    let turn = DQuat::from_rotation_arc(DVec3::NEG_Z, along);
+    if turn != DQuat::IDENTITY {
+        node["rotation"] = json!(turn.to_array());
+    }
+    object["type"] = match light.kind {
+        PunctualKind::Point => json!("point"),
+        PunctualKind::Spot { inner_angle, outer_angle } => {
+            object["spot"] = json!({"innerConeAngle": inner_angle, "outerConeAngle": outer_angle});
+            json!("spot")
+        }
+        PunctualKind::Directional => json!("directional"),
+    };
+    (node, object)
+}
+
 fn document(
     splats: &Splats,
     attributes: &[Attribute<'_>],
     total: usize,
     uri: Option<String>,
-    lights: &[PointLight],
+    lights: &[PunctualLight],
     light_extras: Option<&Value>,
 ) -> Value {
     let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), serde_json::Map::new());
@@ -161,10 +182,9 @@ fn document(
     let mut nodes = vec![json!({"name": "splats", "mesh": 0})];
     let mut all = Vec::new();
     for (i, light) in lights.iter().enumerate() {
-        nodes.push(json!({
-            "name": format!("light {i}"), "translation": light.position, "extensions": {LIGHTS: {"light": i}}
-        }));
-        let mut object = json!({"type": "point", "color": light.color, "intensity": light.intensity});
+        let (mut node, mut object) = punctual(light);
+        node["extensions"] = json!({LIGHTS: {"light": i}});
+        nodes.push(node);
         if let Some(extras) = &light.extras {
             object["extras"] = extras.clone();
         }

@@ -3,7 +3,9 @@
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::failure::refuse_usage;
-use sgs_run::{RunDirectory, read_exchange, read_lights, write_exchange};
+use sgs_run::{
+    LightList, RunDirectory, gltf_leaves_out, read_emitters, read_exchange, read_light_list, write_exchange,
+};
 use sgs_scene::PlyDialect;
 use std::path::{Path, PathBuf};
 
@@ -95,25 +97,38 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         let (splats, _) = splats_of(&a.source)?;
         let run = RunDirectory::open(&a.source)?;
         let [lights, environment] = ["lights.json", "environment.exr"].map(|name| run.path(name));
-        let lights = if lights.is_file() { Some(read_lights(&lights)?) } else { None };
+        let lights = match format.dialect() {
+            // The emitters of a run are its light.
+            None if run.emitters().is_file() => Some(LightList::of_emitters(&read_emitters(&run.emitters())?)),
+            _ if lights.is_file() => Some(read_light_list(&lights)?),
+            _ => None,
+        };
         (splats, lights, Some(environment).filter(|file| file.is_file()))
     };
     let dialect = format.dialect();
-    let mut left_out = dialect.map_or(Vec::new(), |dialect| dialect.leaves_out(&splats));
-    if dialect.is_none() && splats.emitters.is_some() {
-        left_out.push("emitters");
+    let names = |names: Vec<&str>| names.into_iter().map(str::to_owned).collect();
+    let mut left_out: Vec<String> = dialect.map_or(Vec::new(), |dialect| names(dialect.leaves_out(&splats)));
+    if dialect.is_none() {
+        if splats.emitters.is_some() {
+            left_out.push("emitters of Gaussians".to_owned());
+        }
+        left_out.extend(lights.as_ref().map(gltf_leaves_out).unwrap_or_default());
     }
+    let held = |list: &LightList| match dialect {
+        Some(_) => list.lights.len(),
+        None => list.lights.len() - gltf_leaves_out(list).len(),
+    };
     // Light needs materials, which plain 3DGS files lack.
     let lit = dialect != Some(PlyDialect::ThreeDgs);
     if !lit && (lights.is_some() || environment.is_some()) {
-        left_out.push("light");
+        left_out.push("light".to_owned());
     }
     let lights = lights.filter(|_| lit);
     let environment = environment.filter(|_| lit);
     let files = write_exchange(&a.output, &splats, dialect, lights.as_ref(), environment.as_deref())?;
     let answer = serde_json::json!({
         "gaussians": splats.len(), "file": a.output, "files": files, "left_out": left_out,
-        "lights": lights.map_or(0, |l| l.lights.len()),
+        "lights": lights.as_ref().map_or(0, held),
     });
     if !common.answer(&answer)? && !common.quiet {
         let files: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();

@@ -157,7 +157,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         (Some(scene), Some(settings), true) => {
             let run = RunDirectory::open(&a.source)?;
             let emitting = Emitting::open(&device, &run, scene, &relit.splats, settings.seed)?;
-            emitting.map(|emitting| emitting.edited(&edit.emitters)).transpose()?
+            let emitters = edit.all_emitters()?;
+            emitting.map(|emitting| emitting.edited(&emitters)).transpose()?
         }
         _ => None,
     };

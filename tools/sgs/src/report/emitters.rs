@@ -2,13 +2,12 @@
 
 use super::lights::{self as light_marks, color, luminance};
 use crate::lit::only;
-use glam::{DVec3, Vec3};
 use sgs_engine::Device;
 use sgs_relight::Emitting;
 use sgs_report::figure::{data_uri, rendered};
 use sgs_report::room::{self, LightMark};
 use sgs_report::{escape, number};
-use sgs_run::{EmitterRow, Shading, ShapeRow, displayed};
+use sgs_run::{EmitterRow, Shading, displayed};
 use sgs_scene::{Camera, Image, Scene, Splats};
 
 /// Maximum number of emitters with images of their own.
@@ -61,7 +60,7 @@ pub fn html(device: &Device, emitting: &Emitting, at: &EmitterView<'_>) -> anyho
         .iter()
         .zip(&alone)
         .filter_map(|(row, a)| {
-            let position = center(&row.shape)?;
+            let position = row.shape.center()?.as_dvec3();
             Some(LightMark { name: row.name.clone(), position, share: share(a), color: color(a.mean) })
         })
         .collect();
@@ -96,42 +95,18 @@ fn table(rows: &[EmitterRow], shares: &[f64]) -> String {
         let off = if row.on { "" } else { " (off)" };
         let share = shares.get(i).map_or(String::new(), |share| format!("{:.1} %", 100.0 * share));
         let [r, g, b] = row.color.map(|v| number(f64::from(v)));
-        let [x, y, z] = center(&row.shape).map_or([const { String::new() }; 3], |c| c.to_array().map(number));
+        let [x, y, z] =
+            row.shape.center().map_or([const { String::new() }; 3], |c| c.as_dvec3().to_array().map(number));
         out.push_str(&format!(
             "<tr><th>{}{off}</th><td>{}</td><td>{share}</td><td><span class=\"swatch\" style=\"background:{}\"></span></td>\
              <td>{r}</td><td>{g}</td><td>{b}</td><td>{x}</td><td>{y}</td><td>{z}</td></tr>\n",
             escape(&row.name),
-            kind(&row.shape),
+            row.shape.name(),
             escape(&color(row.color.map(f64::from))),
         ));
     }
     out.push_str("</tbody></table></div>\n");
     out
-}
-
-/// Returns the name of a shape, as in `emitters.json`.
-fn kind(shape: &ShapeRow) -> &'static str {
-    match shape {
-        ShapeRow::Point { .. } => "point",
-        ShapeRow::Sphere { .. } => "sphere",
-        ShapeRow::Rectangle { .. } => "rectangle",
-        ShapeRow::Disk { .. } => "disk",
-        ShapeRow::Spot { .. } => "spot",
-        ShapeRow::Directional { .. } => "directional",
-    }
-}
-
-/// Returns the center of a shape; `None` for directional light.
-fn center(shape: &ShapeRow) -> Option<DVec3> {
-    let center = match *shape {
-        ShapeRow::Point { position } | ShapeRow::Spot { position, .. } => Vec3::from(position),
-        ShapeRow::Sphere { center, .. } | ShapeRow::Disk { center, .. } => Vec3::from(center),
-        ShapeRow::Rectangle { corner, edge_u, edge_v } => {
-            Vec3::from(corner) + 0.5 * (Vec3::from(edge_u) + Vec3::from(edge_v))
-        }
-        ShapeRow::Directional { .. } => return None,
-    };
-    Some(center.as_dvec3())
 }
 
 /// Returns the mean linear RGB.
@@ -146,14 +121,14 @@ fn mean(image: &Image) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sgs_passes::transport::LightShape;
 
     #[test]
     fn table_names_shape_center_and_switch() {
-        let shape = ShapeRow::Rectangle { corner: [1.0, 0.0, 0.0], edge_u: [0.0, 2.0, 0.0], edge_v: [0.0, 0.0, 4.0] };
+        let shape = LightShape::Rectangle { corner: [1.0, 0.0, 0.0], edge_u: [0.0, 2.0, 0.0], edge_v: [0.0, 0.0, 4.0] };
         let window = EmitterRow { name: "window <1>".into(), on: false, color: [1.0, 0.5, 0.0], shape };
-        let sun = ShapeRow::Directional { direction: [0.0, -1.0, 0.0], angular_radius: 0.27 };
+        let sun = LightShape::Directional { direction: [0.0, -1.0, 0.0], angular_radius: 0.27 };
         let sun = EmitterRow { name: "sun".into(), on: true, color: [1.0; 3], shape: sun };
-        assert_eq!((center(&shape), center(&sun.shape)), (Some(DVec3::new(1.0, 1.0, 2.0)), None));
         let html = table(&[window, sun], &[0.25]);
         for text in
             ["window &lt;1&gt; (off)", "rectangle", "25.0 %", "#ffbc00", "<th>sun</th><td>directional</td><td></td>"]

@@ -123,11 +123,12 @@ pub(super) fn invalid(reason: String) -> TrainError {
 mod tests {
     use super::*;
     use sgs_config::TransportSettings;
-    use sgs_run::{EmitterRow, EnclosureRow, ShapeRow};
+    use sgs_passes::transport::LightShape;
+    use sgs_run::{EmitterRow, EnclosureRow};
 
     fn room() -> FittedRoom {
         let enclosure = EnclosureRow { low: [0.0; 3], high: [1.0; 3], albedo: [[0.5; 3]; 6] };
-        let shape = ShapeRow::Sphere { center: [0.1; 3], radius: 0.3 };
+        let shape = LightShape::Sphere { center: [0.1; 3], radius: 0.3 };
         let row = EmitterRow { name: "bulb".into(), on: true, color: [1.5, 0.1, 0.0], shape };
         let emitters = EmitterFile::new(enclosure, TransportSettings::default(), vec![row]);
         FittedRoom { emitters, of_gaussians: vec![0, 1, 1, 0], psnr: 0.1 + 0.2, uniform_psnr: 0.1 }
