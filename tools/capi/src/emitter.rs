@@ -18,6 +18,8 @@ pub const SGS_EMITTER_DISK: u32 = 3;
 pub const SGS_EMITTER_SPOT: u32 = 4;
 /// Emitter: light from a distant disk.
 pub const SGS_EMITTER_DIRECTIONAL: u32 = 5;
+/// Emitter: rectangle that shows the environment, on the side of axis x side. Its color is a factor on the environment.
+pub const SGS_EMITTER_WINDOW: u32 = 7;
 
 /// Returns an emitter of a run, numbered from 0 as in emitters.json. Emitters are the lights of such a run:
 /// sgs_relight_light_count counts them, sgs_relight_light_set switches, dims and recolors them. `name`, if not null, has
@@ -61,6 +63,9 @@ fn emitter_of(row: &EmitterRow) -> SgsEmitter {
         }
         ShapeRow::Rectangle { corner, edge_u, edge_v } => {
             SgsEmitter { shape: SGS_EMITTER_RECTANGLE, position: corner, axis: edge_u, side: edge_v, ..none }
+        }
+        ShapeRow::Window { corner, edge_u, edge_v } => {
+            SgsEmitter { shape: SGS_EMITTER_WINDOW, position: corner, axis: edge_u, side: edge_v, ..none }
         }
         ShapeRow::Disk { center, normal, radius } => {
             SgsEmitter { shape: SGS_EMITTER_DISK, position: center, axis: normal, radius, ..none }

@@ -118,6 +118,7 @@ fn kind(shape: &ShapeRow) -> &'static str {
         ShapeRow::Disk { .. } => "disk",
         ShapeRow::Spot { .. } => "spot",
         ShapeRow::Directional { .. } => "directional",
+        ShapeRow::Window { .. } => "window",
     }
 }
 
@@ -126,7 +127,7 @@ fn center(shape: &ShapeRow) -> Option<DVec3> {
     let center = match *shape {
         ShapeRow::Point { position } | ShapeRow::Spot { position, .. } => Vec3::from(position),
         ShapeRow::Sphere { center, .. } | ShapeRow::Disk { center, .. } => Vec3::from(center),
-        ShapeRow::Rectangle { corner, edge_u, edge_v } => {
+        ShapeRow::Rectangle { corner, edge_u, edge_v } | ShapeRow::Window { corner, edge_u, edge_v } => {
             Vec3::from(corner) + 0.5 * (Vec3::from(edge_u) + Vec3::from(edge_v))
         }
         ShapeRow::Directional { .. } => return None,
