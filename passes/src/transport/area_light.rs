@@ -59,7 +59,9 @@ pub enum LightShape {
         /// Angular radius, from 0 to below pi / 2.
         angular_radius: f32,
     },
-    /// Rectangle through which the environment shines into the room, on the side of `edge_u` x `edge_v`.
+    /// Rectangle through which the environment shines.
+    ///
+    /// It shines to the side of `edge_u` x `edge_v`.
     Window {
         /// Corner where both edges begin.
         corner: [f32; 3],

@@ -62,9 +62,11 @@ impl LightReceivers {
 pub struct ShadowRays {
     /// Occluders.
     pub tree: SurfelHandles,
-    /// Openings through which directional light enters, and the environment that windows show.
+    /// Openings for directional light, and the environment that windows show.
     pub outside: OutsideHandles,
-    /// Distance above the surface at which rays start, and by which openings reach past their edges.
+    /// Distance above the surface at which rays start.
+    ///
+    /// Openings reach past their edges by the same distance.
     pub offset: f32,
     /// Distance before the light, or the opening, at which rays end. Its fixture therefore does not occlude it.
     pub clearance: f32,

@@ -155,8 +155,9 @@ impl Sky {
         Sky { size: self.size, data }
     }
 
-    /// Returns the radiance that arrives from a direction of any length, in double precision: the reference of
-    /// `sky_radiance` in `outside.glsl`.
+    /// Returns the radiance that arrives from a direction of any length.
+    ///
+    /// In double precision: the reference of `sky_radiance` in `outside.glsl`.
     pub fn radiance(&self, d: [f64; 3]) -> [f64; 3] {
         let [w, h] = self.size.map(f64::from);
         let (theta, phi) = (d[0].hypot(d[2]).atan2(d[1]), d[0].atan2(-d[2]));
@@ -171,8 +172,9 @@ impl Sky {
         })
     }
 
-    /// Returns the mean radiance of a surface that emits the sky on one side, weighted by the cosine. `normal` is its unit
-    /// normal: it emits what arrives from the other side.
+    /// Returns the mean radiance of a window, weighted by the cosine.
+    ///
+    /// `normal` is its unit normal. It emits what arrives from the other side.
     pub fn mean(&self, normal: [f32; 3]) -> [f32; 3] {
         let axis = -Vec3::from(normal).as_dvec3().normalize_or_zero();
         let (u, v) = axis.any_orthonormal_pair();
@@ -188,7 +190,7 @@ impl Sky {
     }
 }
 
-/// Returns, for each of `to` boxes, the cells of `from` in it and their shares of it.
+/// Returns the cells of `from` in each of `to` boxes, and their shares of it.
 fn shares(from: u32, to: u32) -> Vec<Vec<(usize, f64)>> {
     let width = f64::from(from) / f64::from(to);
     let of = |i: u32| {

@@ -58,7 +58,9 @@ fn sun_enters_through_openings_alone() {
     }
 }
 
-/// Tests openings without an area, along the rays and seen from outside, and a room without openings.
+/// Tests openings without an area, along the rays and seen from outside.
+///
+/// Also tests a room without openings.
 #[test]
 fn sun_is_dark_where_no_opening_faces_it() {
     let gpu = Gpu::new();

@@ -206,7 +206,9 @@ fn opening_of(emitter: &AreaLight, emitting: &Emitting) -> Option<OpeningRow> {
     emitting.file.openings.iter().copied().find(|o| *o == own)
 }
 
-/// Returns the radiance that the surface of an emitter in an opening shows of the environment of a set.
+/// Returns the radiance of an emitter's surface under the environment of a set.
+///
+/// Returns `None` without one, or if the emitter is in no opening.
 fn shown_sky(emitter: &AreaLight, list: &[TrueLight], emitting: &Emitting) -> Option<[f32; 3]> {
     let (_, color) = sky_of(list)?;
     let seen = emitting.surface_of(&opening_of(emitter, emitting)?.window().into());
@@ -225,7 +227,7 @@ fn under_sky(
     emitting.with_outside(openings, sky)
 }
 
-/// Returns the openings that a set lists as windows of its environment, else those of the run.
+/// Returns the openings of a set: windows of its environment, else the run's.
 fn true_openings(list: &[TrueLight], emitting: &Emitting) -> Vec<OpeningRow> {
     let own: Vec<OpeningRow> = list.iter().filter_map(TrueLight::window).collect();
     if own.is_empty() { emitting.file.openings.clone() } else { own }

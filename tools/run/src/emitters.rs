@@ -161,7 +161,7 @@ pub enum ShapeRow {
         /// Angular radius in degrees, from 0 to below 90.
         angular_radius: f32,
     },
-    /// Rectangle through which the environment shines on the side of `edge_u` x `edge_v`.
+    /// Rectangle that shows the environment on the side of `edge_u` x `edge_v`.
     Window {
         /// Corner where both edges begin.
         corner: [f32; 3],
@@ -332,7 +332,7 @@ pub fn check_openings(openings: &[OpeningRow]) -> std::result::Result<(), (Optio
     openings.iter().enumerate().try_for_each(|(i, o)| o.check().map_err(|e| (Some(i), e)))
 }
 
-/// Reads the environment outside of a room from a latitude-longitude image of linear radiance.
+/// Reads the environment outside of a room: a linear latitude-longitude image.
 ///
 /// # Errors
 /// If the file cannot be read or is not an environment map.

@@ -34,7 +34,7 @@ impl FrameEmitter {
 /// Responses in device memory.
 #[derive(Clone, Debug)]
 pub(super) struct EmitterResponses {
-    /// Bounced irradiance by part of the emitters of color 1, `[parts * receivers * 3]`.
+    /// Bounced irradiance by part of color 1, `[parts * receivers * 3]`.
     memory: DeviceBuffer,
     /// Number of the emitter of each Gaussian.
     numbers: DeviceBuffer,

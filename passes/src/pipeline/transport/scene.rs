@@ -157,7 +157,9 @@ impl TransportScene {
         })
     }
 
-    /// Sets the openings of the room and the environment behind them, in the unit of the surfels.
+    /// Sets the openings of the room and the environment behind them.
+    ///
+    /// They are in the unit of the surfels.
     ///
     /// # Errors
     /// If memory runs out.
@@ -240,7 +242,9 @@ impl TransportScene {
         &self.tree
     }
 
-    /// Returns the irradiance of each receiver from each part of the lights ([`parts_of`]) of color 1.
+    /// Returns the irradiance of each receiver from each part of color 1.
+    ///
+    /// [`parts_of`] returns the parts of the lights.
     ///
     /// The result holds `[parts * receivers]` floats.
     ///

@@ -170,7 +170,7 @@ impl ShadedTransport {
         self.responses.as_ref().map(EmitterResponses::memory)
     }
 
-    /// Returns the index of the first part of an emitter whose light changes with each frame.
+    /// Returns the index of the first part of an emitter.
     pub(super) fn first_part(&self, emitter: u32) -> u32 {
         parts_of(self.lights.iter().take(emitter as usize)).len() as u32
     }

@@ -206,7 +206,9 @@ fn direct(
     Some((light.group, radiance, (lobes.diffuse, lobes.specular)))
 }
 
-/// Returns the reflected radiance of the sun by lobe, and the group of the window through which it shines.
+/// Returns the reflected radiance of the sun by lobe, and its light group.
+///
+/// The group is that of the window through which it shines.
 fn sunlight(scene: &Scene, point: &SurfacePoint, brdf: &Brdf, start: Vec3) -> Option<(usize, (Vec3, Vec3))> {
     let sun = scene.sun?;
     if sun.toward.dot(point.geometric) <= 0.0 {
