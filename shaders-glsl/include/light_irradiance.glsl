@@ -156,5 +156,5 @@ float light_irradiance(LightRecord light, vec3 point, vec3 normal) {
         return max(cosine, 0.0) * share / max(square, LIGHT_NEAR_SQUARED);
     }
     if (dot(light.normal, to) >= 0.0) return 0.0;
-    return light.kind == LIGHT_RECTANGLE ? rectangle_irradiance(to, light, normal) : disk_irradiance(to, light, normal);
+    return light.kind == LIGHT_DISK ? disk_irradiance(to, light, normal) : rectangle_irradiance(to, light, normal);
 }

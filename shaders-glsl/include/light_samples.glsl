@@ -76,7 +76,7 @@ LightSample light_sample(LightRecord light, vec3 point, vec3 normal, vec2 x) {
 // The highest point of the light above the horizon, for receivers whose samples are all below.
 vec3 light_top(LightRecord light, vec3 point, vec3 normal) {
     vec3 to = light.origin - point;
-    if (light.kind == LIGHT_RECTANGLE) {
+    if (light.kind == LIGHT_RECTANGLE || light.kind == LIGHT_WINDOW) {
         return to + step(0.0, dot(normal, light.axis)) * light.axis + step(0.0, dot(normal, light.side)) * light.side;
     }
     if (light.kind == LIGHT_DISK) {

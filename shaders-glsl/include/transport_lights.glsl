@@ -3,6 +3,9 @@
 //
 // An invocation takes a receiver and a light. The unoccluded irradiance is exact; shadow rays to SAMPLES points estimate the
 // visible share of it, so that receivers without occluders have no noise. A receiver in the dark traces no ray.
+//
+// Directional light arrives only along rays that leave the room through an opening. The radiance of a window depends on
+// direction: its samples carry that of the sky.
 #include "common.glsl"
 #if PIXELS
 #include "step.glsl"
@@ -26,8 +29,13 @@ layout(push_constant, scalar) uniform Push {
     uint receivers;  // from one light's numbers to the next one's
     uint seed;
     float offset;    // of rays' begin above the surface
-    float clearance; // of their end before the light
+    float clearance; // of their end before the light or the opening
+    uint openings;
+    uint sky_columns;
+    uint sky_rows;
 } push;
+
+#include "outside.glsl"
 
 #if PIXELS
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -41,11 +49,22 @@ IN(LightRecord, light_records);
 IN(uint, light_list); // how many are updated, and which
 OUT(float, unit);     // [lights * receivers]
 
-bool occluded(vec3 point, vec3 normal, vec3 to) {
-    vec3 d = to - push.offset * normal;
+// Whether a ray to a point of a light meets a surfel, or leaves the room elsewhere than through an opening.
+bool occluded(LightRecord light, vec3 point, vec3 normal, vec3 to) {
+    vec3 d = to - push.offset * normal, start = point + push.offset * normal;
     float square = dot(d, d), inverse = inversesqrt(max(square, 1e-30));
-    float reach = square * inverse - push.clearance;
-    return reach > 0.0 && surfel_hidden(point + push.offset * normal, inverse * d, reach);
+    float reach = square * inverse;
+    if (light.kind == LIGHT_DIRECTIONAL) {
+        reach = opening_distance(start, inverse * d);
+        if (reach < 0.0) return true;
+    }
+    reach -= push.clearance;
+    return reach > 0.0 && surfel_hidden(start, inverse * d, reach);
+}
+
+// Radiance of a light of color 1 along a ray to it.
+float arriving(LightRecord light, vec3 to) {
+    return light.kind == LIGHT_WINDOW ? sky_radiance(to, uint(light.bias)) : 1.0;
 }
 
 void main() {
@@ -76,11 +95,12 @@ void main() {
                       !(record.kind == LIGHT_DIRECTIONAL && record.radius == 0.0);
         float all = 0.0, seen = 0.0;
         if (extent) {
-            vec2 shift = light_shift(push.seed, i, light);
+            // The channels of a window have the same points.
+            vec2 shift = light_shift(push.seed, i, record.kind == LIGHT_WINDOW ? LIGHT_WINDOW_POINTS : light);
             [[dont_unroll]] for (uint s = 0u; s < SAMPLES; s++) {
                 LightSample l = light_sample(record, point, normal, light_point(s, SAMPLES, shift));
                 all += l.weight;
-                if (l.weight > 0.0 && !occluded(point, normal, l.to)) seen += l.weight;
+                if (l.weight > 0.0 && !occluded(record, point, normal, l.to)) seen += l.weight * arriving(record, l.to);
             }
         }
         if (all > 0.0) {
@@ -88,7 +108,7 @@ void main() {
         } else {
             vec3 to = extent ? light_top(record, point, normal)
                              : record.kind == LIGHT_DIRECTIONAL ? LIGHT_FAR * record.origin : record.origin - point;
-            result = occluded(point, normal, to) ? 0.0 : exact;
+            result = occluded(record, point, normal, to) ? 0.0 : exact * arriving(record, to);
         }
     }
     unit[light * push.receivers + i] = result;

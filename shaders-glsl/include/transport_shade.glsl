@@ -101,7 +101,7 @@ Representative representative(LightRecord light, Pixel p) {
     vec3 hit = dot(light.normal, to) / min(dot(light.normal, r), -1e-6) * r - to;
     vec3 center = to;
     vec2 spread;
-    if (light.kind == LIGHT_RECTANGLE) {
+    if (light.kind != LIGHT_DISK) {
         vec2 square = vec2(dot(light.axis, light.axis), dot(light.side, light.side));
         vec2 at = clamp(vec2(dot(hit, light.axis), dot(hit, light.side)) / square, 0.0, 1.0);
         center += 0.5 * (light.axis + light.side);

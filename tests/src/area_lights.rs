@@ -98,7 +98,7 @@ pub fn scale(light: &Light, r: &Receiver) -> f64 {
         Kind::Directional => 1.0,
         Kind::Point | Kind::Spot | Kind::Lobe => 1.0 / square.max(1e-3),
         Kind::Sphere | Kind::Disk => pi * (light.radius.powi(2) / square).min(1.0),
-        Kind::Rectangle => {
+        Kind::Rectangle | Kind::Window => {
             let center = along(along(to, 0.5, light.axis), 0.5, light.side);
             let turn = cross(light.axis, light.side);
             (dot(turn, turn).sqrt() / dot(center, center)).min(pi)

@@ -19,9 +19,9 @@ use sgs_passes::reference::transport_shade::{Incoming, View, shade};
 use sgs_passes::shade::environment::split_sum;
 use sgs_passes::shade::lights::LightModel;
 use sgs_passes::transport::{
-    AreaLight, AreaLights, Enclosure, LIGHT_SAMPLES, LightReceivers, LightShape, ReflectionRays, ShadeGradients,
-    ShadowRays, SurfelTree, Surfels, TransportShading, reflection_bytes, split_sum_table, transport_lights,
-    transport_reflect, transport_shade, transport_shade_bwd,
+    AreaLight, AreaLights, Enclosure, LIGHT_SAMPLES, LightReceivers, LightShape, Opening, Outside, ReflectionRays,
+    ShadeGradients, ShadowRays, SurfelTree, Surfels, TransportShading, reflection_bytes, split_sum_table,
+    transport_lights, transport_reflect, transport_shade, transport_shade_bwd,
 };
 
 /// Number of surfels on the walls, about.
@@ -52,6 +52,11 @@ fn lights() -> Vec<AreaLight> {
         LightShape::Lobe { position: [0.2, 1.0, -0.9], axis: [-0.1, -0.6, 0.7], sharpness: 4.0 },
     ];
     shapes.map(|shape| AreaLight { shape, color: [1.0, 0.8, 0.6] }).to_vec()
+}
+
+/// Returns a room that is open on all sides.
+fn outside() -> Outside {
+    Outside { openings: Opening::around(1.6).to_vec(), sky: None }
 }
 
 /// Returns surfels on the walls of the room and in it.
@@ -98,7 +103,14 @@ fn visible(surfels: &Surfels, ray: &Ray) -> f64 {
 
 /// Checks pairs of light and receiver; rays at the edge of a disc may differ.
 fn check(what: &str, found: &[f32], receivers: &[Receiver], surfels: &Surfels) -> anyhow::Result<()> {
-    let sampling = Sampling { offset: OFFSET.into(), clearance: OFFSET.into(), samples: LIGHT_SAMPLES, seed: SEED };
+    let outside = outside();
+    let sampling = Sampling {
+        outside: &outside,
+        offset: OFFSET.into(),
+        clearance: OFFSET.into(),
+        samples: LIGHT_SAMPLES,
+        seed: SEED,
+    };
     let (lights, mut rng, mut off) = (lights(), Pcg::new(31), 0);
     for k in 0..CHECKED {
         let (l, i) = (k % lights.len(), rng.next_u32() as usize % receivers.len());
@@ -155,7 +167,17 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     b.inputs.extend(tree.contents(&handles));
     let declared = AreaLights::declare(&mut g, lights.len() as u32);
     b.inputs.extend(declared.contents(&lights));
-    let rays = ShadowRays { tree: handles, offset: OFFSET, clearance: OFFSET, samples: LIGHT_SAMPLES, seed: SEED };
+    let outside = outside();
+    let of_outside = outside.declare(&mut g);
+    b.inputs.extend(outside.contents(&of_outside));
+    let rays = ShadowRays {
+        tree: handles,
+        outside: of_outside,
+        offset: OFFSET,
+        clearance: OFFSET,
+        samples: LIGHT_SAMPLES,
+        seed: SEED,
+    };
 
     let count = surfels.points.len();
     let rows: Vec<f32> = (0..count)

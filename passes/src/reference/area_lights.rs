@@ -2,9 +2,11 @@
 //!
 //! Everything with an extent is a polygon, clipped at the horizon (Sutherland and Hodgman 1974) and integrated by
 //! Lambert's formula. Disks, and the cones that spheres and directional lights subtend, have [`SIDES`] sides.
+//! Directional light arrives along rays that leave the room through an opening.
 
 use super::brdf::{V3, along, cross, dot, unit};
 use crate::rng::{random_bits, uniform_from};
+use crate::transport::{Outside, Sky};
 use sgs_shaders::structs::LightRecord;
 use std::f64::consts::{PI, TAU};
 
@@ -14,6 +16,10 @@ pub const SIDES: usize = 1024;
 const NEAR_SQUARED: f64 = 1e-3;
 /// Distance of directional lights.
 const FAR: f64 = 1e15;
+/// Kind of windows in records.
+const WINDOW: u32 = 7;
+/// Stands for the index of the light in the sample points of windows.
+const WINDOW_POINTS: u32 = 0x7fff_ffff;
 
 /// Shape of a light.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +38,8 @@ pub enum Kind {
     Directional,
     /// Point with a spherical Gaussian.
     Lobe,
+    /// Rectangle that shows the environment.
+    Window,
 }
 
 /// Record of the device in double precision; see `area_light.glsl`.
@@ -49,7 +57,7 @@ pub struct Light {
     pub normal: V3,
     /// Radius, sine of the angular radius, factor of the cosine, or sharpness.
     pub radius: f64,
-    /// Added to the scaled cosine.
+    /// Added to the scaled cosine; channel of a window.
     pub bias: f64,
 }
 
@@ -57,9 +65,10 @@ impl Light {
     /// Converts a record.
     pub fn new(r: &LightRecord) -> Light {
         let kinds = [Kind::Point, Kind::Sphere, Kind::Rectangle, Kind::Disk, Kind::Spot, Kind::Directional, Kind::Lobe];
+        let kind = if r.kind == WINDOW { Kind::Window } else { kinds[r.kind as usize] };
         let wide = |v: [f32; 3]| v.map(f64::from);
         Light {
-            kind: kinds[r.kind as usize],
+            kind,
             origin: wide(r.origin),
             axis: wide(r.axis),
             side: wide(r.side),
@@ -90,7 +99,9 @@ pub struct Receiver {
 
 /// Sample points and shadow rays of a light.
 #[derive(Clone, Copy, Debug)]
-pub struct Sampling {
+pub struct Sampling<'a> {
+    /// Openings of the room, and the environment behind them.
+    pub outside: &'a Outside,
     /// Distance above the surface at which rays start.
     pub offset: f64,
     /// Distance before the light at which rays end.
@@ -185,8 +196,8 @@ pub fn irradiance(light: &Light, r: &Receiver) -> f64 {
         Kind::Directional => cone(unit(light.origin), light.radius) / (PI * light.radius * light.radius),
         Kind::Sphere if light.radius * light.radius >= square => PI,
         Kind::Sphere => cone(unit(to), light.radius / square.sqrt()),
-        Kind::Rectangle | Kind::Disk if dot(light.normal, to) >= 0.0 => 0.0,
-        Kind::Rectangle => {
+        Kind::Rectangle | Kind::Window | Kind::Disk if dot(light.normal, to) >= 0.0 => 0.0,
+        Kind::Rectangle | Kind::Window => {
             let far = along(to, 1.0, light.axis);
             // Backward: the corners go around the light's normal, which points to the receiver.
             polygon(&[to, along(to, 1.0, light.side), along(far, 1.0, light.side), far], r.normal)
@@ -256,7 +267,7 @@ fn top(light: &Light, r: &Receiver) -> V3 {
     let to = along(light.origin, -1.0, r.point);
     let across = |axis: V3| unit(along(r.normal, -dot(r.normal, axis), axis));
     match light.kind {
-        Kind::Rectangle => {
+        Kind::Rectangle | Kind::Window => {
             let up = |edge: V3| f64::from(u8::from(dot(r.normal, edge) >= 0.0));
             along(along(to, up(light.axis), light.axis), up(light.side), light.side)
         }
@@ -274,48 +285,85 @@ fn top(light: &Light, r: &Receiver) -> V3 {
     }
 }
 
-/// Returns the shadow ray to a point, or `None` if it has no length.
-fn shadow_ray(r: &Receiver, s: &Sampling, to: V3) -> Option<Ray> {
-    let v = along(to, -s.offset, r.normal);
-    let reach = dot(v, v).sqrt() - s.clearance;
-    (reach > 0.0).then(|| Ray { from: along(r.point, s.offset, r.normal), along: unit(v), reach })
+/// Returns the distance at which a ray leaves the room through an opening. `margin` reaches past the opening's edges.
+pub fn leaves(outside: &Outside, from: V3, direction: V3, margin: f64) -> Option<f64> {
+    let distance = |o: &crate::transport::Opening| {
+        let [corner, u, v] = [o.corner, o.edge_u, o.edge_v].map(|v| v.map(f64::from));
+        let across = cross(u, v);
+        let (to, facing) = (along(corner, -1.0, from), dot(across, direction) / dot(across, across).sqrt());
+        let t = dot(across, to) / dot(across, direction);
+        let place = along(direction.map(|x| t * x), -1.0, to);
+        let within = |edge: V3| {
+            let (length, at) = (dot(edge, edge).sqrt(), dot(place, edge) / dot(edge, edge).sqrt());
+            at >= -margin && at <= length + margin
+        };
+        (facing < -1e-6 && t > 0.0 && within(u) && within(v)).then_some(t)
+    };
+    outside.openings.iter().filter_map(distance).min_by(f64::total_cmp)
+}
+
+/// Returns the visible share of a ray to a point of a light. `visible` is that of a shadow ray.
+fn reaching(light: &Light, r: &Receiver, s: &Sampling<'_>, to: V3, visible: &impl Fn(&Ray) -> f64) -> f64 {
+    let (from, v) = (along(r.point, s.offset, r.normal), along(to, -s.offset, r.normal));
+    let length = match light.kind {
+        Kind::Directional => leaves(s.outside, from, unit(v), s.offset),
+        _ => Some(dot(v, v).sqrt()),
+    };
+    let Some(length) = length else { return 0.0 };
+    let reach = length - s.clearance;
+    if reach > 0.0 { visible(&Ray { from, along: unit(v), reach }) } else { 1.0 }
+}
+
+/// Returns the radiance of a light of color 1 along a vector to it.
+fn radiance(light: &Light, s: &Sampling<'_>, to: V3) -> f64 {
+    match (light.kind, &s.outside.sky) {
+        (Kind::Window, Some(sky)) => Sky::radiance(sky, to)[light.bias as usize],
+        _ => 1.0,
+    }
 }
 
 /// Returns the irradiance of a receiver from a light of color 1. `index` are those of receiver and light; `visible` is
 /// the visibility of a shadow ray.
-pub fn shadowed(light: &Light, r: &Receiver, index: (u32, u32), s: &Sampling, visible: impl Fn(&Ray) -> f64) -> f64 {
+pub fn shadowed(
+    light: &Light,
+    r: &Receiver,
+    index: (u32, u32),
+    s: &Sampling<'_>,
+    visible: impl Fn(&Ray) -> f64,
+) -> f64 {
     let exact = irradiance(light, r);
     if exact == 0.0 {
         return 0.0;
     }
-    let reaching = |to: V3| shadow_ray(r, s, to).map_or(1.0, |ray| visible(&ray));
+    let arriving = |to: V3| reaching(light, r, s, to, &visible) * radiance(light, s, to);
     if !light.has_extent() {
         let to = match light.kind {
             Kind::Directional => light.origin.map(|x| FAR * x),
             _ => along(light.origin, -1.0, r.point),
         };
-        return exact * reaching(to);
+        return exact * arriving(to);
     }
-    let shift = [0, 1].map(|axis| uniform_from(random_bits(s.seed, index.0, 2 * index.1 + axis)));
+    let points = if light.kind == Kind::Window { WINDOW_POINTS } else { index.1 };
+    let shift = [0, 1].map(|axis| uniform_from(random_bits(s.seed, index.0, (2 * points).wrapping_add(axis))));
     let (mut all, mut seen) = (0.0, 0.0);
     for i in 0..s.samples {
         let (to, weight) = sample(light, r, sample_point(i, s.samples, shift));
         all += weight;
         if weight > 0.0 {
-            seen += weight * reaching(to);
+            seen += weight * arriving(to);
         }
     }
-    if all > 0.0 { exact * seen / all } else { exact * reaching(top(light, r)) }
+    if all > 0.0 { exact * seen / all } else { exact * arriving(top(light, r)) }
 }
 
 /// Integrates the light by brute force over `side`² points. They are uniform on its surface or in directions.
-pub fn integrate(light: &Light, r: &Receiver, s: &Sampling, side: u32, visible: impl Fn(&Ray) -> f64) -> f64 {
+pub fn integrate(light: &Light, r: &Receiver, s: &Sampling<'_>, side: u32, visible: impl Fn(&Ray) -> f64) -> f64 {
     let mut sum = 0.0;
     for i in 0..side * side {
         let x = [i % side, i / side].map(|k| (f64::from(k) + 0.5) / f64::from(side));
         let (to, weight) = sample(light, r, x);
         if weight > 0.0 {
-            sum += weight * shadow_ray(r, s, to).map_or(1.0, |ray| visible(&ray));
+            sum += weight * reaching(light, r, s, to, &visible) * radiance(light, s, to);
         }
     }
     let to = along(light.origin, -1.0, r.point);
@@ -326,8 +374,8 @@ pub fn integrate(light: &Light, r: &Receiver, s: &Sampling, side: u32, visible: 
     // Solid angle of the cone.
     let cone = TAU * s * s / (1.0 + (1.0 - s * s).max(0.0).sqrt());
     let measure = match light.kind {
-        Kind::Rectangle if dot(light.normal, to) >= 0.0 => 0.0,
-        Kind::Rectangle => dot(cross(light.axis, light.side), light.normal),
+        Kind::Rectangle | Kind::Window if dot(light.normal, to) >= 0.0 => 0.0,
+        Kind::Rectangle | Kind::Window => dot(cross(light.axis, light.side), light.normal),
         Kind::Disk => PI * light.radius * light.radius,
         Kind::Sphere if s >= 1.0 => PI,
         Kind::Sphere => cone,
@@ -341,9 +389,12 @@ pub fn integrate(light: &Light, r: &Receiver, s: &Sampling, side: u32, visible: 
 mod tests {
     use super::*;
     use crate::rng::Pcg;
-    use crate::transport::{AreaLight, LightShape};
+    use crate::transport::{AreaLight, LightShape, Opening};
 
-    const RAYS: Sampling = Sampling { offset: 0.0, clearance: 0.0, samples: 16, seed: 1 };
+    /// Returns samples in a room that is open on all sides.
+    fn rays(outside: &Outside) -> Sampling<'_> {
+        Sampling { outside, offset: 0.0, clearance: 0.0, samples: 16, seed: 1 }
+    }
 
     fn light(shape: LightShape) -> Light {
         Light::new(&AreaLight { shape, color: [1.0; 3] }.record())
@@ -362,15 +413,16 @@ mod tests {
             light(LightShape::Disk { center: [0.2, 0.1, 0.9], normal: [0.1, -0.3, -1.0], radius: 0.9 }),
             light(LightShape::Directional { direction: [0.3, 0.1, -1.0], angular_radius: 0.6 }),
         ];
+        let outside = Outside { openings: Opening::around(1e3).to_vec(), sky: None };
         let mut rng = Pcg::new(5);
         let mut cut = 0;
         for l in &lights {
             for _ in 0..40 {
                 let normal = unit([rng.normal(), rng.normal(), rng.normal()]);
                 let r = Receiver { point: [0; 3].map(|_| rng.range(-0.4, 0.4)), normal };
-                let (closed, summed) = (irradiance(l, &r), integrate(l, &r, &RAYS, 256, |_| 1.0));
+                let (closed, summed) = (irradiance(l, &r), integrate(l, &r, &rays(&outside), 256, |_| 1.0));
                 assert!((closed - summed).abs() < 2e-4 * PI, "{l:?} {r:?}: {closed} {summed}");
-                let alone = shadowed(l, &r, (3, 4), &RAYS, |_| 1.0);
+                let alone = shadowed(l, &r, (3, 4), &rays(&outside), |_| 1.0);
                 assert!((alone - closed).abs() <= 1e-12 * closed);
                 cut += usize::from(closed > 0.0 && closed < 0.1);
             }

@@ -80,10 +80,10 @@ pub fn representative(light: &Light, point: V3, mirrored: V3) -> (V3, [f64; 2]) 
             let l = if size <= light.radius { nearest } else { along(to, light.radius / size, apart) };
             (unit(l), [0.5 * light.radius / distance; 2])
         }
-        Kind::Rectangle | Kind::Disk => {
+        Kind::Rectangle | Kind::Window | Kind::Disk => {
             let hit = mirrored.map(|x| dot(light.normal, to) / dot(light.normal, mirrored).min(-1e-6) * x);
             let from_origin = along(hit, -1.0, to);
-            let (center, l, sizes) = if light.kind == Kind::Rectangle {
+            let (center, l, sizes) = if light.kind != Kind::Disk {
                 let share = |edge: V3| (dot(from_origin, edge) / dot(edge, edge)).clamp(0.0, 1.0);
                 let l = along(along(to, share(light.axis), light.axis), share(light.side), light.side);
                 let center = along(along(to, 0.5, light.axis), 0.5, light.side);

@@ -1,7 +1,8 @@
 //! Physical lights: shapes, units and records of the device.
 //!
 //! Colors are radiance of spheres, rectangles and disks, radiant intensity of points, spots and lobes (in the direction of
-//! its axis), and irradiance at normal incidence of directional lights. They are linear RGB.
+//! its axis), and irradiance at normal incidence of directional lights. They are linear RGB. The color of a window is a
+//! factor on the environment behind it.
 
 use super::light_shape::degrees;
 use glam::Vec3;
@@ -75,6 +76,17 @@ pub enum LightShape {
         axis: [f32; 3],
         /// Sharpness, at least 0. A lobe of sharpness 0 is a point.
         sharpness: f32,
+    },
+    /// Rectangle through which the environment shines.
+    ///
+    /// It shines to the side of `edge_u` x `edge_v`.
+    Window {
+        /// Corner where both edges begin.
+        corner: [f32; 3],
+        /// First edge.
+        edge_u: [f32; 3],
+        /// Second edge, perpendicular to the first.
+        edge_v: [f32; 3],
     },
 }
 
@@ -156,6 +168,7 @@ const DISK: u32 = 3;
 const SPOT: u32 = 4;
 const DIRECTIONAL: u32 = 5;
 const LOBE: u32 = 6;
+const WINDOW: u32 = 7;
 
 impl AreaLight {
     /// Checks that the light is valid.
@@ -174,7 +187,7 @@ impl AreaLight {
                 finite("center", &center)?;
                 length("radius", radius)
             }
-            LightShape::Rectangle { corner, edge_u, edge_v } => {
+            LightShape::Rectangle { corner, edge_u, edge_v } | LightShape::Window { corner, edge_u, edge_v } => {
                 finite("corner", &corner)?;
                 direction("edge_u", edge_u)?;
                 direction("edge_v", edge_v)?;
@@ -205,12 +218,14 @@ impl AreaLight {
         }
     }
 
-    /// Returns the radiant power, RGB. Directional lights have none.
+    /// Returns the radiant power, RGB. Directional lights have none; that of windows is under a white environment.
     pub fn power(&self) -> Option<[f32; 3]> {
         let factor = match self.shape {
             LightShape::Point { .. } => 4.0 * PI,
             LightShape::Sphere { radius, .. } => PI * 4.0 * PI * radius * radius,
-            LightShape::Rectangle { edge_u, edge_v, .. } => PI * Vec3::from(edge_u).cross(Vec3::from(edge_v)).length(),
+            LightShape::Rectangle { edge_u, edge_v, .. } | LightShape::Window { edge_u, edge_v, .. } => {
+                PI * Vec3::from(edge_u).cross(Vec3::from(edge_v)).length()
+            }
             LightShape::Disk { radius, .. } => PI * PI * radius * radius,
             LightShape::Spot { inner_angle, outer_angle, .. } => {
                 // The falloff is the square of a ramp of the cosine.
@@ -232,7 +247,20 @@ impl AreaLight {
         AreaLight { shape, color: self.color.map(|c| by * c) }
     }
 
-    /// Returns the record of the device, without the color. The light must be valid ([`AreaLight::check`]).
+    /// Returns the parts of the light on the device: one, or one per channel of a window.
+    ///
+    /// The light must be valid ([`AreaLight::check`]).
+    pub fn parts(&self) -> Vec<LightPart> {
+        let record = self.record();
+        let LightShape::Window { .. } = self.shape else { return vec![LightPart { record, color: self.color }] };
+        let channel = |c: usize| LightPart {
+            record: LightRecord { bias: c as f32, ..record },
+            color: std::array::from_fn(|k| if k == c { self.color[c] } else { 0.0 }),
+        };
+        (0..3).map(channel).collect()
+    }
+
+    /// Returns the first record of the device, without the color. The light must be valid ([`AreaLight::check`]).
     pub fn record(&self) -> LightRecord {
         let zero = LightRecord {
             origin: [0.0; 3],
@@ -248,11 +276,12 @@ impl AreaLight {
         match self.shape {
             LightShape::Point { position } => LightRecord { origin: position, ..zero },
             LightShape::Sphere { center, radius } => LightRecord { origin: center, kind: SPHERE, radius, ..zero },
-            LightShape::Rectangle { corner, edge_u, edge_v } => {
+            LightShape::Rectangle { corner, edge_u, edge_v } | LightShape::Window { corner, edge_u, edge_v } => {
+                let window = matches!(self.shape, LightShape::Window { .. });
                 let across = Vec3::from(edge_u).as_dvec3().cross(Vec3::from(edge_v).as_dvec3());
                 LightRecord {
                     origin: corner,
-                    kind: RECTANGLE,
+                    kind: if window { WINDOW } else { RECTANGLE },
                     axis: edge_u,
                     side: edge_v,
                     normal: across.normalize_or_zero().as_vec3().into(),
@@ -331,6 +360,20 @@ fn angle(property: &'static str, value: f32, low: f32, high: f32) -> Result<(), 
     if (low..=high).contains(&value) { Ok(()) } else { Err(AreaLightError::Angle { property, value, low, high }) }
 }
 
+/// Light of the device: a physical light, or a channel of a window.
+#[derive(Clone, Copy, Debug)]
+pub struct LightPart {
+    /// Record.
+    pub record: LightRecord,
+    /// Color; of a window, that of the channel alone.
+    pub color: [f32; 3],
+}
+
+/// Returns the parts of lights, in their order. The lights must be valid.
+pub fn parts_of<'a>(lights: impl IntoIterator<Item = &'a AreaLight>) -> Vec<LightPart> {
+    lights.into_iter().flat_map(AreaLight::parts).collect()
+}
+
 /// Physical lights as inputs of a graph.
 #[derive(Clone, Copy, Debug)]
 pub struct AreaLights {
@@ -338,12 +381,12 @@ pub struct AreaLights {
     pub records: Buffer,
     /// Colors, `[count * 3]` floats.
     pub colors: Buffer,
-    /// Number of lights.
+    /// Number of parts of lights.
     pub count: u32,
 }
 
 impl AreaLights {
-    /// Declares `count` lights as inputs of a graph.
+    /// Declares `count` parts of lights as inputs of a graph.
     pub fn declare(g: &mut Graph, count: u32) -> AreaLights {
         let room = u64::from(count.max(1));
         let records = g.input("light_records", size_of::<LightRecord>() as u64 * room);
@@ -355,11 +398,12 @@ impl AreaLights {
     /// Without lights, the contents are one zeroed record, as a buffer cannot be empty.
     ///
     /// # Panics
-    /// If the number of lights differs from the declared one.
+    /// If the number of parts ([`parts_of`]) differs from the declared one.
     pub fn contents(&self, lights: &[AreaLight]) -> [(Buffer, Vec<u8>); 2] {
-        assert_eq!(lights.len(), self.count as usize, "number of lights");
-        let mut records: Vec<LightRecord> = lights.iter().map(AreaLight::record).collect();
-        let mut colors: Vec<[f32; 3]> = lights.iter().map(|l| l.color).collect();
+        let parts = parts_of(lights);
+        assert_eq!(parts.len(), self.count as usize, "number of parts of lights");
+        let mut records: Vec<LightRecord> = parts.iter().map(|p| p.record).collect();
+        let mut colors: Vec<[f32; 3]> = parts.iter().map(|p| p.color).collect();
         if lights.is_empty() {
             records.push(bytemuck::Zeroable::zeroed());
             colors.push([0.0; 3]);

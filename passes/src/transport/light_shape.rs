@@ -5,11 +5,11 @@ use glam::Vec3;
 
 impl LightShape {
     /// Names of all shapes, as in `emitters.json`.
-    pub const NAMES: [&str; 7] = ["point", "sphere", "rectangle", "disk", "spot", "directional", "lobe"];
+    pub const NAMES: [&str; 8] = ["point", "sphere", "rectangle", "disk", "spot", "directional", "lobe", "window"];
 
     /// Returns the name of the shape, as in `emitters.json`.
     pub fn name(&self) -> &'static str {
-        let [point, sphere, rectangle, disk, spot, directional, lobe] = LightShape::NAMES;
+        let [point, sphere, rectangle, disk, spot, directional, lobe, window] = LightShape::NAMES;
         match self {
             LightShape::Point { .. } => point,
             LightShape::Sphere { .. } => sphere,
@@ -18,6 +18,7 @@ impl LightShape {
             LightShape::Spot { .. } => spot,
             LightShape::Directional { .. } => directional,
             LightShape::Lobe { .. } => lobe,
+            LightShape::Window { .. } => window,
         }
     }
 
@@ -28,7 +29,7 @@ impl LightShape {
                 Some(position.into())
             }
             LightShape::Sphere { center, .. } | LightShape::Disk { center, .. } => Some(center.into()),
-            LightShape::Rectangle { corner, edge_u, edge_v } => {
+            LightShape::Rectangle { corner, edge_u, edge_v } | LightShape::Window { corner, edge_u, edge_v } => {
                 Some(Vec3::from(corner) + 0.5 * (Vec3::from(edge_u) + Vec3::from(edge_v)))
             }
             LightShape::Directional { .. } => None,
@@ -58,7 +59,7 @@ impl LightShape {
                 to(center);
                 *radius *= scale;
             }
-            LightShape::Rectangle { corner, edge_u, edge_v } => {
+            LightShape::Rectangle { corner, edge_u, edge_v } | LightShape::Window { corner, edge_u, edge_v } => {
                 to(corner);
                 edge(edge_u);
                 edge(edge_v);

@@ -11,6 +11,7 @@ mod light_shape;
 mod lights;
 mod matrix;
 mod nearest;
+mod outside;
 mod rays;
 mod reflect;
 mod responses;
@@ -19,7 +20,7 @@ mod solve;
 mod source;
 mod tree;
 
-pub use area_light::{AreaLight, AreaLightError, AreaLights, LightShape};
+pub use area_light::{AreaLight, AreaLightError, AreaLights, LightPart, LightShape, parts_of};
 pub use enclosure::{Enclosure, EnclosureError, Patch, receivers};
 pub use gather::{
     GatherColumns, GatherInputs, NEIGHBORS, Nearest, NearestColumns, NearestOptions, irradiance_gather,
@@ -28,6 +29,7 @@ pub use gather::{
 pub use lights::{LIGHT_SAMPLES, LightReceivers, ShadowRays, transport_lights};
 pub use matrix::{MatrixColumns, MatrixRows, MatrixShape, Transposed, transport_rows, transposed};
 pub use nearest::NO_NEIGHBOR;
+pub use outside::{Opening, Outside, OutsideHandles, OutsideMemory, OutsideShape, SKY_SIZE, Sky};
 pub use rays::{TransportRays, transport_rays};
 pub use reflect::{ReflectionRays, reflection_bytes, transport_reflect};
 pub use responses::{

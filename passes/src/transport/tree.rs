@@ -95,8 +95,8 @@ pub struct SurfelHandles {
     pub discs: Buffer,
 }
 
-/// BVH of surfels in device memory.
-#[derive(Debug)]
+/// BVH of surfels in device memory. Clones share the memory.
+#[derive(Clone, Debug)]
 pub struct SurfelMemory {
     nodes: DeviceBuffer,
     discs: DeviceBuffer,

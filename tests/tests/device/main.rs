@@ -52,6 +52,7 @@ mod traced_lights;
 mod transport;
 mod transport_extremes;
 mod transport_lights;
+mod transport_outside;
 mod transport_reflect;
 mod transport_responses;
 mod transport_shade;

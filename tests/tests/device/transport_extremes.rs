@@ -7,7 +7,9 @@ use sgs_passes::pipeline::{TransportOptions, TransportScene};
 use sgs_passes::reference::area_lights::{Light, Ray, Receiver, Sampling, shadowed};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::transport::{Disc, Matrix, V3, direction};
-use sgs_passes::transport::{AreaLight, Enclosure, LightShape, SolveOptions, SurfelTree, Surfels, receivers};
+use sgs_passes::transport::{
+    AreaLight, Enclosure, LightShape, Opening, Outside, SolveOptions, SurfelTree, Surfels, receivers,
+};
 use sgs_tests::area_lights::{light, scale};
 use sgs_tests::transport::{By, Problem, bounds, discs, flat, random_surfels, random_values};
 use sgs_tests::{Gpu, Tolerance, assert_close};
@@ -102,6 +104,8 @@ fn check(line: &Line) {
     let (offset, clearance) = (length / 1024.0, length / 512.0);
     let options = TransportOptions { rays: line.rays, samples: 4, seed: SEED, offset, clearance };
     let scene = TransportScene::new(gpu.device(), gpu.tuning(), (&surfels, &tree), &enclosure, options).unwrap();
+    let outside = Outside { openings: Opening::around(4.0 * length).to_vec(), sky: None };
+    let scene = scene.with_outside(&outside).unwrap();
     let record = |r: &[f32]| {
         let [point, normal] = [&r[..3], &r[4..7]].map(|v| [v[0], v[1], v[2]].map(f64::from));
         Receiver { point, normal }
@@ -116,7 +120,9 @@ fn check(line: &Line) {
     assert!(line.expected != Expected::Closed || !of_surfels.iter().any(leaves), "the room is open");
 
     let unit = scene.unit_light(&lights).unwrap();
-    check_unit(&unit, &lights, &receivers, &all, [offset, clearance]);
+    let sampling =
+        Sampling { outside: &outside, offset: offset.into(), clearance: clearance.into(), samples: 4, seed: SEED };
+    check_unit(&unit, &lights, &receivers, &all, &sampling);
     check_bounces(&gpu, line, &scene, Matrix { receivers: receivers.len(), targets }, &unit);
 }
 
@@ -151,8 +157,7 @@ fn check_targets(targets: &[u32], receivers: &[Receiver], all: &[Disc], (enclosu
 }
 
 /// Tests the irradiance of each receiver from each light of color 1.
-fn check_unit(unit: &[f32], lights: &[AreaLight], receivers: &[Receiver], all: &[Disc], [offset, clearance]: [f32; 2]) {
-    let sampling = Sampling { offset: offset.into(), clearance: clearance.into(), samples: 4, seed: SEED };
+fn check_unit(unit: &[f32], lights: &[AreaLight], receivers: &[Receiver], all: &[Disc], sampling: &Sampling<'_>) {
     for (at, &found) in unit.iter().enumerate() {
         let (l, i) = (at / receivers.len(), at % receivers.len());
         let (light, r) = (Light::new(&lights[l].record()), &receivers[i]);

@@ -9,7 +9,8 @@ use sgs_passes::reference::rng::Pcg;
 use sgs_passes::shade::Surfaces;
 use sgs_passes::splat::Screen;
 use sgs_passes::transport::{
-    AreaLight, AreaLights, LightReceivers, LightShape, ShadowRays, SurfelTree, Surfels, transport_lights,
+    AreaLight, AreaLights, LightReceivers, LightShape, Opening, Outside, ShadowRays, SurfelTree, Surfels, parts_of,
+    transport_lights,
 };
 use sgs_shaders::structs::Step;
 use sgs_tests::Gpu;
@@ -25,21 +26,34 @@ fn bytes(values: impl IntoIterator<Item = f64>) -> Vec<u8> {
     values.into_iter().flat_map(|x| (x as f32).to_le_bytes()).collect()
 }
 
-struct Case<'c> {
-    lights: &'c [AreaLight],
-    receivers: &'c [Receiver],
-    surfels: &'c Surfels,
-    samples: u32,
-    list: Option<&'c [u32]>,
+/// Returns a room that is open on all sides.
+fn open() -> Outside {
+    Outside { openings: Opening::around(2e4).to_vec(), sky: None }
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct Case<'c> {
+    pub lights: &'c [AreaLight],
+    pub receivers: &'c [Receiver],
+    pub surfels: &'c Surfels,
+    pub outside: &'c Outside,
+    pub samples: u32,
+    pub list: Option<&'c [u32]>,
 }
 
 impl Case<'_> {
-    fn sampling(&self) -> Sampling {
-        Sampling { offset: OFFSET.into(), clearance: OFFSET.into(), samples: self.samples, seed: SEED }
+    pub fn sampling(&self) -> Sampling<'_> {
+        Sampling {
+            outside: self.outside,
+            offset: OFFSET.into(),
+            clearance: OFFSET.into(),
+            samples: self.samples,
+            seed: SEED,
+        }
     }
 
     /// Runs the kernel of surfels. Returns the irradiance, light by light.
-    fn surfels(&self, gpu: &Gpu) -> Vec<f32> {
+    pub fn surfels(&self, gpu: &Gpu) -> Vec<f32> {
         let mut g = Graph::new("transport_lights");
         let count = self.receivers.len();
         let buffer = g.input("receivers", 32 * count as u64);
@@ -77,21 +91,24 @@ impl Case<'_> {
     }
 
     fn run(&self, gpu: &Gpu, mut g: Graph, receivers: &LightReceivers, mut inputs: Vec<(Buffer, Vec<u8>)>) -> Vec<f32> {
-        let lights = AreaLights::declare(&mut g, self.lights.len() as u32);
+        let lights = AreaLights::declare(&mut g, parts_of(self.lights).len() as u32);
         if !self.lights.is_empty() {
             inputs.extend(lights.contents(self.lights));
         }
         let tree = SurfelTree::new(self.surfels).unwrap();
         let handles = tree.declare(&mut g);
         inputs.extend(tree.contents(&handles));
-        let rays = ShadowRays { tree: handles, offset: OFFSET, clearance: OFFSET, samples: self.samples, seed: SEED };
+        let outside = self.outside.declare(&mut g);
+        inputs.extend(self.outside.contents(&outside));
+        let rays =
+            ShadowRays { tree: handles, outside, offset: OFFSET, clearance: OFFSET, samples: self.samples, seed: SEED };
         let list = self.list.map(|list| {
             let words: Vec<u32> = [list.len() as u32].into_iter().chain(list.iter().copied()).collect();
             let buffer = g.input("light_list", 4 * words.len() as u64);
             inputs.push((buffer, bytemuck::cast_slice(&words).to_vec()));
             buffer
         });
-        let unit = g.external("unit", 4 * u64::from(receivers.count()) * self.lights.len().max(1) as u64);
+        let unit = g.external("unit", 4 * u64::from(receivers.count()) * u64::from(lights.count.max(1)));
         transport_lights(&mut g, gpu.tuning(), receivers, &lights, &rays, list, unit).unwrap();
         if self.lights.is_empty() {
             assert!(g.compile(&Default::default()).unwrap().passes.is_empty());
@@ -103,26 +120,30 @@ impl Case<'_> {
     /// Returns the first element outside of the reference's interval.
     ///
     /// Also returns the number of pairs whose interval is wide.
-    fn compare(&self, found: &[f32]) -> (Option<String>, usize) {
-        assert_eq!(found.len(), self.lights.len() * self.receivers.len());
-        let s = self.sampling();
+    pub fn compare(&self, found: &[f32]) -> (Option<String>, usize) {
+        let parts = parts_of(self.lights);
+        assert_eq!(found.len(), parts.len() * self.receivers.len());
+        // Rays at the edge of an opening are in doubt.
+        let [narrow, wider] = [-1.0, 1.0].map(|sign| grown(self.outside, sign));
         let mut wide = 0;
-        for (l, a) in self.lights.iter().enumerate() {
-            let light = Light::new(&a.record());
+        for (l, part) in parts.iter().enumerate() {
+            let light = Light::new(&part.record);
             for (i, r) in self.receivers.iter().enumerate() {
                 let of = |possible: bool| {
                     let visible = |ray: &reference::Ray| {
                         let (sure, may) = hits(self.surfels, ray);
                         f64::from(u8::from(!(if possible { may } else { sure })))
                     };
+                    let s = Sampling { outside: if possible { &narrow } else { &wider }, ..self.sampling() };
                     reference::shadowed(&light, r, (i as u32, l as u32), &s, visible)
                 };
                 let (low, high, is) = (of(true), of(false), f64::from(found[l * self.receivers.len() + i]));
-                let slack = 2e-5 * scale(&light, r) + 1e-4 * high;
+                let most = self.outside.sky.iter().flat_map(|s| s.data()).fold(1.0_f32, |a, b| a.max(*b));
+                let slack = 2e-5 * f64::from(most) * scale(&light, r) + 1e-4 * high;
                 wide += usize::from(high - low > slack);
                 if !(is >= low - slack && is <= high + slack) {
                     return (
-                        Some(format!("{:?} at {r:?} ({i}): {is} outside of {low} to {high} ({slack})", a.shape)),
+                        Some(format!("{light:?} at {r:?} ({i}): {is} outside of {low} to {high} ({slack})")),
                         wide,
                     );
                 }
@@ -132,7 +153,7 @@ impl Case<'_> {
     }
 
     #[track_caller]
-    fn check(&self, gpu: &Gpu) -> usize {
+    pub fn check(&self, gpu: &Gpu) -> usize {
         let (surfels, pixels) = (self.surfels(gpu), self.pixels(gpu));
         assert_eq!(surfels, pixels, "surfels and pixels differ");
         let (fault, wide) = self.compare(&surfels);
@@ -152,7 +173,8 @@ fn unoccluded_irradiance_matches_polygons() {
     {
         let lights = one_of_each(&mut rng, distance, size);
         let receivers = receivers(&mut rng, 90, 0.7_f64.min(distance));
-        Case { lights: &lights, receivers: &receivers, surfels: &surfels, samples: 4, list: None }.check(&gpu);
+        Case { lights: &lights, receivers: &receivers, surfels: &surfels, outside: &open(), samples: 4, list: None }
+            .check(&gpu);
     }
 }
 
@@ -197,7 +219,8 @@ fn degenerate_receivers_match_reference() {
         }
     }
     let surfels = Surfels::default();
-    Case { lights: &lights, receivers: &receivers, surfels: &surfels, samples: 16, list: None }.check(&gpu);
+    Case { lights: &lights, receivers: &receivers, surfels: &surfels, outside: &open(), samples: 16, list: None }
+        .check(&gpu);
 }
 
 /// A lobe of sharpness 0 is a point; a lobe of sharpness 1e4 lights half a degree.
@@ -210,7 +233,7 @@ fn lobes_are_points_at_zero_and_narrow_at_1e4() {
     let position = [0.3, -0.2, 2.0];
     let lobe = |sharpness| light(LightShape::Lobe { position, axis: [0.1, 0.2, -3.0], sharpness });
     let lights = [light(LightShape::Point { position }), lobe(0.0)];
-    let case = Case { lights: &lights, receivers: &receivers, surfels: &surfels, samples: 4, list: None };
+    let case = Case { lights: &lights, receivers: &receivers, surfels: &surfels, outside: &open(), samples: 4, list: None };
     let found = case.surfels(&gpu);
     assert_eq!(found[..64], found[64..]);
     assert!(found.iter().any(|x| *x > 0.0));
@@ -226,7 +249,7 @@ fn lobes_are_points_at_zero_and_narrow_at_1e4() {
     };
     let receivers: Vec<Receiver> = (-20..20).map(beside).collect();
     let narrow = [1e4, 1e8].map(|sharpness| light(LightShape::Lobe { position, axis: [0.0, 0.0, -1.0], sharpness }));
-    let case = Case { lights: &narrow, receivers: &receivers, surfels: &Surfels::default(), samples: 1, list: None };
+    let case = Case { lights: &narrow, receivers: &receivers, surfels: &Surfels::default(), outside: &open(), samples: 1, list: None };
     let found = case.surfels(&gpu);
     case.check(&gpu);
     for (found, light) in found.chunks(receivers.len()).zip(&narrow) {
@@ -247,7 +270,9 @@ fn shadows_match_rays_against_all_discs() {
         let lights = one_of_each(&mut rng, distance, size);
         let receivers = receivers(&mut rng, 70, 0.6);
         let surfels = discs(&mut rng, count);
-        let case = Case { lights: &lights, receivers: &receivers, surfels: &surfels, samples, list: None };
+        let outside = open();
+        let case =
+            Case { lights: &lights, receivers: &receivers, surfels: &surfels, outside: &outside, samples, list: None };
         let wide = case.check(&gpu);
         assert!(wide < 60, "{wide} of {} pairs are doubtful", lights.len() * receivers.len());
         if count == 40 {
@@ -259,6 +284,18 @@ fn shadows_match_rays_against_all_discs() {
             assert!(case.compare(&reversed).0.is_some());
         }
     }
+}
+
+/// Returns openings whose edges are a little longer or shorter.
+fn grown(outside: &Outside, sign: f32) -> Outside {
+    let grow = |o: &Opening| {
+        let [corner, u, v] = [o.corner, o.edge_u, o.edge_v].map(glam::Vec3::from);
+        let by = sign * 2e-5 * (1.0 + corner.length() + u.length() + v.length());
+        let [a, b] = [u, v].map(|e| by * e.normalize_or_zero());
+        let [corner, edge_u, edge_v] = [corner - a - b, u + 2.0 * a, v + 2.0 * b].map(|v| v.to_array());
+        Opening { corner, edge_u, edge_v }
+    };
+    Outside { openings: outside.openings.iter().map(grow).collect(), sky: outside.sky.clone() }
 }
 
 /// Returns the root mean square error, relative to the irradiance's.
@@ -277,7 +314,15 @@ fn samples_converge_to_the_integral() {
     let surfels = discs(&mut rng, 50);
     for l in &lights {
         let lights = [*l];
-        let case = |samples| Case { lights: &lights, receivers: &receivers, surfels: &surfels, samples, list: None };
+        let outside = open();
+        let case = |samples| Case {
+            lights: &lights,
+            receivers: &receivers,
+            surfels: &surfels,
+            outside: &outside,
+            samples,
+            list: None,
+        };
         let light = Light::new(&l.record());
         if !light.has_extent() {
             continue;
@@ -297,7 +342,9 @@ fn only_listed_lights_are_updated() {
     let lights = one_of_each(&mut rng, 2.0, 1.0);
     let receivers = receivers(&mut rng, 33, 0.5);
     let surfels = discs(&mut rng, 20);
-    let all = Case { lights: &lights, receivers: &receivers, surfels: &surfels, samples: 4, list: None };
+    let outside = open();
+    let all =
+        Case { lights: &lights, receivers: &receivers, surfels: &surfels, outside: &outside, samples: 4, list: None };
     let whole = all.surfels(&gpu);
     for list in [&[][..], &[3], &[6, 0, 2]] {
         let found = Case { list: Some(list), ..all }.surfels(&gpu);
@@ -327,7 +374,9 @@ fn fixtures_do_not_occlude_but_tables_do() {
         normals: vec![[0.0, 0.0, -1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]],
         radii: vec![4.0, 1.0, 1.0],
     };
-    let case = Case { lights: &lights, receivers: &receivers, surfels: &surfels, samples: 16, list: None };
+    let outside = open();
+    let case =
+        Case { lights: &lights, receivers: &receivers, surfels: &surfels, outside: &outside, samples: 16, list: None };
     let found = case.surfels(&gpu);
     assert!(found[0] == 0.0 && found[2] == 0.0, "{found:?}");
     let right = reference::irradiance(&Light::new(&lights[0].record()), &receivers[1]);

@@ -120,6 +120,9 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // which the light leaves.
 #define SGS_EMITTER_LOBE 6
 
+// Emitter: rectangle that shows the environment, on the side of axis x side. Its color is a factor on the environment.
+#define SGS_EMITTER_WINDOW 7
+
 // Result of a call.
 enum SgsResult
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L

@@ -22,6 +22,8 @@ pub const SGS_EMITTER_DIRECTIONAL: u32 = 5;
 /// Emitter: point whose intensity is color * exp(sharpness * (c - 1)). c is the cosine between the axis and the direction in
 /// which the light leaves.
 pub const SGS_EMITTER_LOBE: u32 = 6;
+/// Emitter: rectangle that shows the environment, on the side of axis x side. Its color is a factor on the environment.
+pub const SGS_EMITTER_WINDOW: u32 = 7;
 
 /// Returns an emitter of a run, numbered from 0 as in emitters.json. Emitters are the lights of such a run:
 /// sgs_relight_light_count counts them, sgs_relight_light_set switches, dims and recolors them. `name`, if not null, has
@@ -70,6 +72,9 @@ fn emitter_of(row: &EmitterRow) -> SgsEmitter {
         }
         LightShape::Rectangle { corner, edge_u, edge_v } => {
             SgsEmitter { shape: SGS_EMITTER_RECTANGLE, position: corner, axis: edge_u, side: edge_v, ..none }
+        }
+        LightShape::Window { corner, edge_u, edge_v } => {
+            SgsEmitter { shape: SGS_EMITTER_WINDOW, position: corner, axis: edge_u, side: edge_v, ..none }
         }
         LightShape::Disk { center, normal, radius } => {
             SgsEmitter { shape: SGS_EMITTER_DISK, position: center, axis: normal, radius, ..none }

@@ -5,8 +5,11 @@
 //! under direct light alone, with one bounce, with all bounces, and with all bounces under the learned emitters. The color of
 //! a learned emitter changes by the factor by which its nearest true light changes from the photographs to the set. A light that
 //! the photographs lack is added to the learned emitters.
+//!
+//! Directional light and environments enter through the openings of the room: those of the true light if it lists windows, else
+//! those of the run. An environment shows in each of them.
 
-use super::emitting::Emitting;
+use super::emitting::{Emitting, warn_of_dark_suns};
 use super::materials::edit_materials;
 use super::painted::{LEARNED, key_of, painted_of, read};
 use super::true_light::{TrueLight, TrueLights};
@@ -16,9 +19,10 @@ use sgs_engine::Device;
 use sgs_evaluate::{BouncesPsnr, Evaluation, RelitMetrics, RelitSet, ShadedMetrics, mean, measure_relit};
 use sgs_passes::pipeline::ShadedScene;
 use sgs_passes::transport::{AreaLight, LightShape};
-use sgs_run::Shading;
+use sgs_run::{OpeningRow, Shading, read_sky};
 use sgs_scene::{GroundTruth, Image, Scene, Splats};
 use sgs_transport::Bounces;
+use std::path::Path;
 
 /// Maximum distance between a learned emitter and its true light.
 ///
@@ -64,18 +68,23 @@ pub(crate) fn evaluate_bounced(
             continue;
         }
         if let Some(list) = known.relight.get(&name) {
+            let place = at.truth.lights();
+            let openings = true_openings(list, emitting);
+            let learned_room = under_sky(emitting, &emitting.file.openings, list, place.as_deref())?;
+            let emitting = &under_sky(emitting, &openings, list, place.as_deref())?;
             let Some(lights) = true_lights(list, known, emitting) else {
                 skipped
                     .push((key, format!("gt/lights.json gives no brightness for a light of \"{name}\" that is on.")));
                 continue;
             };
+            warn_of_dark_suns(&openings, &lights.lights);
             let shaded = |bounces| emitting.shaded(device, splats, &lights.lights, &lights.radiance, bounces);
             let [direct, one_bounce] = [shaded(Bounces::None)?, shaded(Bounces::One)?];
             let [direct, one_bounce] = [at.measure(&name, direct)?, at.measure(&name, one_bounce)?].map(|m| psnr(&m));
             let all = at.measure(&name, shaded(Bounces::All)?)?;
-            let learned = match changed_emitters(list, known, emitting) {
+            let learned = match changed_emitters(list, known, &learned_room) {
                 Some(l) => {
-                    let shaded = emitting.shaded(device, splats, &l.lights, &l.radiance, Bounces::All)?;
+                    let shaded = learned_room.shaded(device, splats, &l.lights, &l.radiance, Bounces::All)?;
                     Some(psnr(&at.measure(&name, shaded)?))
                 }
                 None => None,
@@ -161,14 +170,67 @@ impl Measured<'_> {
 /// The Gaussians of an emitter emit the color of the true light nearest to it, or nothing if that light is off. Returns `None`
 /// if the shape or brightness of a light is unknown.
 fn true_lights(list: &[TrueLight], known: &TrueLights, emitting: &Emitting) -> Option<Lights> {
-    let lights = list.iter().filter(|l| l.on).map(TrueLight::as_area).collect::<Option<Vec<_>>>()?;
+    let inside = list.iter().filter(|l| l.on && l.environment().is_none());
+    let mut lights = inside.map(TrueLight::as_area).collect::<Option<Vec<_>>>()?;
+    lights.extend(windows_of(list, emitting));
     let emitters = emitting.lights();
     let radiance = emitters.iter().map(|emitter| {
+        if let Some(radiance) = shown_sky(emitter, list, emitting) {
+            return radiance;
+        }
         let now =
             nearest(emitter, &known.training).and_then(|(i, _)| list.iter().find(|l| same(l, &known.training[i])));
         now.filter(|l| l.on).and_then(TrueLight::as_area).map_or([0.0; 3], |l| l.color)
     });
     Some(Lights { radiance: radiance.collect(), lights })
+}
+
+/// Returns the environment of a set that is on: its map, and the factor on it.
+fn sky_of(list: &[TrueLight]) -> Option<(&Path, [f32; 3])> {
+    list.iter().filter(|l| l.on).find_map(TrueLight::environment)
+}
+
+/// Returns the windows through which the environment of a set shines.
+fn windows_of(list: &[TrueLight], emitting: &Emitting) -> Vec<AreaLight> {
+    let skies: Vec<_> = list.iter().filter(|l| l.on).filter_map(|l| Some((l.environment()?.1, l.window()))).collect();
+    let of = |(color, window): &([f32; 3], Option<OpeningRow>)| match window {
+        Some(opening) => vec![AreaLight { shape: opening.window().into(), color: *color }],
+        None => emitting.windows(*color),
+    };
+    skies.iter().flat_map(of).collect()
+}
+
+/// Returns the opening in which an emitter is.
+fn opening_of(emitter: &AreaLight, emitting: &Emitting) -> Option<OpeningRow> {
+    let own = OpeningRow::of(&emitter.shape.into())?;
+    emitting.file.openings.iter().copied().find(|o| *o == own)
+}
+
+/// Returns the radiance of an emitter's surface under the environment of a set.
+///
+/// Returns `None` without one, or if the emitter is in no opening.
+fn shown_sky(emitter: &AreaLight, list: &[TrueLight], emitting: &Emitting) -> Option<[f32; 3]> {
+    let (_, color) = sky_of(list)?;
+    let seen = emitting.surface_of(&opening_of(emitter, emitting)?.window().into());
+    Some([0, 1, 2].map(|c| seen[c] * color[c]))
+}
+
+/// Returns the emitters in a room with these openings and the environment of a set. `lights`: path of `gt/lights.json`.
+fn under_sky(
+    emitting: &Emitting,
+    openings: &[OpeningRow],
+    list: &[TrueLight],
+    lights: Option<&Path>,
+) -> Result<Emitting> {
+    let beside = lights.and_then(Path::parent).unwrap_or(Path::new(""));
+    let sky = sky_of(list).map(|(file, _)| read_sky(&beside.join(file))).transpose()?;
+    emitting.with_outside(openings, sky)
+}
+
+/// Returns the openings of a set: windows of its environment, else the run's.
+fn true_openings(list: &[TrueLight], emitting: &Emitting) -> Vec<OpeningRow> {
+    let own: Vec<OpeningRow> = list.iter().filter_map(TrueLight::window).collect();
+    if own.is_empty() { emitting.file.openings.clone() } else { own }
 }
 
 /// View of a relit set. Both images are linear.
@@ -200,9 +262,9 @@ pub fn relit_views(
     let known: TrueLights = read(&path, "lights")?;
     let mut all = Vec::new();
     for name in truth.relit_names() {
-        let Some(lights) = known.relight.get(&name).and_then(|list| changed_emitters(list, &known, emitting)) else {
-            continue;
-        };
+        let Some(list) = known.relight.get(&name) else { continue };
+        let emitting = &under_sky(emitting, &emitting.file.openings, list, Some(&path))?;
+        let Some(lights) = changed_emitters(list, &known, emitting) else { continue };
         let Some(theirs) = truth.relit(&name, view)? else { continue };
         let shaded = emitting.shaded(device, splats, &lights.lights, &lights.radiance, Bounces::All)?;
         let mut shading = Shading::new(device, shaded)?.without_visibility();
@@ -216,11 +278,18 @@ pub fn relit_views(
 ///
 /// Lights that the photographs lack follow them. The factor per color is the color of the nearest true light in the set over
 /// its color in the photographs. Returns `None` without learned emitters, or if the shape or brightness of a light that the
-/// photographs lack is unknown.
+/// photographs lack is unknown. Where another environment replaces that of the photographs, emitters in openings are dark.
 fn changed_emitters(list: &[TrueLight], known: &TrueLights, emitting: &Emitting) -> Option<Lights> {
     let [low, high] = [emitting.file.enclosure.low, emitting.file.enclosure.high].map(glam::Vec3::from);
     let most = MATCHED * low.distance(high);
+    // Factor on emitters in openings, if the photographs show an environment there.
+    let (before, after) = (sky_of(&known.training), sky_of(list));
+    let same_sky = before.zip(after).filter(|(b, a)| b.0 == a.0);
+    let factor = before.map(|_| same_sky.map_or([0.0; 3], |(b, a)| [0, 1, 2].map(|c| ratio(a.1[c], b.1[c]))));
     let change = |emitter: &AreaLight| {
+        if let (Some(by), Some(_)) = (factor, opening_of(emitter, emitting)) {
+            return AreaLight { color: [0, 1, 2].map(|c| emitter.color[c] * by[c]), ..*emitter };
+        }
         let Some((i, distance)) = nearest(emitter, &known.training) else { return *emitter };
         let before = known.training[i].as_area().map_or([0.0; 3], |l| l.color);
         let after = list.iter().find(|l| same(l, &known.training[i])).filter(|l| l.on).and_then(TrueLight::as_area);
@@ -228,23 +297,35 @@ fn changed_emitters(list: &[TrueLight], known: &TrueLights, emitting: &Emitting)
         if distance > most {
             return *emitter;
         }
-        let by = [0, 1, 2].map(|c| if before[c] > 0.0 { after[c] / before[c] } else { 1.0 });
+        let by = [0, 1, 2].map(|c| ratio(after[c], before[c]));
         AreaLight { color: [0, 1, 2].map(|c| emitter.color[c] * by[c]), ..*emitter }
     };
     let mut lights: Vec<AreaLight> = emitting.lights().iter().map(change).collect();
     if lights.is_empty() {
         return None;
     }
-    let radiance = lights.iter().map(|l| l.color).collect();
+    let of_surface = |(before, after): (&AreaLight, &AreaLight)| {
+        shown_sky(before, list, emitting).filter(|_| same_sky.is_none()).unwrap_or(after.color)
+    };
+    let radiance = emitting.lights().iter().zip(&lights).map(of_surface).collect();
     lights.extend(added(list, known)?);
+    if let Some((_, color)) = sky_of(list).filter(|_| same_sky.is_none()) {
+        lights.extend(emitting.windows(color));
+    }
     Some(Lights { radiance, lights })
+}
+
+/// Returns the factor by which a channel changes; 1 if it was black.
+fn ratio(after: f32, before: f32) -> f32 {
+    if before > 0.0 { after / before } else { 1.0 }
 }
 
 /// Returns the lights of a set that are on and that the photographs lack.
 ///
 /// Returns `None` if one has no known shape or brightness.
 fn added(list: &[TrueLight], known: &TrueLights) -> Option<Vec<AreaLight>> {
-    let new = list.iter().filter(|l| l.on && !known.training.iter().any(|t| same(l, t)));
+    let inside = list.iter().filter(|l| l.on && l.environment().is_none());
+    let new = inside.filter(|l| !known.training.iter().any(|t| same(l, t)));
     new.map(TrueLight::as_area).collect()
 }
 

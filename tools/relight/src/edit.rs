@@ -175,6 +175,33 @@ fn unturned() -> [f64; 4] {
     [1.0, 0.0, 0.0, 0.0]
 }
 
+impl EnvironmentEdit {
+    /// Checks the edit, whose key is `name`.
+    pub(super) fn check(&self, name: &str) -> std::result::Result<(), String> {
+        if self.off && (self.file.is_some() || self.scale.is_some() || self.color.is_some() || self.rotate.is_some()) {
+            return Err(format!("{name} is off and changed at once"));
+        }
+        positive(name, self.scale.iter().chain(self.color.iter().flatten()))?;
+        if let Some(turn) = &self.rotate {
+            let length: f64 = turn.axis.iter().map(|v| v * v).sum();
+            if !(length.is_finite() && length > 0.0 && turn.degrees.is_finite()) {
+                return Err(format!("{name}.rotate needs an axis that is not zero, and finite degrees"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the factors on red, green and blue.
+    pub(super) fn factors(&self) -> [f32; 3] {
+        self.color.unwrap_or([1.0; 3]).map(|c| c * self.scale.unwrap_or(1.0))
+    }
+
+    /// Returns whether the edit changes a map beyond its file.
+    pub(super) fn changes(&self) -> bool {
+        self.scale.is_some() || self.color.is_some() || self.rotate.is_some()
+    }
+}
+
 impl Edit {
     /// Reads an edit file. Resolves relative paths against its directory.
     ///
@@ -193,7 +220,9 @@ impl Edit {
     pub fn parse(text: &str, beside: &Path) -> std::result::Result<Edit, String> {
         let mut edit: Edit = serde_json::from_str(text).map_err(|e| format!("not an edit: {e}"))?;
         edit.check()?;
-        edit.environment.file = edit.environment.file.map(|file| beside.join(file));
+        for environment in [&mut edit.environment, &mut edit.emitters.environment] {
+            environment.file = environment.file.take().map(|file| beside.join(file));
+        }
         edit.emitters.file = edit.emitters.file.map(|file| beside.join(file));
         edit.insert.iter_mut().for_each(|i| i.source = beside.join(&i.source));
         Ok(edit)
@@ -219,17 +248,7 @@ impl Edit {
             light.check(&format!("lights.add[{i}]"))?;
         }
         self.emitters.check()?;
-        let e = &self.environment;
-        if e.off && (e.file.is_some() || e.scale.is_some() || e.color.is_some() || e.rotate.is_some()) {
-            return Err("environment is off and changed at once".into());
-        }
-        positive("environment", e.scale.iter().chain(e.color.iter().flatten()))?;
-        if let Some(turn) = &e.rotate {
-            let length: f64 = turn.axis.iter().map(|v| v * v).sum();
-            if !(length.is_finite() && length > 0.0 && turn.degrees.is_finite()) {
-                return Err("environment.rotate needs an axis that is not zero, and finite degrees".into());
-            }
-        }
+        self.environment.check("environment")?;
         for (i, m) in self.materials.iter().enumerate() {
             m.check(&format!("materials[{i}]"))?;
         }

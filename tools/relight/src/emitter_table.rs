@@ -17,8 +17,8 @@ pub struct EmitterTable {
 #[derive(Clone, Debug)]
 struct Row {
     file: EmitterRow,
-    /// Whether the surface of the emitter emits.
-    in_place: bool,
+    /// Radiance of the emitter's surface over its color; 0 if the surface is dark.
+    surface: [f32; 3],
     /// Position in the file.
     before: [f32; 3],
     now: LightParameters,
@@ -34,7 +34,8 @@ impl EmitterTable {
             // Directional light comes from everywhere. Its handle lies in the middle of the room.
             let position = row.shape.center().unwrap_or((low + high) / 2.0).to_array();
             let now = LightParameters { on: row.on, position, gain: 1.0, color: [1.0; 3] };
-            Row { file: row.clone(), in_place: *in_place, before: position, now, stale: false }
+            let surface = if *in_place { emitting.surface_of(&row.light().shape) } else { [0.0; 3] };
+            Row { file: row.clone(), surface, before: position, now, stale: false }
         };
         EmitterTable { rows: emitting.file.emitters.iter().zip(&emitting.in_place).map(row).collect() }
     }
@@ -123,13 +124,14 @@ impl EmitterTable {
 
 impl Row {
     fn frame(&self) -> FrameEmitter {
-        let Row { file, now, in_place, before, .. } = self;
+        let Row { file, now, surface, before, .. } = self;
         let color = if now.on { [0, 1, 2].map(|c| file.color[c] * now.color[c] * now.gain) } else { [0.0; 3] };
         let by = [0, 1, 2].map(|k| now.position[k] - before[k]);
         let shape = if by == [0.0; 3] { file.shape } else { file.shape.translated(by) };
         let light = AreaLight { color, shape };
         // The surface of a moved emitter is dark.
-        FrameEmitter { light, surface: if *in_place && by == [0.0; 3] { color } else { [0.0; 3] } }
+        let surface = if by == [0.0; 3] { [0, 1, 2].map(|c| surface[c] * color[c]) } else { [0.0; 3] };
+        FrameEmitter { light, surface }
     }
 }
 
@@ -143,7 +145,13 @@ mod tests {
             let shape = LightShape::Sphere { center: [1.0, 2.0, 3.0], radius: 0.1 };
             let file = EmitterRow { name: name.to_owned(), on, color: [1.0, 2.0, 4.0], shape };
             let now = LightParameters { on, position: [1.0, 2.0, 3.0], gain: 1.0, color: [1.0; 3] };
-            Row { file, in_place: name != "moved", before: now.position, now, stale: false }
+            Row {
+                file,
+                surface: if name == "moved" { [0.0; 3] } else { [1.0; 3] },
+                before: now.position,
+                now,
+                stale: false,
+            }
         };
         EmitterTable { rows: vec![row("a", true), row("b", false), row("moved", true)] }
     }

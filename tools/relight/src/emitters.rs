@@ -1,9 +1,10 @@
 //! Edit of the emitters of a run.
 
+use crate::EnvironmentEdit;
 use crate::error::{RelightError, Result};
 use serde::{Deserialize, Serialize};
 use sgs_passes::transport::LightShape;
-use sgs_run::{EmitterFile, EmitterRow};
+use sgs_run::{EmitterFile, EmitterRow, OpeningRow, SKY, check_openings};
 use sgs_scene::MOST_EMITTERS;
 use std::path::PathBuf;
 
@@ -23,6 +24,10 @@ pub struct EmitterEdit {
     ///
     /// A relative path starts at the directory of the edit file.
     pub file: Option<PathBuf>,
+    /// Replaces the openings, through which light from outside enters.
+    pub openings: Option<Vec<OpeningRow>>,
+    /// Environment behind the openings. With one, each opening is a window onto it.
+    pub environment: EnvironmentEdit,
 }
 
 /// Change of one emitter.
@@ -70,6 +75,11 @@ impl EmitterEdit {
                 return Err(format!("{name} holds {bad}, which is not finite"));
             }
         }
+        if let Err((i, reason)) = check_openings(self.openings.as_deref().unwrap_or(&[])) {
+            let name = i.map_or("emitters.openings".to_owned(), |i| format!("emitters.openings[{i}]"));
+            return Err(format!("{name}: {reason}"));
+        }
+        self.environment.check("emitters.environment")?;
         for (i, new) in self.add.iter().enumerate() {
             let row = EmitterRow { name: "new".to_owned(), on: true, color: new.color, shape: new.shape };
             row.light().check().map_err(|e| format!("emitters.add[{i}]: {e}"))?;
@@ -93,8 +103,11 @@ pub(crate) struct EditedEmitters {
 
 /// Applies an edit to the emitters of a run.
 ///
+/// An environment turns the openings into windows: the emitter in an opening becomes one, and an opening without an emitter gets
+/// one. Their color is 1.
+///
 /// # Errors
-/// If the edit names an emitter that does not exist.
+/// If the edit names an emitter that does not exist, or has an environment without openings.
 pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result<EditedEmitters> {
     let names: Vec<String> = file.emitters.iter().map(|e| e.name.clone()).collect();
     let find = |name: &str| {
@@ -111,7 +124,25 @@ pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result
     if edit.off {
         file.emitters.iter_mut().for_each(|e| e.on = false);
     }
+    if let Some(openings) = &edit.openings {
+        file.openings.clone_from(openings);
+    }
     let mut in_place = vec![true; file.emitters.len()];
+    if edit.environment.off {
+        file.emitters.iter_mut().filter(|e| is_window(e)).for_each(|e| e.on = false);
+        file.environment = None;
+    } else if edit.environment.file.is_some() {
+        let had = file.environment.replace(SKY.to_owned()).is_some();
+        if !had && file.openings.is_empty() {
+            let message =
+                "The edit has an environment, but the room has no openings; list them in \"emitters.openings\".";
+            return Err(RelightError::Edit(message.to_owned()));
+        }
+        if !had {
+            open_windows(&mut file);
+        }
+        in_place.resize(file.emitters.len(), false);
+    }
     for change in &edit.change {
         let Some(name) = &change.emitter else { continue };
         let i = find(name)?;
@@ -124,6 +155,7 @@ pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result
             emitter.shape = emitter.shape.translated(by);
         }
     }
+    in_place.resize(file.emitters.len(), true);
     for (i, new) in edit.add.iter().enumerate() {
         let name = new.name.clone().unwrap_or_else(|| format!("new {}", i + 1));
         let taken = |name: &String| file.emitters.iter().any(|e| e.name == *name);
@@ -136,6 +168,25 @@ pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result
         return Err(RelightError::Edit(format!("The edit leads to {count} emitters; use {MOST_EMITTERS} at most.")));
     }
     Ok(EditedEmitters { file, in_place })
+}
+
+fn is_window(row: &EmitterRow) -> bool {
+    matches!(row.shape, LightShape::Window { .. })
+}
+
+/// Turns the openings into windows of color 1.
+fn open_windows(file: &mut EmitterFile) {
+    for (i, opening) in file.openings.iter().enumerate() {
+        let shape = opening.window();
+        match file.emitters.iter_mut().find(|e| OpeningRow::of(&e.shape) == Some(*opening)) {
+            Some(row) => (row.shape, row.color, row.on) = (shape, [1.0; 3], true),
+            None => {
+                let name = (i + 1..).map(|k| format!("opening {k}"));
+                let name = name.into_iter().find(|n| file.emitters.iter().all(|e| e.name != *n)).unwrap_or_default();
+                file.emitters.push(EmitterRow { name, on: true, color: [1.0; 3], shape });
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -179,12 +230,55 @@ mod tests {
     }
 
     #[test]
+    fn environment_turns_openings_into_windows() {
+        let pane = |x: f32| OpeningRow { corner: [x, 0.0, 0.0], edge_u: [1.0, 0.0, 0.0], edge_v: [0.0, 1.0, 0.0] };
+        let mut file = file();
+        let OpeningRow { corner, edge_u, edge_v } = pane(0.0);
+        file.emitters[0].shape = LightShape::Rectangle { corner, edge_u, edge_v };
+        let edit = |text: &str, file: EmitterFile| {
+            let edit: EmitterEdit = serde_json::from_str(text).unwrap();
+            edit.check().unwrap();
+            edit_emitters(&edit, file)
+        };
+        let openings = serde_json::to_string(&[pane(0.0), pane(2.0)]).unwrap();
+        let text = format!(
+            r#"{{"off": true, "openings": {openings}, "environment": {{"file": "a.exr"}},
+                "change": [{{"emitter": "window 1", "intensity": 0.5}}]}}"#
+        );
+        let found = edit(&text, file.clone()).unwrap();
+        let rows: Vec<_> = found.file.emitters.iter().map(|e| (e.name.as_str(), e.on, e.color, is_window(e))).collect();
+        let white = [1.0; 3];
+        assert_eq!(
+            rows,
+            [
+                ("window 1", true, [0.5; 3], true),
+                ("light 1", false, [1.0, 2.0, 3.0], false),
+                ("opening 2", true, white, true)
+            ]
+        );
+        // A window without an emitter of the run has no surface.
+        assert_eq!((found.in_place, found.file.environment.as_deref()), (vec![true, true, false], Some(SKY)));
+        found.file.check().unwrap();
+        // Windows of a run stay; `off` turns them off.
+        let run = found.file;
+        assert_eq!(edit(r#"{"environment": {"file": "b.exr"}}"#, run.clone()).unwrap().file, run);
+        let off = edit(r#"{"environment": {"off": true}}"#, run).unwrap().file;
+        assert_eq!(off.emitters.iter().map(|e| e.on).collect::<Vec<_>>(), [false; 3]);
+        let error = edit(r#"{"environment": {"file": "a.exr"}}"#, file).err().unwrap().to_string();
+        assert!(error.contains("the room has no openings"), "{error}");
+    }
+
+    #[test]
     fn impossible_edits_are_refused() {
         let check = |text: &str| serde_json::from_str::<EmitterEdit>(text).unwrap().check().unwrap_err();
         assert!(check(r#"{"change": [{"on": false}]}"#).contains("has no \"emitter\""));
         assert!(check(r#"{"change": [{"emitter": "a", "intensity": -1}]}"#).contains("holds -1"));
         let flat = r#"{"add": [{"shape": {"type": "sphere", "center": [0,0,0], "radius": 0}, "color": [1,1,1]}]}"#;
         assert!(check(flat).starts_with("emitters.add[0]: radius"), "{}", check(flat));
+        let pane = r#"{"openings": [{"corner": [0,0,0], "edge_u": [1,0,0], "edge_v": [0,0,0]}]}"#;
+        assert!(check(pane).starts_with("emitters.openings[0]: edge_v"), "{}", check(pane));
+        assert!(check(r#"{"environment": {"scale": -1}}"#).starts_with("emitters.environment holds -1"));
+        assert!(check(r#"{"environment": {"off": true, "scale": 1}}"#).contains("off and changed at once"));
         let edit = EmitterEdit { only: Some(vec!["sun".to_owned()]), ..Default::default() };
         let error = edit_emitters(&edit, file()).err().unwrap().to_string();
         assert_eq!(error, "The edit names the emitter \"sun\", but the run has \"window 1\", \"light 1\".");

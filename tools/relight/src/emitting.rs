@@ -1,11 +1,13 @@
 //! Light of a run with emitters: physical lights and their bounces.
 
 use super::emitters::{EditedEmitters, EmitterEdit, edit_emitters};
+use super::environment::edit_sky;
+use crate::EnvironmentEdit;
 use crate::error::Result;
 use sgs_engine::Device;
 use sgs_passes::pipeline::{FrameEmitter, ShadedScene};
-use sgs_passes::transport::AreaLight;
-use sgs_run::{EmitterFile, RunDirectory, Visibility, read_emitters, shaded_scene};
+use sgs_passes::transport::{AreaLight, LightShape, Opening, Sky};
+use sgs_run::{EmitterFile, OpeningRow, RunDirectory, Visibility, read_emitters, read_sky, shaded_scene};
 use sgs_scene::{Scene, Splats};
 use sgs_transport::{Bounces, Room, room_of};
 use std::sync::Arc;
@@ -13,8 +15,10 @@ use std::sync::Arc;
 /// Emitters of a run, and the room in which their light bounces.
 #[derive(Clone)]
 pub struct Emitting {
-    /// Emitters and enclosure.
+    /// Emitters, openings and enclosure.
     pub file: EmitterFile,
+    /// Environment that windows show.
+    pub(crate) sky: Option<Sky>,
     pub(crate) room: Arc<Room>,
     /// Whether each emitter is where its surface is.
     pub(crate) in_place: Vec<bool>,
@@ -39,9 +43,12 @@ impl Emitting {
             return Ok(None);
         }
         let file = read_emitters(&path)?;
-        let room = Arc::new(room_of(device, scene, splats, &file, seed as u32)?);
+        let sky = file.environment.as_ref().map(|name| read_sky(&run.path(name))).transpose()?;
+        let room = room_of(device, scene, splats, &file, seed as u32)?.with_outside(&file.openings, sky.as_ref())?;
         let in_place = vec![true; file.emitters.len()];
-        Ok(Some(Emitting { file, room, in_place }))
+        let emitting = Emitting { file, sky, room: Arc::new(room), in_place };
+        warn_of_dark_suns(&emitting.file.openings, &emitting.lights());
+        Ok(Some(emitting))
     }
 
     /// Applies an edit to the emitters. The surface of a moved emitter is dark.
@@ -51,8 +58,43 @@ impl Emitting {
     /// # Errors
     /// If the edit names an emitter that does not exist.
     pub fn edited(self, edit: &EmitterEdit) -> Result<Emitting> {
+        let outside = edit.openings.is_some() || edit.environment != EnvironmentEdit::default();
         let EditedEmitters { file, in_place } = edit_emitters(edit, self.file)?;
-        Ok(Emitting { file, in_place, room: self.room })
+        let sky = edit_sky(&edit.environment, self.sky)?;
+        // The room stays the same if nothing outside of it changes.
+        let room = match outside {
+            true => Arc::new((*self.room).clone().with_outside(&file.openings, sky.as_ref())?),
+            false => self.room,
+        };
+        let emitting = Emitting { file, sky, in_place, room };
+        if *edit != EmitterEdit::default() {
+            warn_of_dark_suns(&emitting.file.openings, &emitting.lights());
+        }
+        Ok(emitting)
+    }
+
+    /// Returns the same emitters in a room with other openings and another environment.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub(crate) fn with_outside(&self, openings: &[OpeningRow], sky: Option<Sky>) -> Result<Emitting> {
+        let room = Arc::new((*self.room).clone().with_outside(openings, sky.as_ref())?);
+        Ok(Emitting { file: self.file.clone(), sky, room, in_place: self.in_place.clone() })
+    }
+
+    /// Returns the openings as windows whose color is a factor on the environment.
+    pub(crate) fn windows(&self, color: [f32; 3]) -> Vec<AreaLight> {
+        self.file.openings.iter().map(|o| AreaLight { shape: o.window().into(), color }).collect()
+    }
+
+    /// Returns the radiance of an emitter's surface over its color: 1, or the mean of the environment that a window shows.
+    pub(crate) fn surface_of(&self, shape: &LightShape) -> [f32; 3] {
+        match (*shape, &self.sky) {
+            (LightShape::Window { corner, edge_u, edge_v }, Some(sky)) => {
+                sky.mean(Opening { corner, edge_u, edge_v }.normal())
+            }
+            _ => [1.0; 3],
+        }
     }
 
     /// Returns whether others have the same room, shapes and places.
@@ -68,8 +110,9 @@ impl Emitting {
     /// # Errors
     /// If the Gaussians have no materials, or the device fails.
     pub fn of_splats(&self, device: &Device, scene: &Scene, splats: &Splats, seed: u64) -> Result<Emitting> {
-        let room = Arc::new(room_of(device, scene, splats, &self.file, seed as u32)?);
-        Ok(Emitting { file: self.file.clone(), room, in_place: self.in_place.clone() })
+        let room = room_of(device, scene, splats, &self.file, seed as u32)?;
+        let room = Arc::new(room.with_outside(&self.file.openings, self.sky.as_ref())?);
+        Ok(Emitting { file: self.file.clone(), sky: self.sky.clone(), room, in_place: self.in_place.clone() })
     }
 
     /// Returns the emitters as lights in world units. An emitter that is off has the color 0.
@@ -110,8 +153,10 @@ impl Emitting {
 
     /// Returns the emitters of a frame.
     pub fn frame(&self) -> Vec<FrameEmitter> {
-        let dark = |light| FrameEmitter { surface: [0.0; 3], ..FrameEmitter::of(light) };
-        let of = |(light, in_place): (AreaLight, &bool)| if *in_place { FrameEmitter::of(light) } else { dark(light) };
+        let of = |(light, in_place): (AreaLight, &bool)| {
+            let factor = if *in_place { self.surface_of(&light.shape) } else { [0.0; 3] };
+            FrameEmitter { light, surface: [0, 1, 2].map(|c| factor[c] * light.color[c]) }
+        };
         self.lights().into_iter().zip(&self.in_place).map(of).collect()
     }
 
@@ -126,6 +171,16 @@ impl Emitting {
         let mut scene = shaded_scene(device, splats, None, None, &Visibility::None)?;
         scene.transport = Some(self.room.respond(&self.frame(), &numbers)?);
         Ok(scene)
+    }
+}
+
+/// Warns if a room without openings has directional light.
+pub(crate) fn warn_of_dark_suns(openings: &[OpeningRow], lights: &[AreaLight]) {
+    let shines = |l: &AreaLight| matches!(l.shape, LightShape::Directional { .. }) && l.color != [0.0; 3];
+    if openings.is_empty() && lights.iter().any(shines) {
+        tracing::warn!(
+            "the room has no openings, so its directional light is dark; list the windows under \"openings\" in emitters.json"
+        );
     }
 }
 

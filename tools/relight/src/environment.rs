@@ -4,7 +4,8 @@ use super::edit::{EnvironmentEdit, Turn};
 use crate::error::{RelightError, Result};
 use glam::{DQuat, DVec3};
 use sgs_passes::shade::environment::cube::{Footprint, texel_direction};
-use sgs_run::Texels;
+use sgs_passes::transport::Sky;
+use sgs_run::{Texels, read_sky};
 
 /// Applies an edit to the environment map of a run, if any.
 ///
@@ -20,20 +21,44 @@ pub fn edit_environment(edit: &EnvironmentEdit, current: Option<Texels>, size: u
         Some(file) => Some(Texels::read(file, size)?),
         None => current,
     };
-    let changed = edit.scale.is_some() || edit.color.is_some() || edit.rotate.is_some();
     let Some(mut texels) = current else {
-        if changed {
+        if edit.changes() {
             let message = "The edit changes the environment, but the scene has none; name one with \"file\".";
             return Err(RelightError::Edit(message.into()));
         }
         return Ok(None);
     };
-    let factor = edit.color.unwrap_or([1.0; 3]).map(|c| c * edit.scale.unwrap_or(1.0));
+    let factor = edit.factors();
     texels.data.chunks_exact_mut(3).for_each(|t| t.iter_mut().zip(&factor).for_each(|(v, f)| *v *= f));
     Ok(Some(match &edit.rotate {
         Some(turn) => turned(&texels, turn),
         None => texels,
     }))
+}
+
+/// Applies an edit to the environment that windows show.
+///
+/// # Errors
+/// If the edit changes an absent environment, or its file is damaged.
+pub(crate) fn edit_sky(edit: &EnvironmentEdit, current: Option<Sky>) -> Result<Option<Sky>> {
+    if edit.off {
+        return Ok(None);
+    }
+    let current = match &edit.file {
+        Some(file) => Some(read_sky(file)?),
+        None => current,
+    };
+    let Some(sky) = current else {
+        if edit.changes() {
+            let message =
+                "The edit changes the environment of the emitters, but the run has none; name one with \"file\".";
+            return Err(RelightError::Edit(message.into()));
+        }
+        return Ok(None);
+    };
+    let sky = sky.tinted(edit.factors());
+    let turn = |t: &Turn| DQuat::from_axis_angle(DVec3::from(t.axis).normalize(), t.degrees.to_radians());
+    Ok(Some(edit.rotate.as_ref().map_or_else(|| sky.clone(), |t| sky.turned(turn(t)))))
 }
 
 /// Rotates the map: radiance from direction d then arrives from the rotated direction.
@@ -68,7 +93,11 @@ mod tests {
             assert!((a[0] - 2.0 * b[0]).abs() < 0.02 && (a[1] - b[1]).abs() < 0.02 && a[2] == 0.0, "{a:?} {b:?}");
         }
         assert!(edit_environment(&edit, None, size).unwrap_err().to_string().contains("has none"));
+        let sky = edit_sky(&edit, Some(Sky::uniform([1.0, 2.0, 3.0]))).unwrap().unwrap();
+        assert_eq!(sky, Sky::uniform([2.0, 2.0, 0.0]));
+        assert!(edit_sky(&edit, None).unwrap_err().to_string().contains("the run has none"));
         let off = EnvironmentEdit { off: true, ..Default::default() };
+        assert_eq!(edit_sky(&off, Some(sky)).unwrap(), None);
         assert!(edit_environment(&off, Some(expected), size).unwrap().is_none());
     }
 }

@@ -4,7 +4,9 @@ use crate::NewLight;
 use glam::Vec3;
 use serde::Deserialize;
 use sgs_passes::transport::{AreaLight, LightShape};
+use sgs_run::OpeningRow;
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// Fields of `gt/lights.json` that are read.
 #[derive(Default, Deserialize)]
@@ -27,6 +29,7 @@ pub struct TrueLights {
 /// | sphere | `position`, `radius`, `radiance` |
 /// | spot | `position`, `direction`, `cutoff_angle`, `intensity` |
 /// | point | `position`, `intensity` |
+/// | environment | `environment`, optional `factor`, optional `corners` of its window and `normal` |
 ///
 /// The first kind whose fields are all present counts. `point_light_intensity_equivalent` stands in for `intensity`.
 #[derive(Clone, Debug, Deserialize)]
@@ -56,6 +59,12 @@ pub struct TrueLight {
     intensity: Option<[f32; 3]>,
     /// Half angle of a spot's cone in degrees.
     cutoff_angle: Option<f32>,
+    /// Latitude-longitude map of the light from outside, beside `gt/lights.json`.
+    ///
+    /// It enters through the window of these corners, else through the openings of the room.
+    environment: Option<PathBuf>,
+    /// Factor on an environment.
+    factor: Option<[f32; 3]>,
 }
 
 impl TrueLight {
@@ -63,6 +72,9 @@ impl TrueLight {
     ///
     /// Only rectangles and lights with a position and an intensity can be one; returns `None` for others.
     pub fn as_new(&self) -> Option<NewLight> {
+        if self.environment.is_some() {
+            return None;
+        }
         if let (Some(corners), Some(radiance)) = (self.corners, self.radiance) {
             return Some(NewLight { corners: Some(corners), radiance: Some(radiance), ..Default::default() });
         }
@@ -70,9 +82,23 @@ impl TrueLight {
         Some(NewLight { position: Some(position), intensity: Some(intensity), ..Default::default() })
     }
 
-    /// Returns the light as a physical light; `None` if its shape or brightness is unknown.
+    /// Returns the map of an environment, and the factor on it. `None` for other lights.
+    pub fn environment(&self) -> Option<(&Path, [f32; 3])> {
+        self.environment.as_deref().map(|file| (file, self.factor.unwrap_or([1.0; 3])))
+    }
+
+    /// Returns the window of an environment, if it has one.
+    pub fn window(&self) -> Option<OpeningRow> {
+        self.environment.as_ref()?;
+        OpeningRow::of(&rectangle(self.corners?, self.normal).into()).filter(|o| o.check().is_ok())
+    }
+
+    /// Returns the light as a physical light; `None` for an environment, or if its shape or brightness is unknown.
     pub fn as_area(&self) -> Option<AreaLight> {
         let light = |shape, color| Some(AreaLight { shape, color });
+        if self.environment.is_some() {
+            return None;
+        }
         if let (Some(corners), Some(radiance)) = (self.corners, self.radiance) {
             return light(rectangle(corners, self.normal), radiance);
         }
@@ -147,5 +173,11 @@ mod tests {
         let disk = r#"{"on": true, "position": [0,1,0], "normal": [0,-1,0], "radius": 1, "radiance": [5,5,4]}"#;
         assert!(matches!(light(disk).as_area().unwrap().shape, LightShape::Disk { .. }));
         assert!(light(r#"{"on": true, "position": [0,1,0]}"#).as_area().is_none());
+        let sky = light(r#"{"on": true, "environment": "sky.exr", "position": [0,1,0], "intensity": [1,1,1]}"#);
+        assert!(sky.as_area().is_none() && sky.as_new().is_none() && sky.window().is_none());
+        assert_eq!(sky.environment(), Some((Path::new("sky.exr"), [1.0; 3])));
+        let portal = r#"{"on": true, "environment": "sky.exr", "factor": [1,2,3], "corners": [[0,0,0],[2,0,0],[2,1,0],[0,1,0]]}"#;
+        let pane = OpeningRow { corner: [0.0; 3], edge_u: [2.0, 0.0, 0.0], edge_v: [0.0, 1.0, 0.0] };
+        assert_eq!((light(portal).window(), light(portal).environment().unwrap().1), (Some(pane), [1.0, 2.0, 3.0]));
     }
 }

@@ -6,11 +6,15 @@
 use crate::error::{Result, RunError};
 use serde::{Deserialize, Serialize};
 use sgs_config::{TransportPart, TransportSettings};
-use sgs_passes::transport::{AreaLight, LightShape};
+use sgs_passes::transport::{AreaLight, LightShape, Opening, Sky};
 use sgs_scene::{MOST_EMITTERS, Unit};
 use std::collections::BTreeSet;
 use std::path::Path;
 
+/// Maximum number of openings of a file.
+pub const MOST_OPENINGS: usize = 256;
+/// Usual name of the map of the environment that windows show.
+pub const SKY: &str = "sky.exr";
 /// Format identifier of the file.
 const FORMAT: &str = "sgs-emitters-1";
 
@@ -31,6 +35,54 @@ pub struct EmitterFile {
     pub without: Option<TransportPart>,
     /// Emitters of the file, at most [`MOST_EMITTERS`].
     pub emitters: Vec<EmitterRow>,
+    /// Rectangles through which light from outside enters, at most [`MOST_OPENINGS`].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub openings: Vec<OpeningRow>,
+    /// Name of the latitude-longitude map that windows show, beside the file: [`SKY`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub environment: Option<String>,
+}
+
+/// Rectangle through which light from outside enters.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OpeningRow {
+    /// Corner where both edges begin.
+    pub corner: [f32; 3],
+    /// First edge.
+    pub edge_u: [f32; 3],
+    /// Second edge, perpendicular to the first. `edge_u` x `edge_v` points into the room.
+    pub edge_v: [f32; 3],
+}
+
+impl From<OpeningRow> for Opening {
+    fn from(row: OpeningRow) -> Opening {
+        Opening { corner: row.corner, edge_u: row.edge_u, edge_v: row.edge_v }
+    }
+}
+
+impl OpeningRow {
+    /// Returns the rectangle of a shape, if it is one.
+    pub fn of(shape: &LightShape) -> Option<OpeningRow> {
+        match *shape {
+            LightShape::Rectangle { corner, edge_u, edge_v } => Some(OpeningRow { corner, edge_u, edge_v }),
+            _ => None,
+        }
+    }
+
+    /// Returns the window onto the environment in this opening.
+    pub fn window(&self) -> LightShape {
+        let OpeningRow { corner, edge_u, edge_v } = *self;
+        LightShape::Window { corner, edge_u, edge_v }
+    }
+
+    /// Checks values that the types do not constrain.
+    ///
+    /// # Errors
+    /// Description of the first invalid value.
+    pub fn check(&self) -> std::result::Result<(), String> {
+        Opening::from(*self).check().map_err(|e| e.to_string())
+    }
 }
 
 /// Box around a room.
@@ -54,7 +106,7 @@ pub struct EmitterRow {
     /// Whether the emitter shines.
     pub on: bool,
     /// Linear RGB: radiance of spheres, rectangles and disks, radiant intensity of points, spots and lobes, irradiance at
-    /// normal incidence of directional lights.
+    /// normal incidence of directional lights, factor on the environment of windows.
     pub color: [f32; 3],
     /// Shape and place.
     pub shape: LightShape,
@@ -74,10 +126,19 @@ impl EmitterRow {
 }
 
 impl EmitterFile {
-    /// Creates a file of some emitters.
+    /// Creates a file of some emitters, without openings.
     pub fn new(enclosure: EnclosureRow, settings: TransportSettings, emitters: Vec<EmitterRow>) -> EmitterFile {
         let TransportSettings { surfels, rays, without, .. } = settings;
-        EmitterFile { format: FORMAT.to_owned(), enclosure, surfels, rays, without, emitters }
+        EmitterFile {
+            format: FORMAT.to_owned(),
+            enclosure,
+            surfels,
+            rays,
+            without,
+            emitters,
+            openings: Vec::new(),
+            environment: None,
+        }
     }
 
     /// Returns the same emitters and enclosure with lengths in another unit.
@@ -87,6 +148,11 @@ impl EmitterFile {
         file.enclosure.low = unit.place(file.enclosure.low);
         file.enclosure.high = unit.place(file.enclosure.high);
         file.emitters.iter_mut().for_each(|emitter| emitter.convert(unit));
+        for opening in &mut file.openings {
+            let to = |v| unit.place(v);
+            *opening =
+                OpeningRow { corner: to(opening.corner), edge_u: to(opening.edge_u), edge_v: to(opening.edge_v) };
+        }
         file
     }
 
@@ -116,6 +182,15 @@ impl EmitterFile {
         if self.emitters.len() > MOST_EMITTERS as usize {
             return Err(format!("there are {} emitters; use {MOST_EMITTERS} at most", self.emitters.len()));
         }
+        check_openings(&self.openings).map_err(|(i, reason)| match i {
+            Some(i) => format!("opening {i}: {reason}"),
+            None => reason,
+        })?;
+        if let Some(name) = &self.environment
+            && (name.is_empty() || name.contains(['/', '\\', ':', '\0']) || name == "." || name == "..")
+        {
+            return Err(format!("the environment \"{name}\" is no file beside it; use a file name, such as \"{SKY}\""));
+        }
         let mut names = BTreeSet::new();
         for (i, emitter) in self.emitters.iter().enumerate() {
             let name = &emitter.name;
@@ -129,6 +204,27 @@ impl EmitterFile {
         }
         Ok(())
     }
+}
+
+/// Checks a list of openings.
+///
+/// # Errors
+/// Description of the first invalid value, and the index of its opening.
+pub fn check_openings(openings: &[OpeningRow]) -> std::result::Result<(), (Option<usize>, String)> {
+    if openings.len() > MOST_OPENINGS {
+        return Err((None, format!("there are {} openings; use {MOST_OPENINGS} at most", openings.len())));
+    }
+    openings.iter().enumerate().try_for_each(|(i, o)| o.check().map_err(|e| (Some(i), e)))
+}
+
+/// Reads the environment outside of a room: a linear latitude-longitude image.
+///
+/// # Errors
+/// If the file cannot be read or is not an environment map.
+pub fn read_sky(path: &Path) -> Result<Sky> {
+    let image = sgs_scene::read_environment(path)?;
+    Sky::new(&image.data, [image.width, image.height])
+        .ok_or_else(|| RunError::file(path, "an environment needs finite radiances of at least 0".to_owned()))
 }
 
 impl EnclosureRow {
@@ -174,6 +270,8 @@ mod tests {
     use super::*;
     use std::f32::consts::{FRAC_PI_2, FRAC_PI_6};
 
+    const PANE: OpeningRow = OpeningRow { corner: [4.0; 3], edge_u: [2.0, 0.0, 0.0], edge_v: [0.0, 4.0, 0.0] };
+
     fn file() -> EmitterFile {
         let shapes = [
             LightShape::Point { position: [1.0, 2.0, 3.0] },
@@ -188,10 +286,13 @@ mod tests {
             },
             LightShape::Directional { direction: [0.0, -1.0, 0.0], angular_radius: 0.0047 },
             LightShape::Lobe { position: [1.0, 2.0, 3.0], axis: [0.0, 0.0, -2.0], sharpness: 9.5 },
+            PANE.window(),
         ];
         let row = |(i, shape)| EmitterRow { name: format!("e{i}"), on: i != 1, color: [1.0, 2.0, 0.5], shape };
         let enclosure = EnclosureRow { low: [-1.0, -2.0, -3.0], high: [4.0, 5.0, 6.0], albedo: [[0.5; 3]; 6] };
-        EmitterFile::new(enclosure, TransportSettings::default(), shapes.into_iter().enumerate().map(row).collect())
+        let rows = shapes.into_iter().enumerate().map(row).collect();
+        let file = EmitterFile::new(enclosure, TransportSettings::default(), rows);
+        EmitterFile { openings: vec![PANE], environment: Some(SKY.to_owned()), ..file }
     }
 
     #[test]
@@ -210,6 +311,10 @@ mod tests {
         assert!(refused("\"radius\"", "\"glow\": 1, \"radius\"").contains("glow"), "fields of shapes are checked");
         assert!(refused("\"on\"", "\"off\"").contains("off"));
         assert!(refused("\"point\"", "\"cube\"").contains("cube"));
+        let mut plain = serde_json::to_value(file()).unwrap();
+        plain.as_object_mut().unwrap().retain(|key, _| key != "openings" && key != "environment");
+        std::fs::write(&path, plain.to_string()).unwrap();
+        assert_eq!(read_emitters(&path).unwrap(), EmitterFile { openings: vec![], environment: None, ..file() });
         assert!(refused("sgs-emitters-1", "sgs-emitters-2").contains("not \"sgs-emitters-1\""));
     }
 
@@ -251,6 +356,10 @@ mod tests {
         let unit = Unit::of_length(4.0);
         let converted = file().in_unit(unit);
         assert_eq!((converted.enclosure.low, converted.enclosure.high), ([-0.25, -0.5, -0.75], [1.0, 1.25, 1.5]));
+        assert_eq!(
+            converted.openings[0],
+            OpeningRow { corner: [1.0; 3], edge_u: [0.5, 0.0, 0.0], edge_v: [0.0, 1.0, 0.0] }
+        );
         for (a, b) in converted.lights().iter().zip(file().lights()) {
             assert_eq!(*a, b.scaled(0.25));
         }
@@ -279,6 +388,9 @@ mod tests {
         let error = refused(&|f| f.emitters[1].shape = LightShape::Sphere { center: [0.0; 3], radius: -1.0 });
         assert!(error.starts_with("emitter 1, \"e1\": radius: length -1"), "{error}");
         assert!(refused(&|f| f.emitters[0].color[0] = -1.0).contains("emitter 0, \"e0\": color"));
+        assert_eq!(refused(&|f| f.openings = vec![PANE; 257]), "there are 257 openings; use 256 at most");
+        assert!(refused(&|f| f.openings[0].edge_v = [0.0; 3]).starts_with("opening 0: edge_v: length 0 is"));
+        assert!(refused(&|f| f.environment = Some("../sky.exr".into())).contains("is no file beside it"));
         let many = |f: &mut EmitterFile| {
             let row = f.emitters[0].clone();
             f.emitters = (0..4097).map(|i| EmitterRow { name: i.to_string(), ..row.clone() }).collect();

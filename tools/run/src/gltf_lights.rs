@@ -95,7 +95,7 @@ fn physical(i: usize, row: &PhysicalRow) -> Option<PunctualLight> {
             (PunctualKind::Spot { inner_angle, outer_angle }, position, unit(axis), 1.0)
         }
         LightShape::Directional { direction, .. } => (PunctualKind::Directional, [0.0; 3], unit(direction), 1.0),
-        LightShape::Rectangle { .. } | LightShape::Disk { .. } => return None,
+        LightShape::Rectangle { .. } | LightShape::Disk { .. } | LightShape::Window { .. } => return None,
     };
     let (color, intensity) = split(row.light().color.map(|c| factor * f64::from(c)));
     let extras = Some(json!({"sgs": ListedLight::Physical(row.clone())}));

@@ -30,7 +30,10 @@ pub use classify::{Classes, Classifier, NO_RELEVANCE};
 pub use contents::{Contents, RunContents, entries};
 pub use convert::{camera, gaussian_data, pack_image, pack_normals, splats};
 pub use directory::RunDirectory;
-pub use emitters::{EmitterFile, EmitterRow, EnclosureRow, read_emitters, write_emitters};
+pub use emitters::{
+    EmitterFile, EmitterRow, EnclosureRow, MOST_OPENINGS, OpeningRow, SKY, check_openings, read_emitters, read_sky,
+    write_emitters,
+};
 pub use error::{Result, RunError, remove};
 pub use exchange::{Exchange, is_gltf, read_exchange, read_light, read_splats, write_exchange};
 pub use gltf_lights::{gltf_leaves_out, read_light_source};

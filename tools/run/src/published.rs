@@ -69,12 +69,13 @@ pub fn read_lights(path: &Path) -> Loaded<LightFile> {
 /// The cause, as part of a sentence: the light is directional or too bright.
 pub fn published_light(light: &PhysicalRow, normalizer: f32) -> Result<Vec<LightRow>, String> {
     let PhysicalRow { shape, color, gain, .. } = *light;
-    let Some(power) = (AreaLight { shape, color }).power() else {
-        return Err(
-            "directional, which the published model does not shade; use an emitter of a run that the transport stage \
-                    trained (sgs train --stage transport)"
-                .to_owned(),
-        );
+    let power = (AreaLight { shape, color }).power().filter(|_| !matches!(shape, LightShape::Window { .. }));
+    let Some(power) = power else {
+        return Err(format!(
+            "{}, which the published model does not shade; use an emitter of a run that the transport stage trained \
+             (sgs train --stage transport)",
+            if matches!(shape, LightShape::Window { .. }) { "a window" } else { "directional" }
+        ));
     };
     let power = power.map(|p| f64::from(p) / f64::from(normalizer.max(1e-30)));
     let lobe = |axis: [f32; 3], sharpness: f64| {
@@ -109,7 +110,7 @@ pub fn published_light(light: &PhysicalRow, normalizer: f32) -> Result<Vec<Light
             let at = |s: f32, t: f32| Vec3::from(center) + half * (s * u + t * v);
             patches([at(-1.0, -1.0), at(1.0, -1.0), at(1.0, 1.0), at(-1.0, 1.0)])
         }
-        LightShape::Directional { .. } => Vec::new(),
+        LightShape::Directional { .. } | LightShape::Window { .. } => Vec::new(),
     };
     let brightest = rows.iter().flat_map(|l| &l.lobes).flat_map(|l| l.amplitude).fold(0.0, f32::max);
     if brightest > MOST_AMPLITUDE {

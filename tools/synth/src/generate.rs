@@ -194,10 +194,15 @@ impl Job<'_> {
             let path = format!("gt/relit/{}.json", relighting.name);
             stage.write(path, &meta::text(&about))?;
         }
-        if self.scene.sky.mean() > 0.0 {
-            let (width, height) = (256, 128);
-            let map = self.scene.sky.map(width, height);
-            exr::rgb(&stage.file("gt/environment.exr")?, width, height, &map)?;
+        let own = (lights::ENVIRONMENT, self.scene);
+        let others = self.relightings.iter().filter_map(|r| Some((r.environment.as_str(), r.room.as_ref()?)));
+        let mut written = Vec::new();
+        for (name, scene) in [own].into_iter().chain(others) {
+            if scene.sky.mean() > 0.0 && !written.contains(&name) {
+                let (width, height) = (256, 128);
+                exr::rgb(&stage.file(format!("gt/{name}"))?, width, height, &scene.sky.map(width, height))?;
+                written.push(name);
+            }
         }
         Ok(())
     }

@@ -7,7 +7,7 @@ use crate::training::TrainingRoom;
 use sgs_config::{TransportPart, TransportSettings};
 use sgs_engine::Device;
 use sgs_passes::transport::{AreaLight, LightShape};
-use sgs_run::{EmitterFile, EmitterRow, EnclosureRow};
+use sgs_run::{EmitterFile, EmitterRow, EnclosureRow, MOST_OPENINGS, OpeningRow};
 use sgs_scene::{Camera, Image, Scene, Splats};
 
 /// Emitters and enclosure of a room.
@@ -42,7 +42,7 @@ fn reduced(scene: &Scene) -> Scene {
 
 /// Finds the emitters of a scene and fits them to its training images.
 ///
-/// Their colors, the positions of spheres and the albedo of the enclosure are fitted. Lengths of the scene, the splats and the
+/// Their colors, the positions of spheres and the albedo of the enclosure are fitted. Rectangles are openings, too. Lengths of the scene, the splats and the
 /// result are in the scene's unit.
 ///
 /// # Errors
@@ -62,7 +62,8 @@ pub fn fit_room(device: &Device, scene: &Scene, splats: &Splats, options: RoomOp
     if without == Some(TransportPart::Emission) {
         of_gaussians.fill(0);
     }
-    let emitters = EmitterFile::new(enclosure, settings, named(&emitters));
+    let mut emitters = EmitterFile::new(enclosure, settings, named(&emitters));
+    emitters.openings = emitters.emitters.iter().filter_map(|e| OpeningRow::of(&e.shape)).take(MOST_OPENINGS).collect();
     Ok(FittedRoom { emitters, of_gaussians, psnr, uniform_psnr })
 }
 
@@ -82,7 +83,8 @@ fn named(emitters: &[AreaLight]) -> Vec<EmitterRow> {
 
 /// Builds the room of a run with emitters.
 ///
-/// Surfels are those that the training views of the scene show of `splats`. The albedo of the enclosure is that of `emitters`.
+/// Surfels are those that the training views of the scene show of `splats`. The openings and the albedo of the enclosure are those
+/// of `emitters`.
 /// `seed` is that of rays and sample points.
 ///
 /// # Errors
@@ -91,7 +93,7 @@ pub fn room_of(device: &Device, scene: &Scene, splats: &Splats, emitters: &Emitt
     let EmitterFile { surfels, rays, without, .. } = *emitters;
     let options = RoomOptions { surfels: surfels as usize, rays, seed, without, ..RoomOptions::default() };
     let (room, _) = Room::new(device, splats, &cameras_of(&reduced(scene)), options)?;
-    Ok(room.with_enclosure(emitters.enclosure.albedo))
+    room.with_enclosure(emitters.enclosure.albedo).with_outside(&emitters.openings, None)
 }
 
 /// Prepares the training of materials and lights in a fitted room.

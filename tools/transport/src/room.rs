@@ -11,8 +11,11 @@ use sgs_config::TransportPart;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{FrameEmitter, Responder, Shaded, ShadedTransport, TransportOptions, TransportScene};
-use sgs_passes::transport::{AreaLight, Enclosure, Nearest, NearestOptions, SolveOptions, SurfelTree, nearest_surfels};
-use sgs_run::{Shading, Visibility, shaded_scene};
+use sgs_passes::transport::{
+    AreaLight, Enclosure, Nearest, NearestOptions, Opening, Outside, Sky, SolveOptions, SurfelTree, nearest_surfels,
+    parts_of,
+};
+use sgs_run::{OpeningRow, Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Splats, Unit};
 use std::f32::consts::PI;
 use std::sync::Arc;
@@ -91,6 +94,7 @@ struct Bounced {
 }
 
 /// Surfaces of a room that exchange light.
+#[derive(Clone)]
 pub struct Room {
     device: Device,
     /// Unit of all lengths on the device.
@@ -179,6 +183,17 @@ impl Room {
         self
     }
 
+    /// Sets the openings, in world units, and the environment behind them.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_outside(mut self, openings: &[OpeningRow], sky: Option<&Sky>) -> Result<Room> {
+        let by = (1.0 / self.unit.length()) as f32;
+        let openings = openings.iter().map(|o| Opening::from(*o).scaled(by)).collect();
+        self.scene = Arc::new((*self.scene).clone().with_outside(&Outside { openings, sky: sky.cloned() })?);
+        Ok(self)
+    }
+
     /// Returns the corners of the enclosure in world units.
     pub fn bounds(&self) -> [[f32; 3]; 2] {
         [self.enclosure.low(), self.enclosure.high()].map(|corner| self.unit.inverse().place(corner))
@@ -260,7 +275,7 @@ impl Room {
         let unit = self.scene.unit_light(&lights)?;
         let reflectance = self.reflectance();
         let mut source = vec![0.0; 3 * count];
-        for (light, unit) in lights.iter().zip(unit.chunks_exact(count)) {
+        for (light, unit) in parts_of(&lights).iter().zip(unit.chunks_exact(count)) {
             for (i, e) in unit.iter().enumerate() {
                 for c in 0..3 {
                     source[3 * i + c] += light.color[c] * e * reflectance[3 * i + c] / PI;

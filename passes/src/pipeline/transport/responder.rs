@@ -3,8 +3,9 @@
 use super::{ShadedTransport, TransportScene};
 use crate::Tuning;
 use crate::transport::{
-    AreaLight, AreaLights, DirectLight, LightReceivers, MatrixRows, ResponseSource, Responses, Solution, SolveInputs,
-    SolveOptions, SurfelHandles, response_source, response_store, transport_lights, transport_solve,
+    AreaLight, AreaLights, DirectLight, LightReceivers, MatrixRows, OutsideHandles, ResponseSource, Responses,
+    Solution, SolveInputs, SolveOptions, SurfelHandles, response_source, response_store, transport_lights,
+    transport_solve,
 };
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
@@ -22,6 +23,8 @@ pub struct Responder {
     exec: Executor,
     record: Buffer,
     emitter: Buffer,
+    /// First part of each emitter.
+    parts: Vec<u32>,
 }
 
 impl Responder {
@@ -36,6 +39,7 @@ impl Responder {
         let record = g.uniform("emitter_record", size_of::<LightRecord>() as u64);
         let emitter = g.uniform("emitter", 4);
         let tree = SurfelHandles::declare(&mut g, scene.tree_shape());
+        let outside = OutsideHandles::declare(&mut g, scene.outside_shape());
         let all = g.input("receivers", scene.receiver_memory().bytes());
         let matrix = MatrixRows { shape: scene.shape(), rows: g.input("matrix_rows", scene.row_memory().bytes()) };
         let of_reflectance = g.input("reflectance", 12 * u64::from(receivers));
@@ -46,7 +50,7 @@ impl Responder {
         // Colors have no effect on the irradiance of color 1.
         let lights = AreaLights { records: record, colors: record, count: 1 };
         let to = LightReceivers::Surfels { receivers: all, count: receivers };
-        transport_lights(&mut g, tuning, &to, &lights, &scene.shadow_rays(tree), None, unit)?;
+        transport_lights(&mut g, tuning, &to, &lights, &scene.shadow_rays(tree, outside), None, unit)?;
         let [source, radiosity, irradiance] =
             ["source", "radiosity", "irradiance"].map(|name| g.transient(name, 12 * u64::from(receivers)));
         response_source(&mut g, &tuning, &ResponseSource { receivers, unit, reflectance: of_reflectance, source })?;
@@ -54,7 +58,7 @@ impl Responder {
         let into = Solution { radiosity, irradiance, convergence: g.transient("convergence", 8) };
         transport_solve(&mut g, &tuning, &inputs, &SolveOptions::default(), &into)?;
         if let Some(responses) = responses {
-            let a = Responses { lights: transport.emitters(), receivers, responses, colors: record };
+            let a = Responses { lights: transport.emitter_parts(), receivers, responses, colors: record };
             let direct = units.map(|units| DirectLight { unit, units });
             response_store(&mut g, &tuning, &a, emitter, irradiance, direct.as_ref())?;
         }
@@ -64,6 +68,7 @@ impl Responder {
         let buffer = device.buffer("reflectance", 12 * u64::from(receivers), Location::Device)?;
         device.upload(&buffer, 0, bytemuck::cast_slice(reflectance))?;
         scene.tree().bind(&mut exec, &tree)?;
+        scene.outside().bind(&mut exec, &outside)?;
         exec.bind(all, scene.receiver_memory())?;
         exec.bind(matrix.rows, scene.row_memory())?;
         exec.bind(of_reflectance, &buffer)?;
@@ -73,7 +78,8 @@ impl Responder {
         if let (Some(handle), Some(memory)) = (units.filter(|_| responses.is_some()), direct) {
             exec.bind(handle, memory)?;
         }
-        Ok(Responder { exec, record, emitter })
+        let parts = (0..transport.emitters()).map(|i| transport.first_part(i)).collect();
+        Ok(Responder { exec, record, emitter, parts })
     }
 
     /// Submits the update of one emitter, in the unit of the scene.
@@ -81,8 +87,12 @@ impl Responder {
     /// # Errors
     /// If the device fails.
     pub fn update(&mut self, emitter: u32, light: &AreaLight) -> Result<()> {
-        let record = light.record();
-        let uniforms = [(self.record, bytemuck::bytes_of(&record)), (self.emitter, bytemuck::bytes_of(&emitter))];
-        self.exec.submit(&uniforms).map(drop)
+        let Some(first) = self.parts.get(emitter as usize) else { return Ok(()) };
+        for (index, part) in (*first..).zip(light.parts()) {
+            let uniforms =
+                [(self.record, bytemuck::bytes_of(&part.record)), (self.emitter, bytemuck::bytes_of(&index))];
+            self.exec.submit(&uniforms)?;
+        }
+        Ok(())
     }
 }

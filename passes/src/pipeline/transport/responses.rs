@@ -1,12 +1,12 @@
 //! Responses of a room to its emitters, whose light changes with each frame.
 //!
 //! A frame sums the responses by the colors of its emitters. Colors and places are uniforms of the frame: switching, dimming
-//! and recoloring need neither a solve nor memory.
+//! and recoloring need neither a solve nor memory. A window has three parts, one per channel: each is a light of the passes.
 
 use crate::Tuning;
 use crate::transport::{
-    AreaLight, AreaLights, GaussianEmitters, ResponseRadiosity, Responses, gaussian_emission, response_radiosity,
-    response_sum,
+    AreaLight, AreaLights, GaussianEmitters, ResponseRadiosity, Responses, gaussian_emission, parts_of,
+    response_radiosity, response_sum,
 };
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -37,7 +37,7 @@ impl FrameEmitter {
 /// Responses in device memory.
 #[derive(Clone, Debug)]
 pub(super) struct EmitterResponses {
-    /// Bounced irradiance by emitter of color 1, `[emitters * receivers * 3]`.
+    /// Bounced irradiance by part of color 1, `[parts * receivers * 3]`.
     memory: DeviceBuffer,
     /// Number of the emitter of each Gaussian.
     numbers: DeviceBuffer,
@@ -69,6 +69,7 @@ pub(super) struct Summed {
 #[derive(Clone, Copy, Debug)]
 struct Shape {
     emitters: u32,
+    parts: u32,
     receivers: u32,
     gaussians: u32,
 }
@@ -79,7 +80,7 @@ pub(crate) struct EmitterHandles {
     records: Buffer,
     pub(super) colors: Buffer,
     surfaces: Buffer,
-    /// How many emitters are on, and which.
+    /// How many parts of emitters are on, and which.
     pub(super) list: Buffer,
 }
 
@@ -105,13 +106,14 @@ pub(crate) struct FrameUniforms {
 impl FrameUniforms {
     /// Returns the uniforms of emitters in the unit of the scene.
     pub(crate) fn new(emitters: &[FrameEmitter]) -> FrameUniforms {
-        let on: Vec<u32> = (0..).zip(emitters).filter(|(_, e)| e.light.color != [0.0; 3]).map(|(i, _)| i).collect();
-        let mut list = vec![0; 1 + emitters.len().max(1)];
+        let parts = parts_of(emitters.iter().map(|e| &e.light));
+        let on: Vec<u32> = (0..).zip(&parts).filter(|(_, p)| p.color != [0.0; 3]).map(|(i, _)| i).collect();
+        let mut list = vec![0; 1 + parts.len().max(1)];
         list[0] = on.len() as u32;
         list[1..=on.len()].copy_from_slice(&on);
         let mut all = FrameUniforms {
-            records: emitters.iter().map(|e| e.light.record()).collect(),
-            colors: emitters.iter().map(|e| e.light.color).collect(),
+            records: parts.iter().map(|p| p.record).collect(),
+            colors: parts.iter().map(|p| p.color).collect(),
             surfaces: emitters.iter().map(|e| e.surface).collect(),
             list,
         };
@@ -137,11 +139,17 @@ impl FrameUniforms {
 impl EmitterResponses {
     /// Uploads responses and the numbers of the Gaussians' emitters.
     ///
-    /// Responses are `[emitters * receivers * 3]` floats.
+    /// Responses are `[parts * receivers * 3]` floats.
     ///
     /// # Errors
     /// If memory runs out.
-    pub fn new(device: &Device, responses: &[f32], numbers: &[u32], receivers: u32) -> Result<EmitterResponses> {
+    pub fn new(
+        device: &Device,
+        emitters: &[FrameEmitter],
+        responses: &[f32],
+        numbers: &[u32],
+        receivers: u32,
+    ) -> Result<EmitterResponses> {
         let put = |name: &str, bytes: &[u8]| -> Result<DeviceBuffer> {
             let buffer = device.buffer(name, bytes.len().max(12) as u64, Location::Device)?;
             if !bytes.is_empty() {
@@ -149,18 +157,19 @@ impl EmitterResponses {
             }
             Ok(buffer)
         };
-        let emitters = (responses.len() / (3 * receivers.max(1) as usize)) as u32;
+        let parts = parts_of(emitters.iter().map(|e| &e.light)).len() as u32;
+        let emitters = emitters.len() as u32;
         Ok(EmitterResponses {
             memory: put("responses", bytemuck::cast_slice(responses))?,
             numbers: put("emitter_numbers", bytemuck::cast_slice(numbers))?,
             direct: None,
-            shape: Shape { emitters, receivers, gaussians: numbers.len() as u32 },
+            shape: Shape { emitters, parts, receivers, gaussians: numbers.len() as u32 },
         })
     }
 
     /// Uploads direct light and reflectance, for the radiosity.
     ///
-    /// `unit` holds `[emitters * receivers]` floats, `reflectance` `[receivers * 3]`.
+    /// `unit` holds `[parts * receivers]` floats, `reflectance` `[receivers * 3]`.
     ///
     /// # Errors
     /// If memory runs out.
@@ -192,13 +201,18 @@ impl EmitterResponses {
         self.shape.emitters
     }
 
+    /// Returns the number of parts of the emitters.
+    pub fn parts(&self) -> u32 {
+        self.shape.parts
+    }
+
     /// Declares responses and uniforms.
     pub fn declare(&self, g: &mut Graph) -> DeclaredResponses {
-        let room = u64::from(self.shape.emitters.max(1));
+        let room = u64::from(self.shape.parts.max(1));
         let emitters = EmitterHandles {
             records: g.uniform("emitter_records", size_of::<LightRecord>() as u64 * room),
             colors: g.uniform("emitter_colors", 12 * room),
-            surfaces: g.uniform("emitter_surfaces", 12 * room),
+            surfaces: g.uniform("emitter_surfaces", 12 * u64::from(self.shape.emitters.max(1))),
             list: g.uniform("emitter_list", 4 * (1 + room)),
         };
         DeclaredResponses {
@@ -227,7 +241,7 @@ impl EmitterResponses {
 
     /// Returns the emitters as lights of the passes.
     pub fn lights(&self, d: &DeclaredResponses) -> AreaLights {
-        AreaLights { records: d.emitters.records, colors: d.emitters.colors, count: self.shape.emitters }
+        AreaLights { records: d.emitters.records, colors: d.emitters.colors, count: self.shape.parts }
     }
 
     /// Adds the passes of irradiance, emission and radiosity.
@@ -241,15 +255,15 @@ impl EmitterResponses {
         d: &DeclaredResponses,
         into: &Summed,
     ) -> std::result::Result<(), GraphError> {
-        let Shape { emitters, receivers, gaussians } = self.shape;
+        let Shape { emitters, parts, receivers, gaussians } = self.shape;
         let colors = d.emitters.colors;
-        let a = Responses { lights: emitters, receivers, responses: d.memory, colors };
+        let a = Responses { lights: parts, receivers, responses: d.memory, colors };
         response_sum(g, t, &a, into.irradiance)?;
         let a = GaussianEmitters { gaussians, emitters, numbers: d.numbers, radiance: d.emitters.surfaces };
         gaussian_emission(g, t, &a, into.emission)?;
         if let (Some(radiosity), Some((unit, reflectance))) = (into.radiosity, d.direct) {
             let irradiance = into.irradiance;
-            let a = ResponseRadiosity { lights: emitters, receivers, unit, colors, irradiance, reflectance, radiosity };
+            let a = ResponseRadiosity { lights: parts, receivers, unit, colors, irradiance, reflectance, radiosity };
             response_radiosity(g, t, &a)?;
         }
         Ok(())

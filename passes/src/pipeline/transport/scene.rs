@@ -2,9 +2,10 @@
 
 use crate::Tuning;
 use crate::transport::{
-    AreaLight, AreaLights, Enclosure, LightReceivers, MatrixRows, MatrixShape, ReflectionRays, ShadowRays, Solution,
-    SolveInputs, SolveOptions, SurfelHandles, SurfelMemory, SurfelTree, SurfelTreeShape, Surfels, TransportRays,
-    receivers, transport_lights, transport_rays, transport_rows, transport_solve,
+    AreaLight, AreaLights, Enclosure, LightReceivers, MatrixRows, MatrixShape, Outside, OutsideHandles, OutsideMemory,
+    OutsideShape, ReflectionRays, ShadowRays, Solution, SolveInputs, SolveOptions, SurfelHandles, SurfelMemory,
+    SurfelTree, SurfelTreeShape, Surfels, TransportRays, parts_of, receivers, transport_lights, transport_rays,
+    transport_rows, transport_solve,
 };
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
@@ -38,7 +39,8 @@ pub struct TransportOptions {
     pub clearance: f32,
 }
 
-/// Surfels of a room in device memory, with their transport matrix.
+/// Surfels of a room in device memory, with their transport matrix. Clones share the memory.
+#[derive(Clone)]
 pub struct TransportScene {
     device: Device,
     tuning: Tuning,
@@ -50,6 +52,7 @@ pub struct TransportScene {
     shape: MatrixShape,
     rows: DeviceBuffer,
     targets: DeviceBuffer,
+    outside: OutsideMemory,
 }
 
 impl std::fmt::Debug for TransportScene {
@@ -112,7 +115,7 @@ impl<'a> Once<'a> {
 }
 
 impl TransportScene {
-    /// Uploads the surfels and traces the transport matrix.
+    /// Uploads the surfels and traces the transport matrix. The room has no openings ([`TransportScene::with_outside`]).
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -160,7 +163,29 @@ impl TransportScene {
             shape,
             rows: of_rows,
             targets: of_targets,
+            outside: OutsideMemory::new(device, &Outside::default())?,
         })
+    }
+
+    /// Sets the openings of the room and the environment behind them.
+    ///
+    /// They are in the unit of the surfels.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn with_outside(mut self, outside: &Outside) -> Result<TransportScene> {
+        self.outside = OutsideMemory::new(&self.device, outside)?;
+        Ok(self)
+    }
+
+    /// Returns the sizes of openings and environment.
+    pub(super) fn outside_shape(&self) -> OutsideShape {
+        self.outside.shape()
+    }
+
+    /// Returns openings and environment.
+    pub(super) fn outside(&self) -> &OutsideMemory {
+        &self.outside
     }
 
     /// Returns the same scene in which no light arrives from receivers from `count` on.
@@ -224,9 +249,9 @@ impl TransportScene {
     }
 
     /// Returns the rays of lights as passes take them.
-    pub(super) fn shadow_rays(&self, tree: SurfelHandles) -> ShadowRays {
+    pub(super) fn shadow_rays(&self, tree: SurfelHandles, outside: OutsideHandles) -> ShadowRays {
         let TransportOptions { samples, seed, offset, clearance, .. } = self.options;
-        ShadowRays { tree, offset, clearance, samples, seed }
+        ShadowRays { tree, outside, offset, clearance, samples, seed }
     }
 
     /// Returns the rays of reflections as passes take them.
@@ -273,9 +298,11 @@ impl TransportScene {
         &self.tree
     }
 
-    /// Returns the irradiance of each receiver from each light of color 1.
+    /// Returns the irradiance of each receiver from each part of color 1.
     ///
-    /// The result holds `[lights * receivers]` floats.
+    /// [`parts_of`] returns the parts of the lights.
+    ///
+    /// The result holds `[parts * receivers]` floats.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -283,9 +310,9 @@ impl TransportScene {
         self.unit(lights, &self.receivers, self.shape.receivers)
     }
 
-    /// Returns the irradiance of each point from each light of color 1.
+    /// Returns the irradiance of each point from each part of the lights of color 1.
     ///
-    /// The result holds `[lights * points]` floats. Normals are unit vectors.
+    /// The result holds `[parts * points]` floats. Normals are unit vectors.
     ///
     /// # Errors
     /// If memory runs out or the device fails.
@@ -306,25 +333,27 @@ impl TransportScene {
         }
         let mut once = Once::new(&self.device, "unit_light");
         let tree = SurfelHandles::declare(&mut once.g, &self.tree_shape);
-        let of_lights = AreaLights::declare(&mut once.g, lights.len() as u32);
+        let outside = OutsideHandles::declare(&mut once.g, self.outside.shape());
+        let of_lights = AreaLights::declare(&mut once.g, parts_of(lights).len() as u32);
         for (handle, bytes) in of_lights.contents(lights) {
             once.upload(handle, "lights", &bytes)?;
         }
         let all = once.g.input("receivers", receivers.bytes());
-        let values = lights.len() * count as usize;
+        let values = of_lights.count as usize * count as usize;
         let (unit, of_unit) = once.output("unit", 4 * values as u64)?;
         let to = LightReceivers::Surfels { receivers: all, count };
-        transport_lights(&mut once.g, self.tuning, &to, &of_lights, &self.shadow_rays(tree), None, unit)?;
+        transport_lights(&mut once.g, self.tuning, &to, &of_lights, &self.shadow_rays(tree, outside), None, unit)?;
         once.run(|exec| {
             self.tree.bind(exec, &tree)?;
+            self.outside.bind(exec, &outside)?;
             exec.bind(all, receivers)
         })?;
         self.device.download_as(&of_unit, values)
     }
 
-    /// Returns the bounced irradiance from each light of color 1.
+    /// Returns the bounced irradiance from each part of the lights of color 1.
     ///
-    /// The result holds `[lights * receivers * 3]` floats.
+    /// The result holds `[parts * receivers * 3]` floats.
     ///
     /// `reflectance` holds `[receivers * 3]` floats, `unit` those of [`TransportScene::unit_light`].
     ///

@@ -5,9 +5,9 @@ use super::{EmitterHandles, FrameEmitter, FrameUniforms, TransportOptions, Trans
 use crate::Tuning;
 use crate::shade::{PixelMaterials, Pixels, Rows, materials};
 use crate::transport::{
-    AreaLight, AreaLights, GatherInputs, LightReceivers, NEIGHBORS, Nearest, ShadeTerms, ShadowRays, SurfelHandles,
-    SurfelMemory, SurfelTreeShape, TransportShading, irradiance_gather, reflection_bytes, split_sum_table,
-    transport_lights, transport_reflect, transport_shade,
+    AreaLight, AreaLights, GatherInputs, LightReceivers, NEIGHBORS, Nearest, OutsideHandles, OutsideShape, ShadeTerms,
+    SurfelHandles, SurfelMemory, SurfelTreeShape, TransportShading, irradiance_gather, parts_of, reflection_bytes,
+    split_sum_table, transport_lights, transport_reflect, transport_shade,
 };
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -38,8 +38,9 @@ pub struct ShadedTransport {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ShadedShape {
     tree: SurfelTreeShape,
+    outside: OutsideShape,
     options: TransportOptions,
-    /// Receivers, lights, Gaussians.
+    /// Receivers, parts of lights, Gaussians.
     counts: [u32; 3],
     /// Whether the light changes with each frame.
     responses: bool,
@@ -53,6 +54,7 @@ pub(crate) struct ShadedShape {
 #[derive(Debug)]
 pub(crate) struct Declared {
     tree: SurfelHandles,
+    outside: OutsideHandles,
     lights: AreaLights,
     neighbors: [Buffer; 2],
     irradiance: Buffer,
@@ -103,7 +105,7 @@ impl ShadedTransport {
         };
         // This graph never runs. Its handles only label the contents.
         let mut g = Graph::new("lights");
-        let declared = AreaLights::declare(&mut g, lights.len() as u32);
+        let declared = AreaLights::declare(&mut g, parts_of(lights).len() as u32);
         let [(_, records), (_, colors)] = declared.contents(lights);
         let (_, table) = split_sum_table(&mut g);
         let emitted: Vec<f32> = emission.iter().flat_map(|[r, g, b]| [*r, *g, *b, 0.0]).collect();
@@ -156,7 +158,7 @@ impl ShadedTransport {
 
     /// Lets pixels reflect receivers, for emitters whose light changes with each frame.
     ///
-    /// `unit` holds the direct irradiance by each emitter of color 1, `[emitters * receivers]` floats; `reflectance`
+    /// `unit` holds the direct irradiance by each part of the emitters, of color 1, `[parts * receivers]` floats; `reflectance`
     /// `[receivers * 3]`. Without responses it changes nothing.
     ///
     /// # Errors
@@ -170,7 +172,7 @@ impl ShadedTransport {
 
     /// Uploads emitters whose light changes with each frame.
     ///
-    /// `responses` holds the irradiance that bounces by each emitter of color 1, `[emitters * receivers * 3]` floats;
+    /// `responses` holds the irradiance that bounces by each part of the emitters of color 1, `[parts * receivers * 3]` floats;
     /// `numbers` the emitter of each Gaussian, from 1, or 0. Emitters have the unit of the scene.
     ///
     /// # Errors
@@ -184,7 +186,7 @@ impl ShadedTransport {
         numbers: &[u32],
     ) -> Result<ShadedTransport> {
         let lights: Vec<AreaLight> = emitters.iter().map(|e| e.light).collect();
-        let responses = EmitterResponses::new(device, responses, numbers, scene.receivers())?;
+        let responses = EmitterResponses::new(device, emitters, responses, numbers, scene.receivers())?;
         let plain = ShadedTransport::new(device, scene, &lights, nearest, &[], &[])?;
         Ok(ShadedTransport {
             gaussians: numbers.len() as u32,
@@ -214,6 +216,16 @@ impl ShadedTransport {
         self.responses.as_ref().map_or(self.radiosity.is_some(), |r| r.direct().is_some())
     }
 
+    /// Returns the index of the first part of an emitter.
+    pub(super) fn first_part(&self, emitter: u32) -> u32 {
+        parts_of(self.lights.iter().take(emitter as usize)).len() as u32
+    }
+
+    /// Returns the number of parts of the emitters whose light changes with each frame.
+    pub(super) fn emitter_parts(&self) -> u32 {
+        self.responses.as_ref().map_or(0, EmitterResponses::parts)
+    }
+
     /// Returns the number of emitters whose light changes with each frame.
     pub fn emitters(&self) -> u32 {
         self.responses.as_ref().map_or(0, EmitterResponses::emitters)
@@ -233,8 +245,9 @@ impl ShadedTransport {
     pub(crate) fn shape(&self) -> ShadedShape {
         ShadedShape {
             tree: *self.scene.tree_shape(),
+            outside: self.scene.outside_shape(),
             options: *self.scene.options(),
-            counts: [self.scene.receivers(), self.lights.len() as u32, self.gaussians],
+            counts: [self.scene.receivers(), parts_of(&self.lights).len() as u32, self.gaussians],
             responses: self.responses.is_some(),
             gains: self.log_gains.is_some(),
             reflections: self.reflections(),
@@ -260,7 +273,7 @@ impl ShadedTransport {
                 g.transient("gaussian_emission", 16 * n),
             ),
             _ => (
-                AreaLights::declare(g, self.lights.len() as u32),
+                AreaLights::declare(g, parts_of(&self.lights).len() as u32),
                 g.input("receiver_irradiance", self.irradiance.bytes()),
                 self.radiosity.as_ref().map(|r| g.input("radiosity", r.bytes())),
                 g.input("gaussian_emission", 16 * n),
@@ -268,6 +281,7 @@ impl ShadedTransport {
         };
         Declared {
             tree: SurfelHandles::declare(g, shape),
+            outside: OutsideHandles::declare(g, self.scene.outside_shape()),
             lights,
             neighbors: ["neighbors", "neighbor_weights"].map(|name| g.input(name, 4 * NEIGHBORS as u64 * n)),
             irradiance,
@@ -286,6 +300,7 @@ impl ShadedTransport {
     pub(crate) fn bind(&self, exec: &mut Executor, d: &Declared) -> Result<()> {
         let tree: &SurfelMemory = self.scene.tree();
         tree.bind(exec, &d.tree)?;
+        self.scene.outside().bind(exec, &d.outside)?;
         exec.bind(d.neighbors[0], &self.neighbors[0])?;
         exec.bind(d.neighbors[1], &self.neighbors[1])?;
         exec.bind(d.split_sum, &self.split_sum)?;
@@ -344,8 +359,8 @@ impl ShadedTransport {
         if let Some(radiosity) = d.radiosity {
             transport_reflect(g, t, pixels, &self.scene.reflection_rays(d.tree, radiosity), irradiance)?;
         }
-        let unit = g.transient("unit_light", 4 * count * self.lights.len().max(1) as u64);
-        let rays: ShadowRays = self.scene.shadow_rays(d.tree);
+        let unit = g.transient("unit_light", 4 * count * u64::from(d.lights.count.max(1)));
+        let rays = self.scene.shadow_rays(d.tree, d.outside);
         let to = LightReceivers::Pixels { screen, surfaces: pixels.surfaces };
         g.fill("clear_unit_light", unit, 0)?;
         transport_lights(g, *t, &to, &d.lights, &rays, list, unit)?;

@@ -6,7 +6,7 @@ use crate::shade::Weights;
 use crate::splat::Screen;
 use crate::transport::{
     AreaLight, AreaLights, GatherColumns, LightReceivers, MatrixColumns, MatrixRows, MatrixShape, NEIGHBORS, Nearest,
-    SurfelHandles, split_sum_table, transport_lights, transposed,
+    OutsideHandles, SurfelHandles, split_sum_table, transport_lights, transposed,
 };
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
@@ -342,15 +342,17 @@ impl ViewLights {
         let surface = shape.declare(&mut g, "", false);
         let screen = Screen { step, largest: shape.largest, tile: t.tile };
         let tree = SurfelHandles::declare(&mut g, scene.tree_shape());
+        let outside = OutsideHandles::declare(&mut g, scene.outside_shape());
         let of_lights = AreaLights::declare(&mut g, lights.len() as u32);
         let bytes = 4 * screen.pixels() * lights.len().max(1) as u64;
         let unit = g.external("unit_light", bytes);
         g.fill("clear_unit_light", unit, 0)?;
         let to = LightReceivers::Pixels { screen, surfaces: surface.surfaces };
-        transport_lights(&mut g, *t, &to, &of_lights, &scene.shadow_rays(tree), None, unit)?;
+        transport_lights(&mut g, *t, &to, &of_lights, &scene.shadow_rays(tree, outside), None, unit)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
         scene.tree().bind(&mut exec, &tree)?;
+        scene.outside().bind(&mut exec, &outside)?;
         for (handle, contents) in of_lights.contents(lights) {
             let buffer = device.buffer("lights", contents.len() as u64, Location::Device)?;
             device.upload(&buffer, 0, &contents)?;

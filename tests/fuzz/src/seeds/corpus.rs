@@ -69,6 +69,7 @@ fn texts() -> Files {
         ("edit", "change.json", EDITS[1]),
         ("edit", "file.json", EDITS[2]),
         ("edit", "types.json", EDITS[3]),
+        ("edit", "outside.json", EDITS[4]),
         ("true_lights", "sets.json", TRUE_LIGHTS),
         ("true_edit", "paint.json", TRUE_EDIT),
         ("settings", "some.toml", SETTINGS),

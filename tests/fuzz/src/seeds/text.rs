@@ -96,10 +96,12 @@ pub(crate) const EMITTERS: &str = r#"{"format": "sgs-emitters-1", "surfels": 819
 {"name": "spot", "on": true, "color": [5, 5, 5], "shape": {"type": "spot", "position": [0, 1, 2], "axis": [0, 0, -1],
 "inner_angle": 20, "outer_angle": 35}},
 {"name": "sun", "on": true, "color": [9, 9, 8], "shape": {"type": "directional", "direction": [1, 1, -1], "angular_radius": 0.27}},
-{"name": "lobe", "on": true, "color": [4, 4, 2], "shape": {"type": "lobe", "position": [1, 1, 2], "axis": [0, 0.6, -0.8], "sharpness": 9.5}}]}
+{"name": "lobe", "on": true, "color": [4, 4, 2], "shape": {"type": "lobe", "position": [1, 1, 2], "axis": [0, 0.6, -0.8], "sharpness": 9.5}},
+{"name": "view", "on": true, "color": [1, 1, 1], "shape": {"type": "window", "corner": [0, 0, 1], "edge_u": [1, 0, 0],
+"edge_v": [0, 0, 1]}}], "openings": [{"corner": [0, 0, 1], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1]}], "environment": "sky.exr"}
 "#;
 
-pub(crate) const EDITS: [&str; 4] = [
+pub(crate) const EDITS: [&str; 5] = [
     r#"{"lights": {"off": true, "add": [{"position": [0, 1, 0], "intensity": [1, 2, 3]},
 {"corners": [[0, 2, 0], [1, 2, 0], [1, 2, 1], [0, 2, 1]], "radiance": [5, 5, 5], "patches": 3},
 {"position": [1, 1, 1], "lobes": [{"axis": [0, 0, 1], "sharpness": 3, "amplitude": [1, 1, 1]}]}]},
@@ -117,11 +119,17 @@ pub(crate) const EDITS: [&str; 4] = [
 {"type": "spot", "position": [0, 1, 2], "axis": [0, 0, -1], "inner_angle": 20, "outer_angle": 35, "color": [3, 2, 1]},
 {"type": "lobes", "position": [0, 1, 0], "gain": 1, "lobes": [{"axis": [0, 0, 1], "sharpness": 2, "amplitude": [1, 1, 1]}]}]}}
 "#,
+    r#"{"emitters": {"openings": [{"corner": [0, 0, 1], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1]}],
+"environment": {"file": "sky.exr", "scale": 2, "color": [1, 1, 0.8], "rotate": {"axis": [0, 1, 0], "degrees": 30}},
+"only": ["window 1"], "change": [{"emitter": "window 1", "intensity": 2}],
+"add": [{"shape": {"type": "directional", "direction": [0, -1, 1], "angular_radius": 0.27}, "color": [3, 3, 2.5]}]}}
+"#,
 ];
 
 pub(crate) const TRUE_LIGHTS: &str = r#"{"unit": "metre", "training": [{"on": true, "position": [0, 1, 0], "point_light_intensity_equivalent": [1, 2, 3]}],
 "relight": {"a": [{"name": "bulb", "on": true, "position": [0, 1, 0], "radius": 0.1, "point_light_intensity_equivalent": [1, 2, 3]},
-{"name": "pane", "on": true, "corners": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "radiance": [1, 1, 1]}],
+{"name": "pane", "on": true, "corners": [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], "radiance": [1, 1, 1]},
+{"name": "sky", "on": false, "environment": "sky.exr", "factor": [1, 1, 2]}],
 "b": [{"on": true, "position": [0, 1, 0]}], "c": []}}
 "#;
 

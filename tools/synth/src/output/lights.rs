@@ -4,6 +4,7 @@ use glam::Vec3;
 use serde_json::{Map, Value, json};
 
 use crate::scene::light::{Emission, Light, Shape};
+use crate::scene::sky::Sun;
 use crate::scene::{MAX_GROUPS, Scene, added};
 
 /// Lighting that differs from training: a factor for each light group, and perhaps one more light.
@@ -12,11 +13,19 @@ pub(crate) struct Relighting {
     pub(crate) name: &'static str,
     /// Factors by group.
     pub(crate) weights: [Vec3; MAX_GROUPS],
-    /// Scene with a light that training lacks, its last.
+    /// Scene with other light: with a lamp that training lacks, its last; with a sun, or with another environment.
     pub(crate) room: Option<Scene>,
+    /// File of the environment under `gt`.
+    pub(crate) environment: String,
 }
 
-/// Returns the relightings of a scene. A scene with a single group of lights has none.
+/// File of the environment of the training views under `gt`.
+pub(crate) const ENVIRONMENT: &str = "environment.exr";
+
+/// Relighting under an environment that training lacks.
+const SKY_TURNED: &str = "sky_turned";
+
+/// Returns the relightings of a scene.
 pub(crate) fn relightings(scene: &Scene) -> Vec<Relighting> {
     let groups = &scene.groups;
     let lamps = groups.iter().filter(|g| !g.window).count();
@@ -27,7 +36,7 @@ pub(crate) fn relightings(scene: &Scene) -> Vec<Relighting> {
         for (group, w) in weights.iter_mut().enumerate().take(groups.len()) {
             *w = weight(group);
         }
-        out.push(Relighting { name, weights, room: None });
+        out.push(Relighting { name, weights, room: None, environment: ENVIRONMENT.to_owned() });
     };
     if lamps > 0 && groups.len() > 1 {
         if let Some(ceiling) = groups.iter().position(|g| g.name == "lamp_ceiling") {
@@ -52,16 +61,42 @@ pub(crate) fn relightings(scene: &Scene) -> Vec<Relighting> {
     if !out.is_empty()
         && let Some(room) = added::with_lamp(scene)
     {
-        out.push(Relighting { name: added::NAME, weights: [Vec3::ONE; MAX_GROUPS], room: Some(room) });
+        let (name, weights) = (added::NAME, [Vec3::ONE; MAX_GROUPS]);
+        out.push(Relighting { name, weights, room: Some(room), environment: ENVIRONMENT.to_owned() });
     }
+    out.extend(under_other_skies(scene));
     out
+}
+
+/// Returns the relightings of a room lit by an environment through its windows: a sun is added, or the environment is another.
+fn under_other_skies(scene: &Scene) -> Vec<Relighting> {
+    if scene.sky.mean() <= 0.0 {
+        return Vec::new();
+    }
+    let brightness = scene.sky.mean();
+    let mut sunny = scene.clone();
+    let irradiance = 12.0 * brightness * Vec3::new(1.15, 1.0, 0.75);
+    sunny.sun = Some(Sun { toward: scene.sky.sun_direction, irradiance });
+    let mut turned = scene.clone();
+    let Vec3 { x, y, z } = scene.sky.sun_direction;
+    turned.sky.sun_direction = Vec3::new(-x, 0.6 * y, z).normalize();
+    turned.sky.sun = scene.sky.sun * Vec3::new(2.5, 1.2, 0.5);
+    turned.sky.zenith = 0.4 * scene.sky.zenith;
+    turned.sky.horizon = scene.sky.horizon * Vec3::new(0.8, 0.5, 0.4);
+    let weights = [Vec3::ONE; MAX_GROUPS];
+    let set =
+        |name: &'static str, room, environment: String| Relighting { name, weights, room: Some(room), environment };
+    vec![
+        set("sun_added", sunny, ENVIRONMENT.to_owned()),
+        set(SKY_TURNED, turned, format!("environment_{SKY_TURNED}.exr")),
+    ]
 }
 
 /// Returns the contents of `gt/lights.json`.
 pub(crate) fn describe(scene: &Scene, relightings: &[Relighting]) -> Value {
-    let under = |scene: &Scene, weights: &[Vec3; MAX_GROUPS]| -> Vec<Value> {
-        let lights = scene.lights.iter();
-        lights.map(|l| light(scene, l, weights[l.group])).collect()
+    let under = |scene: &Scene, weights: &[Vec3; MAX_GROUPS], environment: &str| -> Vec<Value> {
+        let lights = scene.lights.iter().map(|l| light(scene, l, weights[l.group], environment));
+        lights.chain(scene.sun.as_ref().map(sun)).collect()
     };
     let groups = |scene: &Scene, weights: &[Vec3; MAX_GROUPS]| -> Value {
         let named = scene.groups.iter().zip(weights);
@@ -73,29 +108,44 @@ pub(crate) fn describe(scene: &Scene, relightings: &[Relighting]) -> Value {
     weights.insert("training".to_owned(), groups(scene, &ones));
     for r in relightings {
         let scene = r.room.as_ref().unwrap_or(scene);
-        relit.insert(r.name.to_owned(), Value::Array(under(scene, &r.weights)));
+        relit.insert(r.name.to_owned(), Value::Array(under(scene, &r.weights, &r.environment)));
         weights.insert(r.name.to_owned(), groups(scene, &r.weights));
     }
     json!({
         "unit": "metre",
         "note": "radiance in the linear unit of the images (exposure 1). sphere lights emit uniformly; point-light \
                  intensity equivalent I = radiance*pi*r^2 [radiance*unit^2]. rect lights emit one-sided along normal. \
-                 portals show gt/environment.exr. light_groups_weights are factors on the training lighting.",
-        "training": under(scene, &ones),
+                 portals show `environment`, a file in gt, times `factor`; suns shine through portals. light_groups_weights are factors on the training lighting.",
+        "training": under(scene, &ones, ENVIRONMENT),
         "relight": relit,
         "light_groups_weights": weights,
     })
 }
 
-fn light(scene: &Scene, light: &Light, weight: Vec3) -> Value {
+fn sun(sun: &Sun) -> Value {
+    json!({
+        "name": "sun",
+        "on": true,
+        "type": "directional_light",
+        "direction": (-sun.toward).to_array(),
+        "irradiance": sun.irradiance.to_array(),
+        "angular_radius": 0.0,
+    })
+}
+
+fn light(scene: &Scene, light: &Light, weight: Vec3, environment: &str) -> Value {
     let mut out = json!({
         "name": light.name,
         "group": scene.groups[light.group].name,
         "on": weight.max_element() > 0.0,
         "area": light.area(),
     });
-    if let Emission::Constant(radiance) = light.emission {
-        out["radiance"] = json!((radiance * weight).to_array());
+    match light.emission {
+        Emission::Constant(radiance) => out["radiance"] = json!((radiance * weight).to_array()),
+        Emission::Sky => {
+            out["environment"] = json!(environment);
+            out["factor"] = json!(weight.to_array());
+        }
     }
     match light.shape {
         Shape::Sphere { center, radius } => {

@@ -164,6 +164,7 @@ impl Builder {
             lights: self.lights,
             groups: self.groups,
             sky,
+            sun: None,
             background: Vec3::ZERO,
             instances: self.instances,
             interior,

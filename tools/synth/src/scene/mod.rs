@@ -25,7 +25,7 @@ use glam::Vec3;
 use crate::options::SceneName;
 use light::{Emission, Light};
 use material::Material;
-use sky::Sky;
+use sky::{Sky, Sun};
 use surfaces::Surfaces;
 
 /// Largest number of light groups in a scene. Films store one set of sums per group.
@@ -73,6 +73,8 @@ pub(crate) struct Scene {
     pub(crate) groups: Vec<Group>,
     /// Environment map behind windows.
     pub(crate) sky: Sky,
+    /// Sun behind windows, beside that of the environment map.
+    pub(crate) sun: Option<Sun>,
     /// Radiance of rays that escape. Black in rooms; tests set other values.
     pub(crate) background: Vec3,
     /// Instances by id. Id 0 means no instance.
@@ -97,6 +99,7 @@ impl Scene {
     /// Multiplies all emitted light by a factor.
     pub(crate) fn scale_light(&mut self, factor: f32) {
         self.sky = self.sky.scaled(factor);
+        self.sun = self.sun.map(|sun| Sun { irradiance: sun.irradiance * factor, ..sun });
         for light in &mut self.lights {
             if let Emission::Constant(radiance) = &mut light.emission {
                 *radiance *= factor;

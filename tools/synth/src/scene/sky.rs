@@ -19,6 +19,15 @@ pub(crate) struct Sky {
     pub(crate) sun_direction: Vec3,
 }
 
+/// Directional light.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sun {
+    /// Unit direction to the sun.
+    pub(crate) toward: Vec3,
+    /// Irradiance of a surface that faces it.
+    pub(crate) irradiance: Vec3,
+}
+
 impl Sky {
     /// Black environment.
     pub(crate) const DARK: Self =

@@ -6,6 +6,7 @@
 
 use glam::Vec3;
 
+use crate::scene::light::Emission;
 use crate::scene::material::Reflectance;
 use crate::scene::surfaces::SurfacePoint;
 use crate::scene::{MAX_GROUPS, Scene};
@@ -121,6 +122,14 @@ pub(crate) fn trace(
                 incoming[group] += limit(add, options.clamp);
             }
         }
+        if let Some((group, lobes)) = sunlight(scene, &point, &brdf, start) {
+            if bounce == 0 {
+                out.diffuse[group] += lobes.0;
+                out.specular[group] += lobes.1;
+            } else {
+                incoming[group] += limit(throughput * (lobes.0 + lobes.1), options.clamp);
+            }
+        }
         let (lobe, random) = (sampler.single(), sampler.pair());
         let Some((next, lobes)) = brdf.sample(lobe, random) else {
             break;
@@ -195,6 +204,21 @@ fn direct(
     let weight = heuristic(pdf, lobes.pdf) / pdf;
     let radiance = light.radiance(toward.direction, &scene.sky) * weight;
     Some((light.group, radiance, (lobes.diffuse, lobes.specular)))
+}
+
+/// Returns the reflected radiance of the sun by lobe, and its light group.
+///
+/// The group is that of the window through which it shines.
+fn sunlight(scene: &Scene, point: &SurfacePoint, brdf: &Brdf, start: Vec3) -> Option<(usize, (Vec3, Vec3))> {
+    let sun = scene.sun?;
+    if sun.toward.dot(point.geometric) <= 0.0 {
+        return None;
+    }
+    let Some(Hit::Light(index, _, true)) = scene.hit(start, sun.toward) else { return None };
+    let window = &scene.lights[index];
+    let lobes = brdf.eval(sun.toward);
+    let shines = matches!(window.emission, Emission::Sky);
+    shines.then(|| (window.group, (lobes.diffuse * sun.irradiance, lobes.specular * sun.irradiance)))
 }
 
 /// Returns the power-heuristic weight of density `own` against density `other`.
