@@ -30,7 +30,7 @@ pub(crate) fn lights(bytes: &[u8]) -> String {
         let again = place.path("again.json");
         let back = write_light_list(&again, &list).and_then(|()| read_light_list(&again));
         assert_eq!(back.as_ref().ok(), Some(&list), "lights come back");
-        format!("{} {}", list.format(), published(&list))
+        format!("{} {}", published(&list), list.format())
     })
 }
 

@@ -59,5 +59,5 @@ pub(crate) fn gltf(bytes: &[u8]) -> String {
         }
         exchange.format.to_owned()
     });
-    format!("{splats} {light} {alone} {all}")
+    format!("{splats} {alone} {light} {all}")
 }
