@@ -173,7 +173,7 @@ fn check_unit(unit: &[f32], lights: &[AreaLight], receivers: &[Receiver], all: &
                     false => p.met && !p.unsure && p.at + p.doubt < ray.reach,
                 }
             };
-            shadowed(&light, r, (i as u32, l as u32), &sampling, |ray| {
+            shadowed(&light, r, (i as u32, l as u32), sampling, |ray| {
                 f64::from(u8::from(!all.iter().any(|d| hides(d, ray))))
             })
         };
