@@ -2,8 +2,8 @@
 
 use glam::{DMat3, DVec3, Vec3};
 use sgs_engine::Device;
-use sgs_passes::pipeline::FrameEmitter;
-use sgs_passes::transport::{AreaLight, LightShape};
+use sgs_passes::pipeline::{FrameEmitter, ShadedTransport};
+use sgs_passes::transport::{AreaLight, LightShape, SolveOptions};
 use sgs_run::{Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Image, NEAR, Splats, linear_to_srgb};
 use sgs_tests::Gpu;
@@ -62,7 +62,11 @@ struct Lit {
 
 impl Lit {
     fn new(gpu: &Gpu) -> Lit {
-        let (device, splats, cameras) = (gpu.device().clone(), walls(), cameras());
+        Lit::of(gpu, walls())
+    }
+
+    fn of(gpu: &Gpu, splats: Splats) -> Lit {
+        let (device, cameras) = (gpu.device().clone(), cameras());
         let options = RoomOptions { surfels: 512, ..RoomOptions::default() };
         let (room, views) = Room::new(&device, &splats, &cameras, options).unwrap();
         Lit { device, splats, cameras, room, views }
@@ -70,9 +74,13 @@ impl Lit {
 
     /// Returns the direct, the bounced and the emitted radiance of all views.
     fn radiance(&self, lights: &[AreaLight], bounces: Bounces) -> [Vec<f32>; 3] {
-        let mut scene = shaded_scene(&self.device, &self.splats, None, None, &Visibility::None).unwrap();
         let dark = vec![[0.0; 3]; self.splats.len()];
-        scene.transport = Some(self.room.light(lights, &dark, bounces).unwrap());
+        self.radiance_of(self.room.light(lights, &dark, bounces).unwrap())
+    }
+
+    fn radiance_of(&self, transport: ShadedTransport) -> [Vec<f32>; 3] {
+        let mut scene = shaded_scene(&self.device, &self.splats, None, None, &Visibility::None).unwrap();
+        scene.transport = Some(transport);
         let mut shading = Shading::new(&self.device, scene).unwrap().without_visibility();
         let mut terms = [Vec::new(), Vec::new(), Vec::new()];
         for camera in &self.cameras {
@@ -168,6 +176,57 @@ fn responses_of_emitters_add_up_to_one_solve() {
         assert!(shading.shade_again(camera).unwrap().0.indirect == view.indirect);
     }
     assert!(emitted > 0.0);
+}
+
+/// Tests two walls of metal under emitters of which one has moved and one is off.
+#[test]
+fn reflections_follow_emitters_that_change_and_move() {
+    let gpu = Gpu::new();
+    let mut splats = walls();
+    let on = |mirror: f32, glossy: f32, other: f32| -> Vec<f32> {
+        let of = |m: &[f32; 3]| {
+            if m[0] == HALF.x {
+                mirror
+            } else if m[2] == HALF.z {
+                glossy
+            } else {
+                other
+            }
+        };
+        splats.means.iter().map(of).collect()
+    };
+    let (roughness, metallic) = (on(-20.0, -2.2, 1.4), on(20.0, 20.0, -20.0));
+    (splats.roughness, splats.metallic) = (Some(roughness), Some(metallic));
+    let lit = Lit::of(&gpu, splats);
+    let light = |x: f32, color: [f32; 3]| AreaLight {
+        shape: LightShape::Sphere { center: [x, 0.6, -0.5], radius: 0.1 },
+        color,
+    };
+    let lights = [light(-1.0, [30.0, 10.0, 5.0]), light(1.2, [5.0, 20.0, 30.0]), light(0.0, [0.0; 3])];
+    let expected = lit.radiance(&lights, Bounces::All);
+    // Without reflections these walls show the mean of the room.
+    let dark = vec![[0.0; 3]; lit.splats.len()];
+    let gathered = lit.room.light_by(&lights, &dark, |room| {
+        Ok(room.scene.solve(&room.reflectance, &room.source, &SolveOptions::default())?)
+    });
+    let gathered = lit.radiance_of(gathered.unwrap());
+    assert!(gathered[0] == expected[0]);
+    let apart = expected[1].iter().zip(&gathered[1]).filter(|(a, b)| (*a - *b).abs() > 0.2 * b.abs()).count();
+    assert!(apart > expected[1].len() / 20 && apart < expected[1].len() / 2, "{apart} of {}", expected[1].len());
+    // The second emitter begins elsewhere.
+    let begin = [lights[0], light(-0.3, [1.0; 3]), lights[2]].map(FrameEmitter::of);
+    let transport = lit.room.respond(&begin, &vec![0; lit.splats.len()]).unwrap();
+    let mut responder = lit.room.responder(&transport).unwrap();
+    responder.update(1, &lit.room.in_unit(&lights[1])).unwrap();
+    let mut scene = shaded_scene(&lit.device, &lit.splats, None, None, &Visibility::None).unwrap();
+    scene.transport = Some(transport);
+    let mut shading = Shading::new(&lit.device, scene).unwrap().without_visibility();
+    shading.set_emitters(&lights.map(FrameEmitter::of));
+    for (i, camera) in lit.cameras.iter().enumerate() {
+        let found = shading.shade(camera).unwrap().0.indirect;
+        let right = &expected[1][i * found.len()..][..found.len()];
+        assert!(found.iter().zip(right).all(|(a, b)| (a - b).abs() <= 5e-3 * b.abs() + 1e-6), "view {i}");
+    }
 }
 
 /// The fit takes a sphere for a point, and compares diffuse direct light only.
