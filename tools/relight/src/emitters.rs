@@ -1,6 +1,6 @@
 //! Edit of the emitters of a run.
 
-use crate::EnvironmentEdit;
+use crate::environment::EnvironmentEdit;
 use crate::error::{RelightError, Result};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
