@@ -233,7 +233,8 @@ fn lobes_are_points_at_zero_and_narrow_at_1e4() {
     let position = [0.3, -0.2, 2.0];
     let lobe = |sharpness| light(LightShape::Lobe { position, axis: [0.1, 0.2, -3.0], sharpness });
     let lights = [light(LightShape::Point { position }), lobe(0.0)];
-    let case = Case { lights: &lights, receivers: &receivers, surfels: &surfels, outside: &open(), samples: 4, list: None };
+    let case =
+        Case { lights: &lights, receivers: &receivers, surfels: &surfels, outside: &open(), samples: 4, list: None };
     let found = case.surfels(&gpu);
     assert_eq!(found[..64], found[64..]);
     assert!(found.iter().any(|x| *x > 0.0));
@@ -249,7 +250,14 @@ fn lobes_are_points_at_zero_and_narrow_at_1e4() {
     };
     let receivers: Vec<Receiver> = (-20..20).map(beside).collect();
     let narrow = [1e4, 1e8].map(|sharpness| light(LightShape::Lobe { position, axis: [0.0, 0.0, -1.0], sharpness }));
-    let case = Case { lights: &narrow, receivers: &receivers, surfels: &Surfels::default(), outside: &open(), samples: 1, list: None };
+    let case = Case {
+        lights: &narrow,
+        receivers: &receivers,
+        surfels: &Surfels::default(),
+        outside: &open(),
+        samples: 1,
+        list: None,
+    };
     let found = case.surfels(&gpu);
     case.check(&gpu);
     for (found, light) in found.chunks(receivers.len()).zip(&narrow) {

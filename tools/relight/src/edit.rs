@@ -4,6 +4,7 @@
 //! `docs/guide/relight.md` describes the file for users.
 
 use crate::emitters::EmitterEdit;
+use crate::environment::EnvironmentEdit;
 use crate::error::{RelightError, Result};
 pub use crate::new_light::NewLight;
 use crate::numbers::{finite, positive};
@@ -57,34 +58,6 @@ pub struct LightChange {
     pub by: Option<[f32; 3]>,
     /// New position.
     pub to: Option<[f32; 3]>,
-}
-
-/// Edit of the environment map.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct EnvironmentEdit {
-    /// Removes the environment map.
-    pub off: bool,
-    /// Replacement: a latitude-longitude image.
-    ///
-    /// A relative path starts at the directory of the edit file.
-    pub file: Option<PathBuf>,
-    /// Factor on the radiance.
-    pub scale: Option<f32>,
-    /// Factors on red, green and blue.
-    pub color: Option<[f32; 3]>,
-    /// Rotation.
-    pub rotate: Option<Turn>,
-}
-
-/// Right-handed rotation.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Turn {
-    /// Axis, of any nonzero length.
-    pub axis: [f64; 3],
-    /// Angle in degrees.
-    pub degrees: f64,
 }
 
 /// Edit of the materials of selected Gaussians.
@@ -173,33 +146,6 @@ fn one() -> f32 {
 
 fn unturned() -> [f64; 4] {
     [1.0, 0.0, 0.0, 0.0]
-}
-
-impl EnvironmentEdit {
-    /// Checks the edit, whose key is `name`.
-    pub(super) fn check(&self, name: &str) -> std::result::Result<(), String> {
-        if self.off && (self.file.is_some() || self.scale.is_some() || self.color.is_some() || self.rotate.is_some()) {
-            return Err(format!("{name} is off and changed at once"));
-        }
-        positive(name, self.scale.iter().chain(self.color.iter().flatten()))?;
-        if let Some(turn) = &self.rotate {
-            let length: f64 = turn.axis.iter().map(|v| v * v).sum();
-            if !(length.is_finite() && length > 0.0 && turn.degrees.is_finite()) {
-                return Err(format!("{name}.rotate needs an axis that is not zero, and finite degrees"));
-            }
-        }
-        Ok(())
-    }
-
-    /// Returns the factors on red, green and blue.
-    pub(super) fn factors(&self) -> [f32; 3] {
-        self.color.unwrap_or([1.0; 3]).map(|c| c * self.scale.unwrap_or(1.0))
-    }
-
-    /// Returns whether the edit changes a map beyond its file.
-    pub(super) fn changes(&self) -> bool {
-        self.scale.is_some() || self.color.is_some() || self.rotate.is_some()
-    }
 }
 
 impl Edit {

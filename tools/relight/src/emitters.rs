@@ -1,6 +1,6 @@
 //! Edit of the emitters of a run.
 
-use crate::EnvironmentEdit;
+use crate::environment::EnvironmentEdit;
 use crate::error::{RelightError, Result};
 use serde::{Deserialize, Serialize};
 use sgs_passes::transport::LightShape;

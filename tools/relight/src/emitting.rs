@@ -2,7 +2,7 @@
 
 use super::emitters::{EditedEmitters, EmitterEdit, edit_emitters};
 use super::environment::edit_sky;
-use crate::EnvironmentEdit;
+use crate::environment::EnvironmentEdit;
 use crate::error::Result;
 use sgs_engine::Device;
 use sgs_passes::pipeline::{FrameEmitter, ShadedScene};

@@ -1,11 +1,70 @@
-//! Environment map after an edit.
+//! Edit of an environment map: of the published model, or of the one that windows show.
 
-use super::edit::{EnvironmentEdit, Turn};
 use crate::error::{RelightError, Result};
 use glam::{DQuat, DVec3};
+use serde::{Deserialize, Serialize};
 use sgs_passes::shade::environment::cube::{Footprint, texel_direction};
 use sgs_passes::transport::Sky;
 use sgs_run::{Texels, read_sky};
+use std::path::PathBuf;
+
+/// Edit of the environment map.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EnvironmentEdit {
+    /// Removes the environment map.
+    pub off: bool,
+    /// Replacement: a latitude-longitude image.
+    ///
+    /// A relative path starts at the directory of the edit file.
+    pub file: Option<PathBuf>,
+    /// Factor on the radiance.
+    pub scale: Option<f32>,
+    /// Factors on red, green and blue.
+    pub color: Option<[f32; 3]>,
+    /// Rotation.
+    pub rotate: Option<Turn>,
+}
+
+/// Right-handed rotation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Turn {
+    /// Axis, of any nonzero length.
+    pub axis: [f64; 3],
+    /// Angle in degrees.
+    pub degrees: f64,
+}
+
+impl EnvironmentEdit {
+    /// Checks the edit, whose key is `name`.
+    pub(crate) fn check(&self, name: &str) -> std::result::Result<(), String> {
+        if self.off && (self.file.is_some() || self.scale.is_some() || self.color.is_some() || self.rotate.is_some()) {
+            return Err(format!("{name} is off and changed at once"));
+        }
+        let mut factors = self.scale.iter().chain(self.color.iter().flatten());
+        if let Some(bad) = factors.find(|v| !(v.is_finite() && **v >= 0.0)) {
+            return Err(format!("{name} holds {bad}, but must be finite and at least 0"));
+        }
+        if let Some(turn) = &self.rotate {
+            let length: f64 = turn.axis.iter().map(|v| v * v).sum();
+            if !(length.is_finite() && length > 0.0 && turn.degrees.is_finite()) {
+                return Err(format!("{name}.rotate needs an axis that is not zero, and finite degrees"));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the factors on red, green and blue.
+    pub(crate) fn factors(&self) -> [f32; 3] {
+        self.color.unwrap_or([1.0; 3]).map(|c| c * self.scale.unwrap_or(1.0))
+    }
+
+    /// Returns whether the edit changes a map beyond its file.
+    pub(crate) fn changes(&self) -> bool {
+        self.scale.is_some() || self.color.is_some() || self.rotate.is_some()
+    }
+}
 
 /// Applies an edit to the environment map of a run, if any.
 ///

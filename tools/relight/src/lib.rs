@@ -27,11 +27,10 @@ mod truth;
 
 pub use bake::{BakeOptions, Baked, bake, bake_cameras, baked_psnr};
 pub use bounced::{RelitView, relit_views};
-pub use edit::{
-    Edit, EnvironmentEdit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Turn, Where,
-};
+pub use edit::{Edit, Insert, LightChange, LightEdit, MaterialEdit, MaterialValues, NewLight, Region, Where};
 pub use emitters::{EmitterChange, EmitterEdit, NewEmitter};
 pub use emitting::Emitting;
+pub use environment::{EnvironmentEdit, Turn};
 pub use error::{RelightError, Result};
 pub use light_table::LightParameters;
 pub use live::{Relighter, source_of};

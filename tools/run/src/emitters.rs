@@ -344,7 +344,7 @@ mod tests {
     #[test]
     fn lights_are_black_when_off() {
         let lights = file().lights();
-        assert_eq!((lights.len(), lights[0].color, lights[1].color), (7, [1.0, 2.0, 0.5], [0.0; 3]));
+        assert_eq!((lights.len(), lights[0].color, lights[1].color), (8, [1.0, 2.0, 0.5], [0.0; 3]));
         for (light, row) in lights.iter().zip(file().emitters) {
             assert_eq!(light.check(), Ok(()));
             assert_eq!(light.shape, row.shape);
