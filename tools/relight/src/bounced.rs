@@ -194,7 +194,7 @@ fn sky_of(list: &[TrueLight]) -> Option<(&Path, [f32; 3])> {
 fn windows_of(list: &[TrueLight], emitting: &Emitting) -> Vec<AreaLight> {
     let skies: Vec<_> = list.iter().filter(|l| l.on).filter_map(|l| Some((l.environment()?.1, l.window()))).collect();
     let of = |(color, window): &([f32; 3], Option<OpeningRow>)| match window {
-        Some(opening) => vec![AreaLight { shape: opening.window().into(), color: *color }],
+        Some(opening) => vec![AreaLight { shape: opening.window(), color: *color }],
         None => emitting.windows(*color),
     };
     skies.iter().flat_map(of).collect()
@@ -202,7 +202,7 @@ fn windows_of(list: &[TrueLight], emitting: &Emitting) -> Vec<AreaLight> {
 
 /// Returns the opening in which an emitter is.
 fn opening_of(emitter: &AreaLight, emitting: &Emitting) -> Option<OpeningRow> {
-    let own = OpeningRow::of(&emitter.shape.into())?;
+    let own = OpeningRow::of(&emitter.shape)?;
     emitting.file.openings.iter().copied().find(|o| *o == own)
 }
 
@@ -211,7 +211,7 @@ fn opening_of(emitter: &AreaLight, emitting: &Emitting) -> Option<OpeningRow> {
 /// Returns `None` without one, or if the emitter is in no opening.
 fn shown_sky(emitter: &AreaLight, list: &[TrueLight], emitting: &Emitting) -> Option<[f32; 3]> {
     let (_, color) = sky_of(list)?;
-    let seen = emitting.surface_of(&opening_of(emitter, emitting)?.window().into());
+    let seen = emitting.surface_of(&opening_of(emitter, emitting)?.window());
     Some([0, 1, 2].map(|c| seen[c] * color[c]))
 }
 

@@ -84,7 +84,7 @@ impl Emitting {
 
     /// Returns the openings as windows whose color is a factor on the environment.
     pub(crate) fn windows(&self, color: [f32; 3]) -> Vec<AreaLight> {
-        self.file.openings.iter().map(|o| AreaLight { shape: o.window().into(), color }).collect()
+        self.file.openings.iter().map(|o| AreaLight { shape: o.window(), color }).collect()
     }
 
     /// Returns the radiance of an emitter's surface over its color: 1, or the mean of the environment that a window shows.

@@ -90,7 +90,7 @@ impl TrueLight {
     /// Returns the window of an environment, if it has one.
     pub fn window(&self) -> Option<OpeningRow> {
         self.environment.as_ref()?;
-        OpeningRow::of(&rectangle(self.corners?, self.normal).into()).filter(|o| o.check().is_ok())
+        OpeningRow::of(&rectangle(self.corners?, self.normal)).filter(|o| o.check().is_ok())
     }
 
     /// Returns the light as a physical light; `None` for an environment, or if its shape or brightness is unknown.

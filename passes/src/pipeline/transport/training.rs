@@ -31,7 +31,7 @@ pub struct TransportShape {
     pub gathered: u32,
     /// Number of weights of the surfels' nearest Gaussians.
     pub described: u32,
-    /// Bytes of the surfels' tree, the receivers and their rays, which lie beside the buffers of a step.
+    /// Bytes of the tree, the receivers and their rays. They lie beside the buffers of a step.
     pub scene_bytes: u64,
 }
 
@@ -115,7 +115,9 @@ impl TransportShape {
         self.each().iter().sum::<u64>() + self.scene_bytes
     }
 
-    /// Returns the largest sizes of a room with these numbers of lights, surfels, patches, rays and Gaussians.
+    /// Returns the largest sizes of a room.
+    ///
+    /// `rays` is their number per receiver.
     pub fn largest(lights: u32, surfels: u32, patches: u32, rays: u32, gaussians: u32) -> TransportShape {
         let receivers = surfels + patches;
         let near = NEIGHBORS as u32;

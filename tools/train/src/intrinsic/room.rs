@@ -41,7 +41,7 @@ pub(super) fn training(shape: TransportShape, priors: bool) -> TransportTraining
     TransportTraining { shape, gain_pull: priors.then_some(GAIN_PULL), gains_rate: GAINS_RATE, rate: ROOM_RATE }
 }
 
-/// Allocates the trained parameters of a room, or of one that is only planned, for `gaussians` Gaussians.
+/// Allocates the trained parameters of a room, or of one that is only planned.
 pub(super) fn trainables(
     device: &Device,
     room: Option<&TrainingRoom>,

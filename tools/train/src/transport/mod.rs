@@ -87,7 +87,9 @@ impl Transport {
         })
     }
 
-    /// Leaves the stage out if its light explains the photographs hardly better than uniform light.
+    /// Allows the stage to be left out.
+    ///
+    /// It is if its light explains the photographs hardly better than uniform light.
     #[must_use]
     pub fn automatic(mut self) -> Transport {
         self.automatic = true;
