@@ -242,12 +242,18 @@ const HAZARDS: &[Hazard] = &[
     ),
     (
         "a receiver in a physical light",
-        "points and spots count as 0.03 away at least; inside of a sphere, the whole hemisphere is bright",
+        "points, spots and lobes count as 0.03 away at least; inside of a sphere, the whole hemisphere is bright",
         &[
             ("transport_lights", "degenerate_receivers_match_reference"),
+            ("transport_lights", "lobes_are_points_at_zero_and_narrow_at_1e4"),
             ("transport_extremes", "lights_in_surfels"),
             ("transport_extremes", "a_light_around_the_room"),
         ],
+    ),
+    (
+        "a reflecting pixel whose roughness, position or normal is no number, or that is seen edge-on or from behind",
+        "no ray, the gathered irradiance instead; the view is raised to a cosine of 0.01",
+        &[("transport_reflect", "extreme_pixels_match_reference")],
     ),
     (
         "light that never leaves: a reflectance of 1 in a closed room",
