@@ -142,7 +142,7 @@ fn invalid_cases_and_noise_are_refused() {
     let place = Place::new(Room::default());
     robustness(&place, &["--only", "clean,noise"]).refused(&["no case \"noise\"", "clean, positions, normals"]);
     robustness(&place, &["--only", "normals"]).refused(&["\"normals\" would differ from no other", "priors/normal"]);
-    robustness(&place, &["--stage", "intrinsic"]).refused(&["--stage is geometry or all"]);
+    robustness(&place, &["--stage", "intrinsic"]).refused(&["--stage is geometry, transport or all"]);
     robustness(&place, &["--set", "noise.postions=0.1"])
         .refused(&["noise.postions", "did you mean \"noise.positions\"?"]);
     robustness(&place, &["--set", "noise.semantics=1.5"]).refused(&["noise.semantics is 1.5, but must be 0 to 1."]);
