@@ -3,8 +3,8 @@
 use glam::{DMat3, DVec3, Vec3};
 use sgs_engine::Device;
 use sgs_passes::pipeline::{FrameEmitter, ShadedTransport};
-use sgs_passes::transport::{AreaLight, LightShape, SolveOptions};
-use sgs_run::{Shading, Visibility, shaded_scene};
+use sgs_passes::transport::{AreaLight, LightShape, Sky, SolveOptions};
+use sgs_run::{OpeningRow, Shading, Visibility, shaded_scene};
 use sgs_scene::{Camera, Image, NEAR, Splats, linear_to_srgb};
 use sgs_tests::Gpu;
 use sgs_transport::{Bounces, Explained, Room, RoomOptions, SeenViews};
@@ -226,6 +226,56 @@ fn reflections_follow_emitters_that_change_and_move() {
         let found = shading.shade(camera).unwrap().0.indirect;
         let right = &expected[1][i * found.len()..][..found.len()];
         assert!(found.iter().zip(right).all(|(a, b)| (a - b).abs() <= 5e-3 * b.abs() + 1e-6), "view {i}");
+    }
+}
+
+/// Tests a window onto a map and a sun behind it, of which one moves, against one solve.
+#[test]
+fn windows_and_suns_respond_as_one_solve_does() {
+    let gpu = Gpu::new();
+    let mut lit = Lit::new(&gpu);
+    let pane = |x: f32| OpeningRow { corner: [x, -0.5, 2.4], edge_u: [0.0, 1.0, 0.0], edge_v: [1.0, 0.0, 0.0] };
+    // Blue above, orange below.
+    let map: Vec<f32> = [[0.2, 0.4, 2.0], [1.5, 0.6, 0.1]].iter().flat_map(|c| c.repeat(8)).collect();
+    let sky = Sky::new(&map, [8, 2]).unwrap();
+    lit.room = lit.room.with_outside(&[pane(-1.5), pane(0.5)], Some(&sky)).unwrap();
+    let window = |x: f32, color| AreaLight { shape: pane(x).window(), color };
+    let sun = |x: f32, color| AreaLight {
+        shape: LightShape::Directional { direction: [x, -0.4, -1.0], angular_radius: 0.01 },
+        color,
+    };
+    let lights = [window(-1.5, [3.0, 2.0, 1.0]), sun(0.2, [4.0, 3.0, 2.0]), window(0.5, [1.0, 2.0, 4.0])];
+    let [direct, bounced, _] = lit.radiance(&lights, Bounces::All);
+    let each = lights.map(|light| lit.radiance(&[light], Bounces::All));
+    for [direct, bounced, _] in &each {
+        assert!(sum(direct) > 1.0 && sum(bounced) > 1.0, "an emitter is dark");
+    }
+    // Sample points differ from light to light, and so does their noise.
+    for (term, all) in [&direct, &bounced].into_iter().enumerate() {
+        let parts = each.iter().map(|terms| sum(&terms[term])).sum::<f64>();
+        assert!((sum(all) / parts - 1.0).abs() < 0.02, "term {term}: {} and {parts}", sum(all));
+    }
+    // Walls let no sun in: without openings it is dark.
+    let closed = Lit::new(&gpu);
+    assert_eq!(sum(&closed.radiance(&lights[1..2], Bounces::All)[0]), 0.0);
+    // The sun and the last window begin elsewhere, with other colors.
+    let begin = [lights[0], sun(-0.3, [1.0; 3]), window(-0.2, [1.0; 3])].map(FrameEmitter::of);
+    let transport = lit.room.respond(&begin, &vec![0; lit.splats.len()]).unwrap();
+    let mut responder = lit.room.responder(&transport).unwrap();
+    for i in [1, 2] {
+        responder.update(i, &lit.room.in_unit(&lights[i as usize])).unwrap();
+    }
+    let mut scene = shaded_scene(&lit.device, &lit.splats, None, None, &Visibility::None).unwrap();
+    scene.transport = Some(transport);
+    let mut shading = Shading::new(&lit.device, scene).unwrap().without_visibility();
+    shading.set_emitters(&lights.map(FrameEmitter::of));
+    for (i, camera) in lit.cameras.iter().enumerate() {
+        let view = shading.shade(camera).unwrap().0;
+        let right = &direct[i * view.direct.len()..][..view.direct.len()];
+        assert!(view.direct.iter().zip(right).all(|(a, b)| (a - b).abs() <= 1e-4 * b.abs() + 1e-5), "view {i}");
+        // A light that is solved alone has other sample points.
+        let (found, right) = (sum(&view.indirect), sum(&bounced[i * view.indirect.len()..][..view.indirect.len()]));
+        assert!((found / right - 1.0).abs() < 0.02, "view {i}: {found} and {right}");
     }
 }
 
