@@ -229,7 +229,7 @@ fn reflections_follow_emitters_that_change_and_move() {
     }
 }
 
-/// Tests a window onto a map and a sun behind it, of which one moves, against one solve.
+/// Tests windows and a sun, of which some move, against one solve.
 #[test]
 fn windows_and_suns_respond_as_one_solve_does() {
     let gpu = Gpu::new();

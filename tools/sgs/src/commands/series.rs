@@ -136,7 +136,7 @@ pub fn run(common: &Common, a: &Series, about: &About<'_>, base: &Settings, rows
         start: about.start.map(|file| file.display().to_string()),
         intrinsic_steps: rows
             .iter()
-            .any(|row| row.materials == Some(StageKind::Intrinsic))
+            .any(|row| row.wanted && row.materials == Some(StageKind::Intrinsic))
             .then_some(base.intrinsic.steps),
         lpips: lpips.as_ref().map(|l| l.about()),
         ..Ablation::default()
