@@ -102,7 +102,6 @@ impl IntrinsicPlan {
 
     pub fn print(&self, budget: &Budget) {
         let o = &self.options;
-        let mib = |b: u64| b as f64 / f64::from(1 << 20);
         let stand_in =
             if self.points { ", the scene's points: what geometry comes to needs more (--start)" } else { "" };
         println!("Gaussians   {}, standing still{stand_in}", self.gaussians);
@@ -150,25 +149,31 @@ impl IntrinsicPlan {
                 "recomputed in each step: memory is short"
             }
         );
-        println!(
-            "a step      {} passes in {} groups, {} barriers",
-            self.graph.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
-            self.graph.groups.len(),
-            self.graph.groups.iter().filter(|g| g.barrier.is_some()).count()
-        );
-        println!(
-            "computed    {} operations and {} MB moved in a step that compares nothing with other views",
-            counted(self.cost.operations),
-            (self.cost.bytes / 1e6).round()
-        );
-        for (name, bytes) in self.needs.parts().into_iter().filter(|(_, bytes)| *bytes > 0) {
-            println!("memory      {:>9.1} MiB {name}", mib(bytes));
-        }
-        println!(
-            "in all      {:>9.1} MiB, of a budget of {:.1} MiB ({})",
-            mib(self.needs.total()),
-            mib(budget.budget),
-            source_of(budget)
-        );
+        print_step(&self.graph, &self.cost, &self.needs, budget);
     }
+}
+
+/// Prints passes, cost and memory of a step that compares nothing with other views.
+pub fn print_step(graph: &Plan, cost: &Cost, needs: &IntrinsicNeeds, budget: &Budget) {
+    let mib = |b: u64| b as f64 / f64::from(1 << 20);
+    println!(
+        "a step      {} passes in {} groups, {} barriers",
+        graph.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
+        graph.groups.len(),
+        graph.groups.iter().filter(|g| g.barrier.is_some()).count()
+    );
+    println!(
+        "computed    {} operations and {} MB moved in a step that compares nothing with other views",
+        counted(cost.operations),
+        (cost.bytes / 1e6).round()
+    );
+    for (name, bytes) in needs.parts().into_iter().filter(|(_, bytes)| *bytes > 0) {
+        println!("memory      {:>9.1} MiB {name}", mib(bytes));
+    }
+    println!(
+        "in all      {:>9.1} MiB, of a budget of {:.1} MiB ({})",
+        mib(needs.total()),
+        mib(budget.budget),
+        source_of(budget)
+    );
 }

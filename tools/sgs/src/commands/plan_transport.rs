@@ -1,7 +1,6 @@
 //! Transport stage in the output of `sgs plan`.
 
-use super::plan::{counted, source_of};
-use super::plan_intrinsic::geometry_of;
+use super::plan_intrinsic::{geometry_of, print_step};
 use sgs_config::Settings;
 use sgs_engine::graph::Plan;
 use sgs_engine::{Budget, Device};
@@ -101,25 +100,6 @@ impl TransportPlan {
         for d in &self.decisions {
             println!("required    {d}");
         }
-        println!(
-            "a step      {} passes in {} groups, {} barriers",
-            self.graph.groups.iter().map(|g| g.passes.len()).sum::<usize>(),
-            self.graph.groups.len(),
-            self.graph.groups.iter().filter(|g| g.barrier.is_some()).count()
-        );
-        println!(
-            "computed    {} operations and {} MB moved in a step",
-            counted(self.cost.operations),
-            (self.cost.bytes / 1e6).round()
-        );
-        for (name, bytes) in self.needs.parts().into_iter().filter(|(_, bytes)| *bytes > 0) {
-            println!("memory      {:>9.1} MiB {name}", mib(bytes));
-        }
-        println!(
-            "in all      {:>9.1} MiB, of a budget of {:.1} MiB ({})",
-            mib(self.needs.total()),
-            mib(budget.budget),
-            source_of(budget)
-        );
+        print_step(&self.graph, &self.cost, &self.needs, budget);
     }
 }

@@ -271,9 +271,9 @@ impl Intrinsic {
         };
         let (traced, shape) = traced.unzip();
         let r = &s.rates;
-        let material_rates = match (&room, &planned_room) {
-            (Some(_), _) => room::material_rates(roughness.is_some(), answers.is_some()),
-            _ => [r.materials; 3],
+        let material_rates = match &room {
+            Some(_) => room::material_rates(roughness.is_some(), answers.is_some()),
+            None => [r.materials; 3],
         };
         let mut options = IntrinsicOptions {
             shape: builder.shape(),
