@@ -1,15 +1,28 @@
 //! Device for tests: validation on, outputs poisoned; any message fails the test.
 
+use crate::pool::{self, finished, leftovers};
+use crate::turn::{Share, Turn, turn};
 use sgs_engine::device::PipelineInfo;
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, BufferKind, CompileOptions, Graph};
-use sgs_engine::{Device, DeviceBuffer, DeviceOptions, Location};
+use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use std::sync::Arc;
 
-/// Device whose drop fails the test if validation reported a message.
+/// Device whose drop fails the test if validation reported a message or an object is left.
 pub struct Gpu {
-    device: Device,
+    /// Present until the drop.
+    device: Option<Device>,
+    // Last field, so that others wait until the device is closed or back in the pool.
+    right: Right,
+}
+
+/// Right to use the device, which tells where the device goes.
+enum Right {
+    /// Back into the pool, after `tests` earlier tests.
+    Pool { tests: u32, _share: Share },
+    /// Closed.
+    Own { _turn: Turn },
 }
 
 /// Contents of the external buffers after a graph ran.
@@ -35,26 +48,36 @@ impl Default for Gpu {
 }
 
 impl Gpu {
-    /// Opens the device that `SGS_TEST_DEVICE` names, or the best one, with validation.
+    /// Takes a device with validation from the pool of this process.
+    ///
+    /// It is the one that `SGS_TEST_DEVICE` names, or the best one. Pipelines of earlier tests are still in it. A
+    /// thread has at most one such device at a time.
     pub fn new() -> Gpu {
-        let options =
-            DeviceOptions { select: std::env::var("SGS_TEST_DEVICE").ok(), validation: true, ..Default::default() };
-        Gpu { device: Device::open(&options).unwrap_or_else(|e| panic!("{e}")) }
+        let ((device, tests), share) = pool::take();
+        Gpu { device: Some(device), right: Right::Pool { tests, _share: share } }
+    }
+
+    /// Opens a device of its own, without pipelines and with a peak of memory of zero.
+    ///
+    /// Waits until no other test uses a device with validation, and keeps others from it ([`turn`]).
+    pub fn fresh() -> Gpu {
+        let turn = turn();
+        Gpu { device: Some(pool::open()), right: Right::Own { _turn: turn } }
     }
 
     /// Returns the device.
     pub fn device(&self) -> &Device {
-        &self.device
+        self.device.as_ref().expect("the device is present until the drop")
     }
 
     /// Returns kernel sizes for the device.
     pub fn tuning(&self) -> Tuning {
-        Tuning::for_device(self.device.info())
+        Tuning::for_device(self.device().info())
     }
 
     /// Returns the subgroup size of the device.
     pub fn subgroup_size(&self) -> u32 {
-        self.device.info().subgroup_size
+        self.device().info().subgroup_size
     }
 
     /// Runs a graph once.
@@ -69,7 +92,7 @@ impl Gpu {
     pub fn run_times(&self, graph: Graph, inputs: &[(Buffer, Vec<u8>)], replays: usize) -> Outputs {
         let plan = Arc::new(graph.compile(&CompileOptions::default()).unwrap_or_else(|e| panic!("{e}")));
         let options = ExecOptions { poison: true, ..Default::default() };
-        let mut exec = Executor::new(&self.device, plan.clone(), options).unwrap_or_else(|e| panic!("{e}"));
+        let mut exec = Executor::new(self.device(), plan.clone(), options).unwrap_or_else(|e| panic!("{e}"));
         let provided = |i: usize| inputs.iter().find(|(b, _)| b.index() == i).map(|(_, d)| d.as_slice());
         let mut memory: Vec<Option<DeviceBuffer>> = Vec::new();
         for (i, info) in plan.buffers.iter().enumerate() {
@@ -77,11 +100,11 @@ impl Gpu {
                 memory.push(None);
                 continue;
             }
-            let buffer = self.device.buffer(&info.name, info.bytes, Location::Device).unwrap();
-            self.device.fill(&buffer, u32::MAX).unwrap();
+            let buffer = self.device().buffer(&info.name, info.bytes, Location::Device).unwrap();
+            self.device().fill(&buffer, u32::MAX).unwrap();
             if let Some(data) = provided(i) {
                 assert!(data.len() as u64 <= info.bytes, "\"{}\" is given more than it holds", info.name);
-                self.device.upload(&buffer, 0, data).unwrap();
+                self.device().upload(&buffer, 0, data).unwrap();
             }
             memory.push(Some(buffer));
         }
@@ -103,7 +126,7 @@ impl Gpu {
         exec.finish().unwrap_or_else(|e| panic!("{e}"));
         let contents = memory
             .iter()
-            .map(|m| m.as_ref().map_or_else(Vec::new, |b| self.device.download(b, 0, b.bytes()).unwrap()))
+            .map(|m| m.as_ref().map_or_else(Vec::new, |b| self.device().download(b, 0, b.bytes()).unwrap()))
             .collect();
         Outputs { contents }
     }
@@ -128,13 +151,28 @@ pub fn subgroup_faults(device: &Device) -> Vec<String> {
 
 impl Drop for Gpu {
     fn drop(&mut self) {
-        if !std::thread::panicking() {
-            let faults = subgroup_faults(&self.device);
-            assert!(faults.is_empty(), "pipelines that rely on a subgroup size:\n{}", faults.join("\n"));
+        let Some(device) = self.device.take() else { return };
+        let faults = subgroup_faults(&device);
+        let log = device.messages().clone();
+        // Messages are taken in any case, and before another test has the device.
+        let (messages, objects) = match self.right {
+            Right::Pool { tests, .. } => {
+                let finished = finished(&device);
+                let (messages, objects) = (log.take(), leftovers(&device));
+                pool::put((device, tests + 1), !finished || !objects.is_empty() || !faults.is_empty());
+                (messages, objects)
+            }
+            Right::Own { .. } => {
+                let objects = device.objects().clone();
+                drop(device);
+                (log.take(), objects.alive())
+            }
+        };
+        if std::thread::panicking() {
+            return;
         }
-        let messages = self.device.messages().take();
-        if !messages.is_empty() && !std::thread::panicking() {
-            panic!("validation reported {} messages:\n{}", messages.len(), messages.join("\n"));
-        }
+        assert!(faults.is_empty(), "pipelines that rely on a subgroup size:\n{}", faults.join("\n"));
+        assert!(messages.is_empty(), "validation reported {} messages:\n{}", messages.len(), messages.join("\n"));
+        assert!(objects.is_empty(), "objects outlive the device of the test: {objects:?}");
     }
 }

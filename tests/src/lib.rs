@@ -24,6 +24,7 @@ pub mod materials;
 pub mod meaning;
 pub mod photographs;
 pub mod place;
+mod pool;
 pub mod priors;
 pub mod random;
 pub mod regions;
@@ -35,8 +36,10 @@ pub mod semantics;
 pub mod splats;
 pub mod surfaces;
 pub mod transport;
+pub mod turn;
 pub mod whole;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};
 pub use gpu::{Gpu, Outputs};
 pub use place::{Place, files};
+pub use turn::{Turn, turn};

@@ -5,7 +5,7 @@
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph};
 use sgs_engine::{Device, DeviceBuffer, DeviceOptions, Error, Location};
-use sgs_tests::busy;
+use sgs_tests::{busy, turn};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -72,6 +72,7 @@ fn close(device: Device) {
 
 #[test]
 fn wait_times_out_and_resources_in_use_are_retained() {
+    let _turn = turn();
     let device = open(DeviceOptions { timeout: LIMIT, ..Default::default() });
     let rounds = a_second(&device);
     let (mut exec, settings, memory) = two_passes(&device, true);
@@ -114,6 +115,7 @@ fn wait_times_out_and_resources_in_use_are_retained() {
 
 #[test]
 fn a_device_closes_when_the_work_ends() {
+    let _turn = turn();
     let device = open(DeviceOptions { timeout: LIMIT, ..Default::default() });
     let rounds = a_second(&device);
     let (mut exec, settings, memory) = two_passes(&device, false);
@@ -129,6 +131,7 @@ fn a_device_closes_when_the_work_ends() {
 
 #[test]
 fn work_goes_on_after_a_timeout() {
+    let _turn = turn();
     let device = open(DeviceOptions { timeout: LIMIT, ..Default::default() });
     let rounds = a_second(&device);
     let (mut exec, settings, memory) = two_passes(&device, true);

@@ -15,7 +15,8 @@ const WIDTH: &str = "512";
 /// Programs and tests that run by default.
 ///
 /// Their sizes or strides depend on the subgroup.
-const DEFAULT: &[(&str, &[&str])] = &[("device", &["subgroups::", "visible_bits::", "splat::", "long_tiles::"])];
+const DEFAULT: &[(&str, &[&str])] =
+    &[("alone", &["subgroups::"]), ("device", &["visible_bits::", "splat::", "long_tiles::"])];
 
 /// Programs that need no device or open their own devices.
 const WITHOUT_DEVICE: &[&str] = &["docs", "lanes", "layers", "modules"];

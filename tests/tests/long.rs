@@ -111,7 +111,7 @@ impl Course {
 fn geometry_with_every_loss() {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let place = place();
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings();
     s.geometry.steps = steps(1000);
@@ -143,7 +143,7 @@ fn geometry_with_every_loss() {
 fn materials_with_every_loss() {
     let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let place = place();
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings();
     (s.geometry.steps, s.intrinsic.steps) = (100, steps(600));

@@ -3,9 +3,12 @@
 //! The host uses `ash`, and from the engine only the calls that a host needs. It enables validation, including
 //! synchronization validation across submissions, and collects the messages itself. Dropping the host fails the test if
 //! the layer has reported a message.
+//!
+//! A thread may have several hosts; those of other threads wait ([`sgs_tests::turn`]).
 
 use ash::{ext, vk};
 use sgs_engine::device::{Feature, HostDevice, HostInstance, HostQueue, QueueLock, Requirements, requirements};
+use sgs_tests::{Turn, turn};
 use std::ffi::{CStr, c_void};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
@@ -88,6 +91,8 @@ pub struct Host {
     debug: ext::debug_utils::Instance,
     messenger: vk::DebugUtilsMessengerEXT,
     messages: Box<Mutex<Vec<String>>>,
+    // Last field, so that others wait until the device is destroyed.
+    _turn: Turn,
 }
 
 impl Host {
@@ -98,6 +103,7 @@ impl Host {
 
     /// Creates a host that leaves features out.
     pub fn with(without: Without) -> Host {
+        let turn = turn();
         // SAFETY: the system's loader is sound.
         let entry = unsafe { ash::Entry::load() }.expect("there is a Vulkan loader");
         let messages = Box::new(Mutex::new(Vec::new()));
@@ -175,6 +181,7 @@ impl Host {
             debug,
             messenger,
             messages,
+            _turn: turn,
         }
     }
 

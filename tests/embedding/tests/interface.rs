@@ -27,7 +27,7 @@ fn layers_in_memory_match_the_renderer() {
     let context = Context::new();
     let scene = context.load(&scene(&folder));
     let size = [40, 30];
-    let gpu = sgs_tests::Gpu::new();
+    let gpu = sgs_tests::Gpu::fresh();
     let model = Model { sh_degree: 1, normals: true, ..Default::default() };
     let gaussians = sgs_passes::scene::Gaussians::new(gpu.device(), model, 150, false).unwrap();
     gaussians.upload(gpu.device(), &scenes::data(&scenes::ordinary(150, 1, true, 8))).unwrap();

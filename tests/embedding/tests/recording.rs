@@ -222,6 +222,7 @@ fn null_handles_are_refused() {
     }
 }
 
+/// Opens a device of the test, within the turn of its host.
 fn own() -> Device {
     let options =
         DeviceOptions { select: std::env::var("SGS_TEST_DEVICE").ok(), validation: true, ..Default::default() };

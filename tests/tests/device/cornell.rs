@@ -285,7 +285,8 @@ impl Cornell {
 
 #[test]
 fn cornell_box_matches_mitsuba() {
-    let cornell = Cornell::new(&Gpu::new());
+    let gpu = Gpu::new();
+    let cornell = Cornell::new(&gpu);
     let leaks = cornell.leaks();
     println!("{} surfels, {leaks:.5} of their rays leave", cornell.surfels);
     assert!(leaks < 0.003, "{leaks}");

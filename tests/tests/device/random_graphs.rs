@@ -12,10 +12,11 @@ use std::sync::Arc;
 
 /// Device with memory that all graphs share.
 struct Bench {
-    gpu: Gpu,
     /// Memory by buffer of a recipe.
     memory: Vec<DeviceBuffer>,
     arena: DeviceBuffer,
+    // Last field, because the buffers must not outlive it.
+    gpu: Gpu,
 }
 
 impl Bench {
@@ -25,7 +26,7 @@ impl Bench {
         let buffer = |name: &str, bytes| gpu.device().buffer(name, bytes, Location::Readback).unwrap();
         let memory = (0..24).map(|index| buffer(&format!("pool {index}"), 1 << 14)).collect();
         let arena = buffer("arena", 1 << 18);
-        Bench { gpu, memory, arena }
+        Bench { memory, arena, gpu }
     }
 
     fn device(&self) -> &Device {

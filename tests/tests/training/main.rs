@@ -21,6 +21,5 @@ mod starts;
 mod tiles;
 mod traced_train;
 mod train;
-mod train_faults;
 mod trainer;
 mod transport_stage;

@@ -3,7 +3,7 @@
 #![allow(dead_code, reason = "not every test needs all of it")]
 
 use sgs::*;
-use sgs_tests::scenes;
+use sgs_tests::{Turn, scenes, turn};
 use std::ffi::{CStr, CString, c_char};
 use std::path::Path;
 use std::ptr::{null, null_mut};
@@ -22,10 +22,12 @@ macro_rules! sized {
     }};
 }
 
-pub struct Context(pub *mut SgsContext);
+/// Context on a device with validation. The second field is dropped last, when the device is closed.
+pub struct Context(pub *mut SgsContext, Turn);
 
 impl Context {
     pub fn new() -> Context {
+        let turn = turn();
         let device = std::env::var("SGS_TEST_DEVICE").ok().map(|d| CString::new(d).unwrap());
         let info = sized!(SgsDeviceInfo { validation: 1, device: device.as_ref().map_or(null(), |d| d.as_ptr()) });
         let (mut context, mut why) = (null_mut(), [0; 500]);
@@ -33,7 +35,7 @@ impl Context {
         let result = unsafe { sgs_context_open(&info, &mut context, why.as_mut_ptr(), why.len()) };
         // SAFETY: the text ends with a zero.
         assert_eq!(result, SgsResult::SGS_OK, "{:?}", unsafe { CStr::from_ptr(why.as_ptr()) });
-        Context(context)
+        Context(context, turn)
     }
 
     pub fn error(&self) -> String {

@@ -9,6 +9,7 @@ use sgs_engine::graph::{
 };
 use sgs_engine::{Device, DeviceBuffer, DeviceOptions, Location};
 use sgs_tests::kernels::kernel;
+use sgs_tests::turn;
 use std::sync::Arc;
 
 const BYTES: u64 = 256;
@@ -153,6 +154,7 @@ fn run(device: &Device, plan: &Plan) -> Vec<String> {
 
 #[test]
 fn a_missing_barrier_is_refused_and_reported() {
+    let _turn = turn();
     let device = device();
     for (what, hazard, declare) in SEEN {
         let sound = plan(declare);
@@ -168,6 +170,7 @@ fn a_missing_barrier_is_refused_and_reported() {
 
 #[test]
 fn a_weakened_barrier_is_refused_and_reported() {
+    let _turn = turn();
     let device = device();
     let (what, hazard, declare) = SEEN[0];
     let sound = plan(declare);
@@ -187,6 +190,7 @@ fn a_weakened_barrier_is_refused_and_reported() {
 
 #[test]
 fn aliased_memory_without_a_barrier_is_refused_and_reported() {
+    let _turn = turn();
     let mut graph = Graph::new("hands");
     let [a, b, .., provided] = buffers(&mut graph);
     let [first, second] = ["first", "second"].map(|name| graph.transient(name, BYTES));
@@ -215,6 +219,7 @@ fn aliased_memory_without_a_barrier_is_refused_and_reported() {
 
 #[test]
 fn verifier_finds_hazards_missed_by_validation_layer() {
+    let _turn = turn();
     let device = device();
     let blind = device.validation_version().is_some_and(|version| version <= OLDER);
     for (what, hazard, declare) in UNSEEN {
@@ -235,6 +240,7 @@ fn verifier_finds_hazards_missed_by_validation_layer() {
 
 #[test]
 fn messages_name_the_plan_the_group_the_pass_and_the_objects() {
+    let _turn = turn();
     let device = device();
     let mut graph = Graph::new("labeled plan");
     let middle = graph.external("middle buffer", BYTES);

@@ -4,12 +4,12 @@
 use sgs_config::{Parts, Settings, ShDegree, VisibilityKind};
 use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Location};
 use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
-use sgs_tests::Gpu;
 use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::meaning::Meaning;
 use sgs_tests::place::Place;
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
+use sgs_tests::{Gpu, turn};
 use sgs_train::{AlbedoComparisons, Geometry, Intrinsic, Progress, TrainError};
 
 fn settings(steps: u32) -> Settings {
@@ -22,6 +22,7 @@ fn settings(steps: u32) -> Settings {
 
 #[test]
 fn plans_over_budget_are_refused_with_sizes() {
+    let _turn = turn();
     let select = std::env::var("SGS_TEST_DEVICE").ok();
     let options = DeviceOptions { select, validation: true, memory_budget: Some(1 << 20), ..Default::default() };
     let device = Device::open(&options).unwrap();
@@ -52,7 +53,7 @@ fn plans_over_budget_are_refused_with_sizes() {
 fn training_memory_matches_estimate() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     for densify in [true, false] {
         let mut s = settings(4);
         s.geometry.densify.until = if densify { 0.8 } else { 0.0 };
@@ -113,7 +114,7 @@ fn intrinsic_memory_matches_estimate() {
         write_ids(&file("masks"), width, height, &vec![3; (width * height) as usize]).unwrap();
     }
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let mut s = settings(10);
     s.intrinsic.steps = 12;
     (s.intrinsic.relight_from, s.intrinsic.environment.resolution, s.intrinsic.lights.grid) = (1, 16, 2);
@@ -233,7 +234,7 @@ fn traced_shadow_memory_matches_estimate() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let splats = Splats::from_points(&scene.points, 1).unwrap();
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let mut s = sgs_tests::intrinsic::settings(6);
     s.intrinsic.visibility.kind = VisibilityKind::Traced;
     let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
@@ -261,7 +262,7 @@ fn densification_memory_matches_estimate() {
         if auto {
             s.geometry.sh_degree = ShDegree::Auto;
         }
-        let gpu = Gpu::new();
+        let gpu = Gpu::fresh();
         let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
         let count = training.gaussians().count(gpu.device()).unwrap();
         let entries = training.sight().unwrap().most_entries;
@@ -293,7 +294,7 @@ fn densification_memory_matches_estimate() {
         // Within a smaller budget, training completes with fewer Gaussians.
         bound.memory.budget = training.needs().total() * 5 / 4;
         drop((training, gpu));
-        let gpu = Gpu::new();
+        let gpu = Gpu::fresh();
         let mut training = Geometry::new(gpu.device(), &scene, &bound, None).unwrap();
         training.train(40, |_| {}, || true).unwrap();
         let (fewer, peak) = (training.gaussians().count(gpu.device()).unwrap(), gpu.device().memory_use().1);
@@ -313,7 +314,7 @@ fn provider_image_memory_matches_estimate() {
     s.geometry.densify.until = 0.0;
     (s.geometry.correspondence_from, s.geometry.pseudo.poses) = (4, 3);
     s.provider.command = provider("misbehave=nothing");
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let train = |s: &Settings| {
         let mut training = Geometry::new(gpu.device(), &scene, s, None).unwrap();
         let mut pairs = 0;
@@ -352,7 +353,7 @@ fn automatic_selection_memory_matches_estimate() {
         a.parts = if judged { Parts { sizes: false, metallic: false, ..Parts::ALL } } else { Parts::NONE };
         let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
         let splats = Splats::from_points(&scene.points, 1).unwrap();
-        let gpu = Gpu::new();
+        let gpu = Gpu::fresh();
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
         training.train(12, |_| {}, || true).unwrap();
         training.save(&place.path("state")).unwrap();
@@ -379,7 +380,7 @@ fn automatic_selection_memory_matches_estimate() {
 fn refused_growth_preserves_gaussians() {
     let place = Place::new(Room::default());
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let mut s = settings(30);
     let straight = {
         let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
@@ -420,7 +421,7 @@ fn densification_stops_where_memory_ends() {
     (s.geometry.densify.max_gaussians, s.geometry.densify.prune_weight) = (100_000, 0.0);
     let train = |s: &Settings| {
         let mut after = Vec::new();
-        let gpu = Gpu::new();
+        let gpu = Gpu::fresh();
         let mut training = Geometry::new(gpu.device(), &scene, s, None).unwrap();
         let on_progress = |p: &Progress| {
             if let Progress::Densified { stats, .. } = p {
@@ -453,7 +454,7 @@ fn training_completes_within_a_budget_just_above_its_start() {
     let most = scene.points.len() as u32;
     let least = |s: &Settings| {
         let starts = |budget: u64| {
-            let gpu = Gpu::new();
+            let gpu = Gpu::fresh();
             let s = Settings { memory: sgs_config::MemorySettings { budget }, ..s.clone() };
             // With a smaller budget, training starts from fewer points.
             Geometry::new(gpu.device(), &scene, &s, None)
@@ -472,7 +473,7 @@ fn training_completes_within_a_budget_just_above_its_start() {
         s.geometry.densify.until = if densify { 0.8 } else { 0.0 };
         s.memory.budget = least(&Settings { memory: Default::default(), ..s.clone() }) + more;
         let train = |at: Option<u32>| {
-            let gpu = Gpu::new();
+            let gpu = Gpu::fresh();
             let mut losses = Vec::new();
             let mut on_progress = |p: &Progress| {
                 if let Progress::Step(r) = p {

@@ -11,7 +11,7 @@ use sgs_tests::kernels::kernel;
 /// Tests every kernel, compiled for the device's subgroup size.
 #[test]
 fn every_kernel_requests_its_subgroup_size() {
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let size = gpu.subgroup_size();
     for kernel in sgs_shaders::ALL {
         let specs = [("SUBGROUP", size), ("WORKGROUP", size.max(64))];
@@ -30,7 +30,7 @@ fn every_kernel_requests_its_subgroup_size() {
 
 #[test]
 fn kernels_see_the_size_that_their_pipeline_requests() {
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let (low, high) = gpu.device().info().subgroup_sizes;
     let sizes = (3..8).map(|bits| 1 << bits).filter(|size| (low..=high).contains(size));
     for requested in sizes.map(Some).chain([None]) {
@@ -51,7 +51,7 @@ fn kernels_see_the_size_that_their_pipeline_requests() {
 
 #[test]
 fn sizes_that_the_device_does_not_run_are_refused() {
-    let gpu = Gpu::new();
+    let gpu = Gpu::fresh();
     let (low, high) = gpu.device().info().subgroup_sizes;
     let error = gpu.device().compile(&kernel("lanes"), &[], Some(2 * high)).unwrap_err();
     assert!(matches!(error, Error::SubgroupSize { .. }));

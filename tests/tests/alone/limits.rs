@@ -11,6 +11,7 @@ use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::kernels::kernel;
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
+use sgs_tests::turn;
 use sgs_train::{Geometry, Intrinsic, TrainError};
 use std::sync::Arc;
 
@@ -27,6 +28,7 @@ fn assert_untouched(device: &Device) {
 
 #[test]
 fn every_limit_of_the_device_is_known() {
+    let _turn = turn();
     let own = open(Limits::default());
     let info = own.info();
     assert!(info.max_buffer >= 1 << 27 && info.max_allocation >= 1 << 27, "{info:?}");
@@ -41,6 +43,7 @@ fn every_limit_of_the_device_is_known() {
 
 #[test]
 fn buffers_beyond_a_limit_are_refused() {
+    let _turn = turn();
     for limits in [Limits { buffer: 4096, ..Default::default() }, Limits { allocation: 4096, ..Default::default() }] {
         let device = open(limits);
         let error = device.buffer("photographs", 4097, Location::Device).unwrap_err();
@@ -54,6 +57,7 @@ fn buffers_beyond_a_limit_are_refused() {
 
 #[test]
 fn plans_beyond_a_limit_are_refused() {
+    let _turn = turn();
     let plan = |bytes: u64| {
         let mut graph = Graph::new("limits");
         let (from, to) = (graph.input("from", bytes), graph.external("to", bytes));
@@ -83,6 +87,7 @@ fn plans_beyond_a_limit_are_refused() {
 
 #[test]
 fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
+    let _turn = turn();
     let place = Place::new(Room { priors: true, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = Settings::default();

@@ -8,7 +8,7 @@ use sgs_engine::device::{Fault, FaultKind, Faults, ObjectKind, Objects};
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph};
 use sgs_engine::{Device, DeviceOptions, Error, ImageFormat, Location, Result};
-use sgs_tests::busy;
+use sgs_tests::{busy, turn};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -187,6 +187,7 @@ fn record(work: impl FnOnce(&Faults)) -> Vec<Call> {
 
 #[test]
 fn opening_fails_cleanly_at_every_call() {
+    let _turn = turn();
     let calls = record(|faults| drop(Device::open(&options(faults, &Objects::default())).unwrap()));
     assert!(calls.len() > 6 && calls.iter().any(|c| c.call == "vkCreateInstance"), "{calls:?}");
     for (n, call) in calls.iter().enumerate() {
@@ -208,6 +209,7 @@ fn opening_fails_cleanly_at_every_call() {
 
 #[test]
 fn workload_fails_cleanly_at_every_call() {
+    let _turn = turn();
     let (faults, objects) = (Faults::default(), Objects::default());
     let device = Device::open(&options(&faults, &objects)).unwrap();
     faults.record();
@@ -241,6 +243,7 @@ fn workload_fails_cleanly_at_every_call() {
 
 #[test]
 fn a_lost_device_is_replaced_by_a_fresh_one() {
+    let _turn = turn();
     let (faults, objects) = (Faults::default(), Objects::default());
     faults.inject(Fault { call: "vkWaitSemaphores", skip: 2, result: FaultKind::DeviceLost });
     assert!(matches!(everything(&faults, &objects), Err(Error::DeviceLost(_))));
@@ -250,6 +253,7 @@ fn a_lost_device_is_replaced_by_a_fresh_one() {
 
 #[test]
 fn cache_on_disk_failures_are_tolerated() {
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let (faults, objects) = (Faults::default(), Objects::default());
     let options = DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..options(&faults, &objects) };
@@ -266,6 +270,7 @@ fn cache_on_disk_failures_are_tolerated() {
 /// A damaged cache file is rebuilt, and kernels are still created.
 #[test]
 fn damaged_cache_on_disk_is_rebuilt() {
+    let _turn = turn();
     let folder = tempfile::tempdir().unwrap();
     let (faults, objects) = (Faults::default(), Objects::default());
     let options = DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..options(&faults, &objects) };
@@ -293,6 +298,7 @@ fn damaged_cache_on_disk_is_rebuilt() {
 
 #[test]
 fn leaked_objects_are_detected() {
+    let _turn = turn();
     let (faults, objects) = (Faults::default(), Objects::default());
     let device = Device::open(&options(&faults, &objects)).unwrap();
     std::mem::forget(device.buffer("forgotten", 64, Location::Device).unwrap());

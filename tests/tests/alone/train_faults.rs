@@ -8,6 +8,7 @@ use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::cli::sgs;
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
+use sgs_tests::turn;
 use sgs_train::{Geometry, TrainError};
 use std::collections::BTreeMap;
 
@@ -48,6 +49,7 @@ fn go_on(device: &Device, scene: &Scene, place: &Place) -> Result<(Splats, Geome
 
 #[test]
 fn failed_training_continues_from_its_checkpoint() {
+    let _turn = turn();
     let place = Place::new(Room::default());
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let (faults, objects) = (Faults::default(), Objects::default());
@@ -124,6 +126,7 @@ fn failed_training_continues_from_its_checkpoint() {
 /// Tests that refused capacity for Gaussians ends densification, not training.
 #[test]
 fn refused_gaussian_capacity_ends_densification() {
+    let _turn = turn();
     let place = Place::new(Room { views: 8, size: [64, 48], spacing: 1, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings();

@@ -6,6 +6,7 @@ use sgs_engine::{Device, DeviceOptions};
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
+use sgs_tests::turn;
 use sgs_train::{Geometry, Progress};
 use std::sync::Barrier;
 
@@ -27,18 +28,25 @@ struct Outcome {
     splats: Splats,
 }
 
-/// Opens a device, trains on it, and closes it.
-fn train(scene: &Scene, s: &Settings, started: Option<&Barrier>) -> Outcome {
+/// Opens a device; returns it with the counts of its objects.
+fn open() -> (Device, Objects) {
     let objects = Objects::default();
     let select = std::env::var("SGS_TEST_DEVICE").ok();
     let options = DeviceOptions { select, validation: true, objects: objects.clone(), ..Default::default() };
-    let device = Device::open(&options).unwrap();
+    (Device::open(&options).unwrap(), objects)
+}
+
+/// Closes a device. Fails if validation reported a message or an object is left.
+fn close((device, objects): (Device, Objects)) {
     let messages = device.messages().clone();
-    if let Some(barrier) = started {
-        barrier.wait();
-    }
+    drop(device);
+    assert_eq!(objects.alive(), []);
+    assert_eq!(messages.take(), Vec::<String>::new());
+}
+
+fn train(device: &Device, scene: &Scene, s: &Settings) -> Outcome {
     let mut reports = Vec::new();
-    let mut training = Geometry::new(&device, scene, s, None).unwrap();
+    let mut training = Geometry::new(device, scene, s, None).unwrap();
     let on_progress = |p: &Progress| {
         if let Progress::Step(r) = p {
             reports.push((r.step, r.gaussians, r.entries, r.losses.total.to_bits()));
@@ -46,24 +54,37 @@ fn train(scene: &Scene, s: &Settings, started: Option<&Barrier>) -> Outcome {
     };
     training.train(STEPS, on_progress, || true).unwrap();
     let splats = training.splats().unwrap();
-    drop((training, device));
-    assert_eq!(objects.alive(), []);
-    assert_eq!(messages.take(), Vec::<String>::new());
     Outcome { reports, splats }
 }
 
 #[test]
 fn concurrent_trainings_match_sequential_trainings() {
+    let _turn = turn();
     let place = Place::new(Room::default());
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let all = [settings(1), settings(2)];
-    let alone = all.each_ref().map(|s| train(&scene, s, None));
+    let alone = all.each_ref().map(|s| {
+        let opened = open();
+        let outcome = train(&opened.0, &scene, s);
+        close(opened);
+        outcome
+    });
     assert!(alone[0] != alone[1], "two seeds were to differ");
+    // Both devices are open before either trains, and close when both are done (`sgs_tests::turn`).
+    let opened = [open(), open()];
     let barrier = Barrier::new(2);
     let beside = std::thread::scope(|scope| {
-        let threads = all.each_ref().map(|s| scope.spawn(|| train(&scene, s, Some(&barrier))));
+        let threads = [0, 1].map(|i| {
+            let (device, s) = (&opened[i].0, &all[i]);
+            let (scene, barrier) = (&scene, &barrier);
+            scope.spawn(move || {
+                barrier.wait();
+                train(device, scene, s)
+            })
+        });
         threads.map(|t| t.join().unwrap())
     });
+    opened.into_iter().for_each(close);
     for (i, (a, b)) in alone.iter().zip(&beside).enumerate() {
         assert_eq!(a.reports, b.reports, "training {i}");
         assert!(a.splats == b.splats, "training {i}: the splats differ");
