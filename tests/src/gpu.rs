@@ -9,7 +9,9 @@ use sgs_engine::{Device, DeviceBuffer, Location};
 use sgs_passes::Tuning;
 use std::sync::Arc;
 
-/// Device whose drop fails the test if validation reported a message or an object is left.
+/// Device whose drop fails the test after a validation message.
+///
+/// The drop also fails if an object outlives the device, or a pipeline relies on a subgroup size.
 pub struct Gpu {
     /// Present until the drop.
     device: Option<Device>,

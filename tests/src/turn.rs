@@ -5,12 +5,12 @@
 //! therefore races with every Vulkan call of another thread on such an instance, and crashes at times.
 //!
 //! - A test that opens or closes a device with validation by itself holds [`turn`] for as long as the device lives.
-//! - Each [`Gpu::new`](crate::Gpu::new) shares the lock with the other pooled devices, which stay open.
+//! - A [`Gpu::new`](crate::Gpu::new) shares the lock with the others. Its pool opens and closes devices in a turn.
 //!
-//! The two exclude each other, so a program may contain both kinds of tests. The test programs keep them apart all the
-//! same (`device` and `alone`), because a turn waits until no pooled device is in use. Threads of a test that use its
-//! devices need no turn of their own; only the test's own thread opens and closes devices, while the others do not run
-//! or are done. Devices without validation need no turn.
+//! Turns and shares exclude each other, so a program may contain both kinds of tests. The program `alone` has most tests
+//! of the first kind, because a turn holds up the tests of all other threads. Threads that a test starts use its
+//! devices without a turn of their own. The test opens its devices before it starts them, and closes the devices when
+//! they have ended. Devices without validation need no turn.
 
 use std::marker::PhantomData;
 use std::sync::{Condvar, Mutex, MutexGuard};
@@ -64,7 +64,9 @@ impl State {
     }
 }
 
-/// Waits until no other thread uses a device with validation, and keeps the others from it.
+/// Waits until no other thread uses a device with validation.
+///
+/// Other threads then wait until the turn is dropped.
 ///
 /// A thread that has the turn may take it again. Dropping the outermost [`Turn`] passes it on.
 ///
@@ -86,7 +88,9 @@ pub fn turn() -> Turn {
     Turn(PhantomData)
 }
 
-/// Waits until no other thread has the turn or waits for it, and keeps others from it.
+/// Waits until no other thread has the turn or waits for it.
+///
+/// Threads that want the turn then wait until the share is dropped.
 ///
 /// # Panics
 /// If this thread has a share: two such tests would wait for each other.

@@ -276,7 +276,7 @@ fn the_documentation_lists_every_hazard() {
         assert_eq!(row, format!("| {hazard} | {done} | {} |", all.join(", ")), "docs/how/extremes.md");
         for (file, name) in *tests {
             let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
-            let places = ["..", "tests", "tests/device", "tests/training", "tests/command"];
+            let places = ["..", "tests", "tests/device", "tests/alone", "tests/training", "tests/command"];
             let mut paths = places.iter().map(|place| root.join(place).join(format!("{file}.rs")));
             let source = paths.find_map(|path| std::fs::read_to_string(path).ok());
             let source = source.unwrap_or_else(|| panic!("there is no file {file}.rs"));
