@@ -91,7 +91,7 @@ pub fn opening() -> OpeningRow {
     OpeningRow { corner: [-0.5, -0.5, z], edge_u: [0.0, 1.0, 0.0], edge_v: [1.0, 0.0, 0.0] }
 }
 
-/// Writes scene and run of [`fabricate_emitting`] with a window onto an environment.
+/// Writes scene and run of [`fabricate_emitting`], with a window onto a sky.
 pub fn fabricate_windowed(root: &Path) {
     fabricate_emitting(root);
     let run = root.join("run");

@@ -23,4 +23,5 @@ mod traced_train;
 mod train;
 mod train_faults;
 mod trainer;
+mod transport_memory;
 mod transport_stage;

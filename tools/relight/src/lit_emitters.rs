@@ -74,7 +74,7 @@ impl LitEmitters {
         Ok(Some(LitEmitters { emitting, table, responder }))
     }
 
-    /// Solves the bounces of all emitters of a table, and returns the scene with the responses.
+    /// Solves the bounces of all emitters of a table. Returns the scene, too.
     fn solved(on: OnDevice<'_>, emitting: Emitting, mut table: EmitterTable) -> Result<(LitEmitters, LitScene)> {
         let shaded = emitting.respond(on.device, on.splats, &table.frame())?;
         let scene = LitScene::new(on.device, on.tuning, shaded)?;
