@@ -9,7 +9,8 @@
 
 use crate::emitters::{CLIPPED, FoundEmitter, cell_of, find_emitters, is_clipped};
 use crate::error::Result;
-use crate::fit::{FACES, Fitter, Radiosity, Samples, UnitLight};
+use crate::fit::{Fitter, Samples, UnitLight};
+use crate::radiosity::{FACES, Radiosity};
 use crate::room::{Room, SHEEN, near, reflectance, specular};
 use crate::surfels::seen;
 use crate::views::SeenViews;

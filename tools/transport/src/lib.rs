@@ -10,6 +10,7 @@ mod explain;
 mod fit;
 mod fitted;
 mod needs;
+mod radiosity;
 mod room;
 mod surfels;
 mod training;

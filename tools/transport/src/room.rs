@@ -3,7 +3,7 @@
 //! Cells are those into which surfels are clustered ([`crate::surfels`]).
 
 use crate::error::{Result, TransportError};
-use crate::fit::FACES;
+use crate::radiosity::FACES;
 use crate::surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};
 use crate::views::SeenViews;
 use glam::Vec3;
