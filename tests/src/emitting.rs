@@ -1,11 +1,12 @@
 //! Room with emitters on disk, created without training.
 
 use crate::rooms::{self, Room};
+use crate::runs;
 use glam::Vec3;
 use sgs_config::{Settings, TransportSettings, VisibilityKind};
 use sgs_passes::transport::LightShape;
-use sgs_run::{EmitterFile, EmitterRow, EnclosureRow, RunDirectory, write_emitters};
-use sgs_scene::Splats;
+use sgs_run::{EmitterFile, EmitterRow, EnclosureRow, OpeningRow, RunDirectory, SKY, read_emitters, write_emitters};
+use sgs_scene::{Image, Splats, write_environment};
 use std::path::Path;
 
 /// Distance of neighboring Gaussians of a wall.
@@ -82,4 +83,29 @@ pub fn fabricate_emitting(root: &Path) {
     let file = EmitterFile::new(enclosure, transport, (0..3).map(row).collect());
     file.check().expect("valid emitters");
     write_emitters(&run.emitters(), &file).expect("emitters.json");
+}
+
+/// Opening of [`fabricate_windowed`], in the far wall.
+pub fn opening() -> OpeningRow {
+    let z = rooms::WALLS.z as f32 - 0.01;
+    OpeningRow { corner: [-0.5, -0.5, z], edge_u: [0.0, 1.0, 0.0], edge_v: [1.0, 0.0, 0.0] }
+}
+
+/// Writes scene and run of [`fabricate_emitting`], with a window onto a sky.
+pub fn fabricate_windowed(root: &Path) {
+    fabricate_emitting(root);
+    let run = root.join("run");
+    let mut file = read_emitters(&run.join("emitters.json")).expect("emitters.json");
+    let window = &mut file.emitters[0];
+    (window.shape, window.color) = (opening().window(), [1.0, 0.8, 0.6]);
+    (file.openings, file.environment) = (vec![opening()], Some(SKY.to_owned()));
+    write_emitters(&run.join("emitters.json"), &file).expect("emitters.json");
+    write_environment(&run.join(SKY), &sky(5)).expect("sky.exr");
+}
+
+/// Returns an environment, brighter above the horizon.
+pub fn sky(seed: u64) -> Image {
+    let mut data = runs::map(32, seed);
+    data[..3 * 32 * 8].iter_mut().for_each(|v| *v *= 4.0);
+    Image { width: 32, height: 16, channels: 3, data }
 }

@@ -2,12 +2,13 @@
 //! refusals. Edits and images must match those of the other commands.
 
 use glam::{DMat3, DVec3};
+use sgs_passes::transport::LightShape;
 use sgs_relight::Edit;
 use sgs_run::read_lights;
 use sgs_scene::{Camera, Image};
 use sgs_tests::Place;
 use sgs_tests::cli::{sgs, start_with, wait};
-use sgs_tests::emitting::{EMITTERS, fabricate_emitting};
+use sgs_tests::emitting::{EMITTERS, fabricate_emitting, fabricate_windowed};
 use sgs_tests::rooms::Room;
 use sgs_tests::runs::{Parts, fabricate};
 use sgs_tests::screen::Screen;
@@ -275,11 +276,11 @@ fn emitters_are_moved_switched_dimmed_and_recolored_with_their_bounces() {
     assert!(change.intensity.is_some_and(|v| v < 0.95) && change.color.is_some(), "{edit:?}");
     assert!(apart(&changed, &rendered(&["--edit", &file.display().to_string()])).0 <= 2);
     assert!(apart(&changed, &first).1 > 0.02, "the edit changes nothing");
-    // It is switched off and on; what emitters do not have changes nothing.
+    // It is switched off and on. The room has no environment that a key could dim.
     key("o");
     let off = saved(2);
     assert!(apart(&off, &changed).1 > 0.02);
-    ["o", "k", "i"].into_iter().for_each(key);
+    ["o", "k"].into_iter().for_each(key);
     assert!(apart(&saved(3), &changed).0 == 0);
     key("z");
     assert!(apart(&saved(4), &first).0 <= 1);
@@ -287,6 +288,60 @@ fn emitters_are_moved_switched_dimmed_and_recolored_with_their_bounces() {
     key("Escape");
     let output = wait(child).ok().json();
     assert_eq!(output["files"].as_array().map(Vec::len), Some(6), "{output}");
+}
+
+#[test]
+fn windows_are_switched_and_dimmed_and_points_added() {
+    let Some(screen) = Screen::start([500, 400]) else { return };
+    let place = Place::new(Room { views: 4, ..Room::default() });
+    fabricate_windowed(place.path("").as_path());
+    std::fs::create_dir(place.path("out")).unwrap();
+    let seen_with = Room::default().cameras()[1].scaled(SIZE[0], SIZE[1]);
+    Camera::write_transforms(&place.path("cameras.json"), std::slice::from_ref(&seen_with)).unwrap();
+    let (run, cameras, out) = (place.text("run"), place.text("cameras.json"), place.text("out"));
+    let mut a = vec!["view", &run, "--cameras", &cameras, "--channel", "pbr", "--json", "--validate", "-o", &out];
+    a.extend(["--size", "240x160"]);
+    let mut child = start_with(&a, &[("DISPLAY", screen.name())]);
+    screen.window("sgs view");
+    let key = |name: &str| drop(screen.act(&["key", name]));
+    let saved = |number: u32| {
+        key("p");
+        screen.file(&place.path(&format!("out/view-{number:03}.json"))).with_extension("png")
+    };
+    // The image of `sgs relight` under the edit that the window writes.
+    let relit = |number: u32| {
+        key("e");
+        let edit = screen.file(&place.path(&format!("out/edit-{number:03}.json")));
+        let fixed = ["relight", &run, "--cameras", &cameras, "-o", &place.text("relit"), "--force", "--edit"];
+        sgs(&[&fixed[..], &[&edit.display().to_string()]].concat()).ok();
+        (place.path(&format!("relit/{}_relit.png", seen_with.name)), Edit::read(&edit).unwrap().emitters)
+    };
+    let first = saved(0);
+    assert!(apart(&first, &relit(0).0).0 <= 2);
+    // The environment behind the window is dimmed. Then the window, the first of the emitters, is switched off.
+    ["j", "j", "j"].into_iter().for_each(key);
+    let dimmed = saved(1);
+    let (theirs, edit) = relit(1);
+    assert!(apart(&dimmed, &theirs).0 <= 2 && apart(&dimmed, &first).1 > 0.02);
+    assert!(edit.environment.scale.is_some_and(|s| (s - 0.512).abs() < 1e-3) && edit.change.is_empty(), "{edit:?}");
+    ["Tab", "o"].into_iter().for_each(key);
+    let off = saved(2);
+    let (theirs, edit) = relit(2);
+    assert!(apart(&off, &theirs).0 <= 2 && apart(&off, &dimmed).1 > 0.02);
+    assert!(edit.change.len() == 1 && edit.change[0].emitter.as_deref() == Some(EMITTERS[0]), "{edit:?}");
+    // A point is added, dimmed and removed.
+    ["i", "bracketright"].into_iter().for_each(key);
+    let added = saved(3);
+    let (theirs, edit) = relit(3);
+    assert!(apart(&added, &theirs).0 <= 2 && apart(&added, &off).1 > 0.02);
+    assert!(edit.add.len() == 1 && matches!(edit.add[0].shape, LightShape::Point { .. }), "{edit:?}");
+    key("Delete");
+    assert!(apart(&saved(4), &off).0 == 0);
+    key("z");
+    assert!(apart(&saved(5), &first).0 <= 1);
+    assert!(child.try_wait().unwrap().is_none());
+    key("Escape");
+    wait(child).ok();
 }
 
 #[test]

@@ -20,7 +20,7 @@ use sgs_passes::shade::environment::split_sum;
 use sgs_passes::shade::lights::LightModel;
 use sgs_passes::transport::{
     AreaLight, AreaLights, Enclosure, LIGHT_SAMPLES, LightReceivers, LightShape, Opening, Outside, ReflectionRays,
-    ShadeGradients, ShadowRays, SurfelTree, Surfels, TransportShading, reflection_bytes, split_sum_table,
+    ShadeGradients, ShadowRays, SurfelTree, Surfels, TransportShading, parts_of, reflection_bytes, split_sum_table,
     transport_lights, transport_reflect, transport_shade, transport_shade_bwd,
 };
 
@@ -60,7 +60,7 @@ fn outside() -> Outside {
 }
 
 /// Returns surfels on the walls of the room and in it.
-fn surfels() -> Surfels {
+pub fn surfels() -> Surfels {
     let mut s = Surfels::default();
     let each = f64::from(WALLS / 6).sqrt() as u32;
     let size = 3.0 / f64::from(each);
@@ -101,20 +101,20 @@ fn visible(surfels: &Surfels, ray: &Ray) -> f64 {
     f64::from(u8::from(!meets))
 }
 
-/// Checks pairs of light and receiver; rays at the edge of a disc may differ.
-fn check(what: &str, found: &[f32], receivers: &[Receiver], surfels: &Surfels) -> anyhow::Result<()> {
-    let outside = outside();
-    let sampling = Sampling {
-        outside: &outside,
-        offset: OFFSET.into(),
-        clearance: OFFSET.into(),
-        samples: LIGHT_SAMPLES,
-        seed: SEED,
-    };
-    let (lights, mut rng, mut off) = (lights(), Pcg::new(31), 0);
+/// Checks pairs of part of a light and receiver; rays at the edge of a disc may differ.
+pub fn check(
+    what: &str,
+    found: &[f32],
+    receivers: &[Receiver],
+    surfels: &Surfels,
+    (lights, outside): (&[AreaLight], &Outside),
+) -> anyhow::Result<()> {
+    let sampling =
+        Sampling { outside, offset: OFFSET.into(), clearance: OFFSET.into(), samples: LIGHT_SAMPLES, seed: SEED };
+    let (lights, mut rng, mut off) = (parts_of(lights), Pcg::new(31), 0);
     for k in 0..CHECKED {
         let (l, i) = (k % lights.len(), rng.next_u32() as usize % receivers.len());
-        let light = Light::new(&lights[l].record());
+        let light = Light::new(&lights[l].record);
         let index = (i as u32, l as u32);
         let right = reference::shadowed(&light, &receivers[i], index, &sampling, |ray| visible(surfels, ray));
         let is = f64::from(found[l * receivers.len() + i]);
@@ -122,6 +122,21 @@ fn check(what: &str, found: &[f32], receivers: &[Receiver], surfels: &Surfels) -
     }
     anyhow::ensure!(off <= CHECKED / 10, "{off} of {CHECKED} irradiances of {what} differ from the reference's.");
     Ok(())
+}
+
+/// Returns points and normals as the reference takes them.
+pub fn receivers_at(points: &[[f32; 3]], normals: &[[f32; 3]]) -> Vec<Receiver> {
+    let wide = |v: &[f32; 3]| v.map(f64::from);
+    points.iter().zip(normals).map(|(p, n)| Receiver { point: wide(p), normal: wide(n) }).collect()
+}
+
+/// Returns surfels as receivers of the device: point, radius, normal, 0.
+pub fn rows_of(surfels: &Surfels) -> Vec<f32> {
+    let row = |i: usize| {
+        let (p, n) = (surfels.points[i], surfels.normals[i]);
+        [p[0], p[1], p[2], surfels.radii[i], n[0], n[1], n[2], 0.0]
+    };
+    (0..surfels.len()).flat_map(row).collect()
 }
 
 /// Returns a box around the room, and the radiosity of surfels and patches.
@@ -180,14 +195,8 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     };
 
     let count = surfels.points.len();
-    let rows: Vec<f32> = (0..count)
-        .flat_map(|i| {
-            let (p, n) = (surfels.points[i], surfels.normals[i]);
-            [p[0], p[1], p[2], surfels.radii[i], n[0], n[1], n[2], 0.0]
-        })
-        .collect();
     let buffer = g.input("receivers", 32 * count as u64);
-    b.inputs.push((buffer, bytes(&rows)));
+    b.inputs.push((buffer, bytes(&rows_of(&surfels))));
     let by_surfel = g.external("surfels_unit", 4 * (lights.len() * count) as u64);
     let receivers = LightReceivers::Surfels { receivers: buffer, count: count as u32 };
     transport_lights(&mut g, c.tuning, &receivers, &declared, &rays, None, by_surfel)?;
@@ -244,6 +253,8 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         pixels: pixels as f64,
         lights: lights.len() as f64,
         gaussians: discs,
+        suns: 1.0,
+        openings: outside.openings.len() as f64,
         ..Default::default()
     };
     let (of_surfels, of_pixels): (Vec<_>, Vec<_>) = times.into_iter().partition(|t| t.name == "transport_lights");
@@ -251,12 +262,10 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     add_passes(report, rig.plan(), &of_pixels, &counts(n), &c.ceiling);
 
     let wide = |v: [f32; 3]| v.map(f64::from);
-    let at = |points: &[[f32; 3]], normals: &[[f32; 3]]| -> Vec<Receiver> {
-        points.iter().zip(normals).map(|(p, n)| Receiver { point: wide(*p), normal: wide(*n) }).collect()
-    };
-    check("surfels", &rig.get::<f32>(by_surfel)?, &at(&surfels.points, &surfels.normals), &surfels)?;
+    let (by, of) = ((&lights[..], &outside), receivers_at(&surfels.points, &surfels.normals));
+    check("surfels", &rig.get::<f32>(by_surfel)?, &of, &surfels, by)?;
     let found_unit: Vec<f32> = rig.get(unit)?;
-    check("pixels", &found_unit, &at(&lit.points, &lit.normals), &surfels)?;
+    check("pixels", &found_unit, &receivers_at(&lit.points, &lit.normals), &surfels, by)?;
     let room = Room {
         discs: of_discs(&surfels),
         bounds: Bounds {

@@ -12,6 +12,7 @@ mod environment;
 pub mod lights;
 mod masks;
 mod materials;
+mod outside;
 mod photometric;
 mod primitives;
 mod semantic;
@@ -51,7 +52,7 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// Stages by the names that `--filter` matches.
-pub const STAGES: [(&str, Stage); 17] = [
+pub const STAGES: [(&str, Stage); 18] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
@@ -67,6 +68,7 @@ pub const STAGES: [(&str, Stage); 17] = [
     ("environment", environment::all),
     ("traced", traced::one),
     ("area_lights", area_lights::all),
+    ("outside", outside::all),
     ("transport", transport::all),
     ("visibility", visibility::all),
 ];

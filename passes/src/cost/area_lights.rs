@@ -8,6 +8,12 @@ const EXACT: f64 = 120.0;
 /// Operations of a sample point: hash, position, geometric term, direction and length of the ray.
 const SAMPLE: f64 = 80.0;
 
+/// Operations of the test of an opening by a ray: plane 16, place in the rectangle 24.
+const OPENING: f64 = 40.0;
+
+/// Operations of the radiance of the environment along a ray: two angles 40, bilinear lookup 20.
+const SKY: f64 = 60.0;
+
 /// Operations of a pair in shading: representative point 70, half vector and highlight 65, sums 30.
 const PAIR: f64 = 165.0;
 
@@ -31,7 +37,9 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "transport_lights" | "transport_lights_pixels" => {
             let receiver = if s.kernel == "transport_lights" { 32.0 } else { 28.0 };
             let rays = spec("SAMPLES") * (SAMPLE + ray(c.gaussians));
-            ((receiver + 4.0 * c.lights) * p + 32.0 * c.gaussians, c.lights * (EXACT + 0.5 * rays) * p)
+            let outside = spec("SAMPLES") * (OPENING * c.openings * c.suns + SKY * c.windows);
+            let shared = 32.0 * c.gaussians + 64.0 * c.openings + 12.0 * c.sky;
+            ((receiver + 4.0 * c.lights) * p + shared, (c.lights * (EXACT + 0.5 * rays) + 0.5 * outside) * p)
         }
         // Point, normal, coverage, material, irradiance, radiance; terms.
         "transport_shade" => {

@@ -47,6 +47,14 @@ pub struct Counts {
     pub wanted: f64,
     /// Lights that are on.
     pub lights: f64,
+    /// Directional lights, of those that are on.
+    pub suns: f64,
+    /// Openings of a room.
+    pub openings: f64,
+    /// Parts of windows, of the lights that are on.
+    pub windows: f64,
+    /// Texels of the environment that windows show.
+    pub sky: f64,
     /// Entries of hash tables that a step touches.
     pub touched: f64,
     /// Entries of the sparse matrix of blending weights, if geometry is fixed.

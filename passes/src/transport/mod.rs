@@ -7,6 +7,7 @@
 mod area_light;
 mod enclosure;
 mod gather;
+mod light_check;
 mod light_shape;
 mod lights;
 mod matrix;
@@ -20,12 +21,13 @@ mod solve;
 mod source;
 mod tree;
 
-pub use area_light::{AreaLight, AreaLightError, AreaLights, LightPart, LightShape, parts_of};
+pub use area_light::{AreaLight, AreaLights, LightPart, LightShape, parts_of};
 pub use enclosure::{Enclosure, EnclosureError, Patch, receivers};
 pub use gather::{
     GatherColumns, GatherInputs, NEIGHBORS, Nearest, NearestColumns, NearestOptions, irradiance_gather,
     irradiance_gather_bwd, nearest_surfels,
 };
+pub use light_check::AreaLightError;
 pub use lights::{LIGHT_SAMPLES, LightReceivers, ShadowRays, transport_lights};
 pub use matrix::{MatrixColumns, MatrixRows, MatrixShape, Transposed, transport_rows, transposed};
 pub use nearest::NO_NEIGHBOR;

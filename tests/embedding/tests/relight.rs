@@ -9,7 +9,7 @@ use sgs_engine::{Device, DeviceImage, ImageFormat};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Camera, LitFrame, LitLayer, LitOptions, LitView, ShadedScene, ViewError};
 use sgs_passes::splat::{Encoding, TexelFormat};
-use sgs_relight::{Edit, LightParameters, NewLight, Relighter, Relit};
+use sgs_relight::{Edit, LightParameters, NewEmitter, NewLight, Relighter, Relit};
 use sgs_run::{ShadedView, Shading};
 use sgs_tests::emitting::{EMITTERS, fabricate_emitting};
 use sgs_tests::rooms::Room;
@@ -458,9 +458,22 @@ fn emitters_match_shading_and_need_no_plan() {
     assert!(apart(&published, &thirds(&all)) > 0.01 && apart(&published, &shaded(&r)) < 1e-5);
     r.reset().unwrap();
     assert!(apart(&stage.show(&mut view, &r, 1.0), &thirds(&all)) == 0.0);
+    // A removed emitter and one in its place need neither memory nor a plan. One more needs both.
+    let (plans, memory) = (view.plans(), stage.device.memory_use());
+    let bulb = r.emitter(1).unwrap().clone();
+    r.remove_light(1).unwrap();
+    assert!(apart(&all, &thirds(&stage.show(&mut view, &r, 1.0))) > 0.01);
+    let new = NewEmitter { name: None, shape: bulb.shape, color: bulb.color };
+    assert_eq!(r.add_emitter(&new).unwrap(), 2);
+    assert!(r.update().unwrap() && !r.update().unwrap());
+    assert!(apart(&stage.show(&mut view, &r, 1.0), &thirds(&all)) < 1e-5);
+    assert_eq!((view.plans(), stage.device.memory_use()), (plans, memory));
+    assert_eq!((r.add_emitter(&new).unwrap(), r.update().unwrap()), (3, false));
+    assert!(apart(&stage.show(&mut view, &r, 1.0), &shaded(&r)) < 1e-5 && view.plans() == plans + 1);
+    r.reset().unwrap();
     for refused in [
         r.add_light(&NewLight::default()).map(drop),
-        r.remove_light(0),
+        r.remove_light(3),
         r.set_environment_gain([1.0; 3]),
         r.set_light(0, changed_light(&r, 0, |l| l.position[0] = f32::NAN)),
         r.set_light(3, changed_light(&r, 0, |_| {})),

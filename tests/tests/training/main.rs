@@ -22,4 +22,5 @@ mod tiles;
 mod traced_train;
 mod train;
 mod trainer;
+mod transport_memory;
 mod transport_stage;

@@ -1,4 +1,4 @@
-/* A C program that lists the emitters of a run, and renders the room under each of them, with bounces.
+/* A C program that lists the emitters of a run, renders the room under each of them, with bounces, and adds one.
  *
  *     emitters RUN X Y Z
  *
@@ -33,15 +33,17 @@ static void only(int one, const SgsLight *before, uint32_t count) {
 }
 
 int main(int argc, char **argv) {
-    static const char *const shapes[] = {"point", "sphere", "rectangle", "disk", "spot", "directional", "lobe"};
+    static const char *const shapes[] = {"point", "sphere",      "rectangle", "disk",
+                                         "spot",  "directional", "lobe",      "window"};
     static float all[FLOATS], sum[FLOATS], one[FLOATS];
     char why[1024];
     SgsRelightState state = {sizeof state};
     SgsRelitInfo render = {sizeof render};
     SgsCamera camera = {sizeof camera};
     SgsLight before[64], colored = {sizeof colored};
-    uint32_t count;
-    float largest = 0.0f, apart = 0.0f, change = 0.0f;
+    SgsEmitter spot = {sizeof spot};
+    uint32_t count, added;
+    float largest = 0.0f, apart = 0.0f, change = 0.0f, flash = 0.0f, left = 0.0f;
     if (argc != 5) {
         fprintf(stderr, "usage: emitters RUN X Y Z\n");
         return 2;
@@ -91,10 +93,26 @@ int main(int argc, char **argv) {
         apart = fmaxf(apart, fabsf(all[k] - sum[k]));
         change = fmaxf(change, fabsf(all[k] - one[k]));
     }
+    sgs(sgs_relight_light_set(context, relight, 0, &before[0]), "restore");
+    /* A spot at the camera that shines where it looks. It is removed again. */
+    spot.shape = SGS_EMITTER_SPOT;
+    for (int i = 0; i < 3; ++i) {
+        spot.color[i] = 2.0f;
+        spot.position[i] = (float)atof(argv[2 + i]);
+    }
+    spot.axis[2] = 1.0f, spot.angles[0] = 10.0f, spot.angles[1] = 30.0f;
+    sgs(sgs_relight_emitter_add(context, relight, &spot, "flash", &added), "add");
+    sgs(sgs_relight_render(context, relight, &camera, &render, one, FLOATS), "render the flash");
+    for (int k = 0; k < FLOATS; ++k) flash = fmaxf(flash, one[k] - all[k]);
+    sgs(sgs_relight_light_remove(context, relight, added), "remove");
+    sgs(sgs_relight_render(context, relight, &camera, &render, one, FLOATS), "render without it");
+    for (int k = 0; k < FLOATS; ++k) left = fmaxf(left, fabsf(all[k] - one[k]));
     sgs(sgs_destroy(context, relight), "destroy");
     sgs(sgs_context_destroy(&context), "destroy context");
     printf("%u emitters, up to %.2g; recolored, up to %.2g less\n", count, largest, change);
     if (largest <= 0.0f || apart > 1e-5f * largest) return fprintf(stderr, "emitters alone are not all light\n"), 1;
     if (change < 0.01f * largest) return fprintf(stderr, "a recolored emitter changes nothing\n"), 1;
+    if (flash < 0.01f * largest) return fprintf(stderr, "an added emitter changes nothing\n"), 1;
+    if (left > 1e-5f * largest) return fprintf(stderr, "a removed emitter shines\n"), 1;
     return 0;
 }

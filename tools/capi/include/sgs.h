@@ -120,7 +120,8 @@ typedef SgsVoidFunction (SGS_CALL *SgsGetInstanceProcAddr)(VkInstance instance, 
 // which the light leaves.
 #define SGS_EMITTER_LOBE 6
 
-// Emitter: rectangle that shows the environment, on the side of axis x side. Its color is a factor on the environment.
+// Emitter: rectangle that shows the environment, on the side of axis x side. Its color is a factor on the environment,
+// which is white if the run has none and sgs_relight_environment_set sets none.
 #define SGS_EMITTER_WINDOW 7
 
 // Result of a call.
@@ -422,7 +423,7 @@ typedef struct {
   uint32_t metallic;
   // Not 0 if the run models the occlusion of lights.
   uint32_t visibility;
-  // Not 0 if the relighting has an environment map.
+  // Not 0 if the relighting has an environment map, or windows show one.
   uint32_t environment;
   // Texels along an edge of the environment map's cube.
   uint32_t environment_size;
@@ -471,20 +472,20 @@ typedef struct {
   float exposure;
 } SgsRelitInfo;
 
-// Emitter of a run, in world units. Shape and color are those of emitters.json, or what an edit left.
+// Emitter of a run, in world units. Fields that its shape does not have are ignored, and 0 if the library fills them.
 typedef struct {
   // sizeof(SgsEmitter)
   uint32_t struct_size;
   // SGS_EMITTER_...
   uint32_t shape;
   // Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points, spots and
-  // lobes, irradiance of directional light.
+  // lobes, irradiance of directional light, factor on the environment of windows.
   float color[3];
-  // Center; the corner of a rectangle where both edges begin. 0 for directional light.
+  // Center; the corner of a rectangle or window where both edges begin. 0 for directional light.
   float position[3];
-  // First edge of a rectangle; else normal of a disk, axis of a spot or lobe, direction of directional light.
+  // First edge of a rectangle or window; else normal of a disk, axis of a spot or lobe, direction of directional light.
   float axis[3];
-  // Second edge of a rectangle.
+  // Second edge of a rectangle or window, perpendicular to the first.
   float side[3];
   // Radius of a sphere or a disk.
   float radius;
@@ -709,25 +710,28 @@ SgsResult sgs_relight_light_set(const SgsContext *context,
                                 const SgsLight *light);
 
 // Adds a light after the others. `index`, if not null, receives its number. Beyond the capacity, the capacity doubles
-// and views rebuild their plans at their next frames.
+// and views rebuild their plans at their next frames. In a run with emitters the light is an emitter, as if
+// sgs_relight_emitter_add had added a point or a lobe.
 SgsResult sgs_relight_light_add(const SgsContext *context,
                                 SgsRelight relight,
                                 const SgsNewLight *light,
                                 uint32_t *index);
 
-// Removes a light. The numbers of the lights after it decrease by one.
+// Removes a light or an emitter. The numbers of those after it decrease by one. The surface of a removed emitter is
+// dark. Neither allocates nor waits.
 SgsResult sgs_relight_light_remove(const SgsContext *context, SgsRelight relight, uint32_t index);
 
 // Replaces the environment map. `rgb`: a latitude-longitude map, twice as wide as high, rows from the top, three
-// floats per pixel, linear. Allocates memory and waits for the device, unlike sgs_relight_environment_gain.
+// floats per pixel, linear. In a run with emitters, windows show it. Allocates memory and waits for the device, unlike
+// sgs_relight_environment_gain.
 SgsResult sgs_relight_environment_set(const SgsContext *context,
                                       SgsRelight relight,
                                       const float *rgb,
                                       uint32_t width,
                                       uint32_t height);
 
-// Sets the factors of red, green and blue of the environment map. They are 1 after loading, an edit and a reset.
-// Neither allocates nor waits.
+// Sets the factors of red, green and blue of the environment map. In a run with emitters they are those of the
+// environment that windows show. They are 1 after loading, an edit and a reset. Neither allocates nor waits.
 SgsResult sgs_relight_environment_gain(const SgsContext *context, SgsRelight relight, const float *rgb);
 
 // Creates a view of a relighting for images of one size and format. Layers: SGS_LAYER_SHADED and those after it.
@@ -750,15 +754,36 @@ SgsResult sgs_relight_render(const SgsContext *context,
                              float *pixels,
                              size_t count);
 
-// Returns an emitter of a run, numbered from 0 as in emitters.json. Emitters are the lights of such a run:
-// sgs_relight_light_count counts them, sgs_relight_light_set switches, dims and recolors them. `name`, if not null, has
-// space for `size` bytes and receives as much of the name as fits.
+// Returns an emitter of a run, numbered from 0 as in emitters.json. Added emitters follow. Emitters are the lights of
+// such a run: sgs_relight_light_count counts them, sgs_relight_light_set switches, dims, recolors and moves them, and
+// sgs_relight_light_remove removes them. Shape and color are those without these changes. `name`, if not null, has space
+// for `size` bytes and receives as much of the name as fits.
 SgsResult sgs_relight_emitter_get(const SgsContext *context,
                                   SgsRelight relight,
                                   uint32_t index,
                                   SgsEmitter *emitter,
                                   char *name,
                                   size_t size);
+
+// Adds an emitter after the others, switched on. `name` may be null; a name that another emitter has gets a number.
+// `index`, if not null, receives its number. If an emitter was removed, the new one takes its place on the device
+// without memory, waits or another plan; windows take those of windows, and others those of others. Else the call
+// solves the bounces of all emitters and waits for them, and views rebuild their plans at their next frames. An added
+// emitter lights the room, but has no surface that a camera sees. Directional light enters through openings only.
+SgsResult sgs_relight_emitter_add(const SgsContext *context,
+                                  SgsRelight relight,
+                                  const SgsEmitter *emitter,
+                                  const char *name,
+                                  uint32_t *index);
+
+// Replaces shape and color of an emitter: turns it, changes its size, or makes it another kind. Get an emitter, change
+// it, set it. What sgs_relight_light_set changed is discarded, except whether it is on. Allocates no memory, does not
+// wait, and submits the trace and the solve of its bounces to the queue. The surface of an emitter whose shape changes is
+// dark. Windows stay windows, and others do not become windows.
+SgsResult sgs_relight_emitter_set(const SgsContext *context,
+                                  SgsRelight relight,
+                                  uint32_t index,
+                                  const SgsEmitter *emitter);
 
 // Opens a dataset for training. Locks the run directory, if any, until the trainer is destroyed. Unless it resumes,
 // removes the files of an unfinished training in that directory.

@@ -1,9 +1,11 @@
 //! Emitters of runs.
 
-use crate::border::{put_text, write};
+use crate::border::{Outcome, fail, optional_string, put_text, read, write};
 use crate::context::{SgsContext, with};
+use crate::relight::follow;
 use crate::types::*;
-use sgs_passes::transport::LightShape;
+use sgs_passes::transport::{AreaLight, AreaLightError, LightShape};
+use sgs_relight::NewEmitter;
 use sgs_run::EmitterRow;
 use std::ffi::c_char;
 
@@ -22,12 +24,14 @@ pub const SGS_EMITTER_DIRECTIONAL: u32 = 5;
 /// Emitter: point whose intensity is color * exp(sharpness * (c - 1)). c is the cosine between the axis and the direction in
 /// which the light leaves.
 pub const SGS_EMITTER_LOBE: u32 = 6;
-/// Emitter: rectangle that shows the environment, on the side of axis x side. Its color is a factor on the environment.
+/// Emitter: rectangle that shows the environment, on the side of axis x side. Its color is a factor on the environment,
+/// which is white if the run has none and sgs_relight_environment_set sets none.
 pub const SGS_EMITTER_WINDOW: u32 = 7;
 
-/// Returns an emitter of a run, numbered from 0 as in emitters.json. Emitters are the lights of such a run:
-/// sgs_relight_light_count counts them, sgs_relight_light_set switches, dims and recolors them. `name`, if not null, has
-/// space for `size` bytes and receives as much of the name as fits.
+/// Returns an emitter of a run, numbered from 0 as in emitters.json. Added emitters follow. Emitters are the lights of
+/// such a run: sgs_relight_light_count counts them, sgs_relight_light_set switches, dims, recolors and moves them, and
+/// sgs_relight_light_remove removes them. Shape and color are those without these changes. `name`, if not null, has space
+/// for `size` bytes and receives as much of the name as fits.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_emitter_get(
     context: *const SgsContext,
@@ -47,6 +51,115 @@ pub unsafe extern "C" fn sgs_relight_emitter_get(
             Ok(())
         })
     }
+}
+
+/// Adds an emitter after the others, switched on. `name` may be null; a name that another emitter has gets a number.
+/// `index`, if not null, receives its number. If an emitter was removed, the new one takes its place on the device
+/// without memory, waits or another plan; windows take those of windows, and others those of others. Else the call
+/// solves the bounces of all emitters and waits for them, and views rebuild their plans at their next frames. An added
+/// emitter lights the room, but has no surface that a camera sees. Directional light enters through openings only.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_relight_emitter_add(
+    context: *const SgsContext,
+    relight: SgsRelight,
+    emitter: *const SgsEmitter,
+    name: *const c_char,
+    index: *mut u32,
+) -> SgsResult {
+    // SAFETY: by the caller's contract.
+    unsafe {
+        with(context, |inner| {
+            let mut relight = inner.relight(relight)?.hold();
+            let AreaLight { shape, color } = light_of(&read(emitter)?)?;
+            let name = optional_string(name, "name")?;
+            let number = relight.add_emitter(&NewEmitter { name, shape, color })?;
+            follow(&mut relight)?;
+            if let Some(index) = index.as_mut() {
+                *index = number as u32;
+            }
+            Ok(())
+        })
+    }
+}
+
+/// Replaces shape and color of an emitter: turns it, changes its size, or makes it another kind. Get an emitter, change
+/// it, set it. What sgs_relight_light_set changed is discarded, except whether it is on. Allocates no memory, does not
+/// wait, and submits the trace and the solve of its bounces to the queue. The surface of an emitter whose shape changes is
+/// dark. Windows stay windows, and others do not become windows.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn sgs_relight_emitter_set(
+    context: *const SgsContext,
+    relight: SgsRelight,
+    index: u32,
+    emitter: *const SgsEmitter,
+) -> SgsResult {
+    // SAFETY: by the caller's contract.
+    unsafe {
+        with(context, |inner| {
+            let mut relight = inner.relight(relight)?.hold();
+            let light = light_of(&read(emitter)?)?;
+            relight.set_emitter(index as usize, light)?;
+            follow(&mut relight)
+        })
+    }
+}
+
+/// Converts an emitter of a caller, and checks it.
+fn light_of(emitter: &SgsEmitter) -> Outcome<AreaLight> {
+    let SgsEmitter { shape, color, position, axis, side, radius, angles, sharpness, .. } = *emitter;
+    let [inner_angle, outer_angle] = angles.map(radians);
+    let shape = match shape {
+        SGS_EMITTER_POINT => LightShape::Point { position },
+        SGS_EMITTER_SPHERE => LightShape::Sphere { center: position, radius },
+        SGS_EMITTER_RECTANGLE => LightShape::Rectangle { corner: position, edge_u: axis, edge_v: side },
+        SGS_EMITTER_DISK => LightShape::Disk { center: position, normal: axis, radius },
+        SGS_EMITTER_SPOT => LightShape::Spot { position, axis, inner_angle, outer_angle },
+        SGS_EMITTER_DIRECTIONAL => LightShape::Directional { direction: axis, angular_radius: inner_angle },
+        SGS_EMITTER_LOBE => LightShape::Lobe { position, axis, sharpness },
+        SGS_EMITTER_WINDOW => LightShape::Window { corner: position, edge_u: axis, edge_v: side },
+        other => {
+            let text = format!("SgsEmitter.shape is {other}; use SGS_EMITTER_POINT (0) to SGS_EMITTER_WINDOW (7).");
+            return fail(SgsResult::SGS_ERROR_ARGUMENT, text);
+        }
+    };
+    let light = AreaLight { shape, color };
+    match light.check() {
+        Ok(()) => Ok(light),
+        Err(error) => fail(SgsResult::SGS_ERROR_ARGUMENT, format!("SgsEmitter.{}.", reason(&error))),
+    }
+}
+
+/// Returns why an emitter is invalid, with the names and units of the header.
+fn reason(error: &AreaLightError) -> String {
+    match *error {
+        AreaLightError::Skewed { cosine } => {
+            format!("side: the cosine of its angle to axis is {cosine}; use perpendicular edges")
+        }
+        AreaLightError::Angle { property, value, low, high } => {
+            let [value, low, high] = [value, low, high].map(degrees);
+            format!("{}: {value} degrees is outside of its range; use {low} to {high}", field(property))
+        }
+        AreaLightError::NotFinite { property, .. } | AreaLightError::Length { property, .. } => {
+            error.to_string().replacen(property, field(property), 1)
+        }
+        AreaLightError::NegativeColor { .. } | AreaLightError::Sharpness { .. } => error.to_string(),
+    }
+}
+
+/// Returns the field of `SgsEmitter` that holds a property of a light.
+fn field(property: &'static str) -> &'static str {
+    match property {
+        "center" | "corner" => "position",
+        "edge_u" | "normal" | "direction" => "axis",
+        "edge_v" => "side",
+        "inner_angle" | "angular_radius" => "angles[0]",
+        "outer_angle" => "angles[1]",
+        other => other,
+    }
+}
+
+fn radians(degrees: f32) -> f32 {
+    f64::from(degrees).to_radians() as f32
 }
 
 fn degrees(radians: f32) -> f32 {

@@ -43,7 +43,7 @@ fn check_layer(relight: &Relighter, layer: LitLayer) -> Outcome<()> {
 }
 
 /// Submits the bounces of moved emitters.
-fn follow(relight: &mut Relighter) -> Outcome<()> {
+pub(crate) fn follow(relight: &mut Relighter) -> Outcome<()> {
     while relight.update()? {}
     Ok(())
 }
@@ -104,7 +104,7 @@ pub unsafe extern "C" fn sgs_relight_get(
                 light_capacity: relight.lighting().model.lights,
                 metallic: u32::from(scene.scene.metallic.is_some()),
                 visibility: u32::from(scene.scene.visibility.is_some()),
-                environment: u32::from(scene.environment.is_some()),
+                environment: u32::from(relight.has_environment()),
                 environment_size: relight.environment_size(),
                 emitters: u32::from(relight.has_emitters()),
             };
@@ -211,7 +211,8 @@ pub unsafe extern "C" fn sgs_relight_light_set(
 }
 
 /// Adds a light after the others. `index`, if not null, receives its number. Beyond the capacity, the capacity doubles
-/// and views rebuild their plans at their next frames.
+/// and views rebuild their plans at their next frames. In a run with emitters the light is an emitter, as if
+/// sgs_relight_emitter_add had added a point or a lobe.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_add(
     context: *const SgsContext,
@@ -233,6 +234,7 @@ pub unsafe extern "C" fn sgs_relight_light_add(
                 ..Default::default()
             };
             let number = relight.add_light(&new)?;
+            follow(&mut relight)?;
             if let Some(index) = index.as_mut() {
                 *index = number as u32;
             }
@@ -241,7 +243,8 @@ pub unsafe extern "C" fn sgs_relight_light_add(
     }
 }
 
-/// Removes a light. The numbers of the lights after it decrease by one.
+/// Removes a light or an emitter. The numbers of those after it decrease by one. The surface of a removed emitter is
+/// dark. Neither allocates nor waits.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_light_remove(
     context: *const SgsContext,
@@ -253,7 +256,8 @@ pub unsafe extern "C" fn sgs_relight_light_remove(
 }
 
 /// Replaces the environment map. `rgb`: a latitude-longitude map, twice as wide as high, rows from the top, three
-/// floats per pixel, linear. Allocates memory and waits for the device, unlike sgs_relight_environment_gain.
+/// floats per pixel, linear. In a run with emitters, windows show it. Allocates memory and waits for the device, unlike
+/// sgs_relight_environment_gain.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_environment_set(
     context: *const SgsContext,
@@ -282,8 +286,8 @@ pub unsafe extern "C" fn sgs_relight_environment_set(
     }
 }
 
-/// Sets the factors of red, green and blue of the environment map. They are 1 after loading, an edit and a reset.
-/// Neither allocates nor waits.
+/// Sets the factors of red, green and blue of the environment map. In a run with emitters they are those of the
+/// environment that windows show. They are 1 after loading, an edit and a reset. Neither allocates nor waits.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn sgs_relight_environment_gain(
     context: *const SgsContext,

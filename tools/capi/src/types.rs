@@ -374,7 +374,7 @@ pub struct SgsRelightState {
     pub metallic: u32,
     /// Not 0 if the run models the occlusion of lights.
     pub visibility: u32,
-    /// Not 0 if the relighting has an environment map.
+    /// Not 0 if the relighting has an environment map, or windows show one.
     pub environment: u32,
     /// Texels along an edge of the environment map's cube.
     pub environment_size: u32,
@@ -382,7 +382,7 @@ pub struct SgsRelightState {
     pub emitters: u32,
 }
 
-/// Emitter of a run, in world units. Shape and color are those of emitters.json, or what an edit left.
+/// Emitter of a run, in world units. Fields that its shape does not have are ignored, and 0 if the library fills them.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct SgsEmitter {
@@ -391,13 +391,13 @@ pub struct SgsEmitter {
     /// SGS_EMITTER_...
     pub shape: u32,
     /// Linear red, green and blue. Radiance of spheres, rectangles and disks, radiant intensity of points, spots and
-    /// lobes, irradiance of directional light.
+    /// lobes, irradiance of directional light, factor on the environment of windows.
     pub color: [f32; 3],
-    /// Center; the corner of a rectangle where both edges begin. 0 for directional light.
+    /// Center; the corner of a rectangle or window where both edges begin. 0 for directional light.
     pub position: [f32; 3],
-    /// First edge of a rectangle; else normal of a disk, axis of a spot or lobe, direction of directional light.
+    /// First edge of a rectangle or window; else normal of a disk, axis of a spot or lobe, direction of directional light.
     pub axis: [f32; 3],
-    /// Second edge of a rectangle.
+    /// Second edge of a rectangle or window, perpendicular to the first.
     pub side: [f32; 3],
     /// Radius of a sphere or a disk.
     pub radius: f32,

@@ -1,5 +1,6 @@
 //! Emitters whose light changes per frame.
 
+use super::emitters::is_window;
 use super::emitting::Emitting;
 use super::light_table::LightParameters;
 use crate::error::{RelightError, Result};
@@ -9,9 +10,17 @@ use sgs_passes::transport::AreaLight;
 use sgs_run::EmitterRow;
 
 /// All emitters, with what a frame shows of them.
+///
+/// The scene has a response per row. The row of a removed emitter stays, black, and the next emitter with as many parts takes it.
 #[derive(Clone, Debug)]
 pub struct EmitterTable {
     rows: Vec<Row>,
+    /// Row of each emitter, by number.
+    order: Vec<usize>,
+    /// Position of the handles of directional light, which comes from everywhere.
+    middle: Vec3,
+    /// Factors on the environment that windows show.
+    environment: [f32; 3],
 }
 
 #[derive(Clone, Debug)]
@@ -22,34 +31,115 @@ struct Row {
     /// Position in the file.
     before: [f32; 3],
     now: LightParameters,
-    /// Whether the response is that of another place.
+    /// Whether the response is that of another place or shape.
     stale: bool,
+    /// Whether the emitter was removed.
+    removed: bool,
 }
 
 impl EmitterTable {
     /// Creates the table of the emitters of a run.
     pub fn new(emitting: &Emitting) -> EmitterTable {
         let [low, high] = [emitting.file.enclosure.low, emitting.file.enclosure.high].map(Vec3::from);
+        let middle = (low + high) / 2.0;
         let row = |(row, in_place): (&EmitterRow, &bool)| {
-            // Directional light comes from everywhere. Its handle lies in the middle of the room.
-            let position = row.shape.center().unwrap_or((low + high) / 2.0).to_array();
-            let now = LightParameters { on: row.on, position, gain: 1.0, color: [1.0; 3] };
-            let surface = if *in_place { emitting.surface_of(&row.light().shape) } else { [0.0; 3] };
-            Row { file: row.clone(), surface, before: position, now, stale: false }
+            let surface = if *in_place { emitting.surface_of(&row.shape) } else { [0.0; 3] };
+            Row { surface, ..Row::new(row.clone(), middle) }
         };
-        EmitterTable { rows: emitting.file.emitters.iter().zip(&emitting.in_place).map(row).collect() }
+        let rows: Vec<Row> = emitting.file.emitters.iter().zip(&emitting.in_place).map(row).collect();
+        EmitterTable { order: (0..rows.len()).collect(), rows, middle, environment: [1.0; 3] }
     }
 
     /// Returns the number of emitters.
     pub fn len(&self) -> usize {
-        self.rows.len()
+        self.order.len()
+    }
+
+    /// Returns the row of an emitter.
+    ///
+    /// # Errors
+    /// If the emitter does not exist.
+    pub fn row_of(&self, emitter: usize) -> Result<usize> {
+        let most = self.order.len();
+        let known =
+            if most == 0 { "there are none".to_owned() } else { format!("there are emitters 0 to {}", most - 1) };
+        let row = self.order.get(emitter).copied();
+        row.ok_or_else(|| RelightError::Edit(format!("Emitter {emitter} does not exist, {known}.")))
     }
 
     fn row(&self, emitter: usize) -> Result<&Row> {
-        let most = self.rows.len();
-        let known =
-            if most == 0 { "there are none".to_owned() } else { format!("there are emitters 0 to {}", most - 1) };
-        self.rows.get(emitter).ok_or_else(|| RelightError::Edit(format!("Emitter {emitter} does not exist, {known}.")))
+        Ok(&self.rows[self.row_of(emitter)?])
+    }
+
+    /// Returns whether an emitter has this name.
+    pub fn has(&self, name: &str) -> bool {
+        self.rows.iter().any(|row| !row.removed && row.file.name == name)
+    }
+
+    /// Adds an emitter after the others and returns its row.
+    ///
+    /// Takes the row of a removed emitter, whose response becomes stale, or a new one, which the scene has no response for.
+    pub fn add(&mut self, file: EmitterRow) -> usize {
+        let free = self.rows.iter().position(|r| r.removed && is_window(&r.file) == is_window(&file));
+        let row = Row { stale: free.is_some(), ..Row::new(file, self.middle) };
+        let at = free.unwrap_or(self.rows.len());
+        match self.rows.get_mut(at) {
+            Some(place) => *place = row,
+            None => self.rows.push(row),
+        }
+        self.order.push(at);
+        at
+    }
+
+    /// Removes an emitter. The numbers of the emitters after it decrease by one.
+    ///
+    /// # Errors
+    /// If the emitter does not exist.
+    pub fn remove(&mut self, emitter: usize) -> Result<()> {
+        let row = self.row_of(emitter)?;
+        self.rows[row].removed = true;
+        self.order.remove(emitter);
+        Ok(())
+    }
+
+    /// Replaces shape and color of an emitter. Its factors become 1. The surface of an emitter of another shape is dark.
+    ///
+    /// # Errors
+    /// If the emitter does not exist, the light is invalid, or it is a window and was none, or the other way round.
+    pub fn replace(&mut self, emitter: usize, light: AreaLight) -> Result<()> {
+        let at = self.row_of(emitter)?;
+        let Row { file, surface, before, now, stale, .. } = &self.rows[at];
+        let name = &file.name;
+        light.check().map_err(|e| RelightError::Edit(format!("The emitter \"{name}\": {e}.")))?;
+        let next = EmitterRow { shape: light.shape, color: light.color, on: now.on, ..file.clone() };
+        if is_window(file) != is_window(&next) {
+            let text = format!("The emitter \"{name}\" cannot become a {}; remove it and add one.", light.shape.name());
+            return Err(RelightError::Edit(text));
+        }
+        let stale = *stale || light.shape != file.shape || now.position != *before;
+        let surface = if light.shape == file.shape { *surface } else { [0.0; 3] };
+        self.rows[at] = Row { surface, stale, ..Row::new(next, self.middle) };
+        Ok(())
+    }
+
+    /// Sets the factors on the environment that windows show.
+    ///
+    /// # Errors
+    /// If a factor is negative or not finite.
+    pub fn set_environment(&mut self, gain: [f32; 3]) -> Result<()> {
+        if !gain.iter().all(|v| v.is_finite() && *v >= 0.0) {
+            let text = format!("The environment's gain is {gain:?}, but must be finite and at least 0.");
+            return Err(RelightError::Edit(text));
+        }
+        self.environment = gain;
+        Ok(())
+    }
+
+    /// Lets the surfaces of windows show another environment.
+    pub fn show_environment(&mut self, emitting: &Emitting) {
+        for row in self.rows.iter_mut().filter(|r| is_window(&r.file) && r.surface != [0.0; 3]) {
+            row.surface = emitting.surface_of(&row.file.shape);
+        }
     }
 
     /// Returns an emitter as in `emitters.json`, or as an edit left it.
@@ -84,29 +174,34 @@ impl EmitterTable {
     /// # Errors
     /// If the emitter does not exist, or the values are invalid. Nothing changes then.
     pub fn set(&mut self, emitter: usize, now: LightParameters) -> Result<()> {
-        let row = self.row(emitter)?;
+        let (at, row) = (self.row_of(emitter)?, self.row(emitter)?);
         let name = &row.file.name;
         if now.position.iter().any(|v| !v.is_finite()) {
             return Err(RelightError::Edit(format!("The position of the emitter \"{name}\" is not finite.")));
         }
         let stale = row.stale || now.position != row.now.position;
         let next = Row { now, stale, ..row.clone() };
-        let color = next.frame().light.color;
+        let color = next.frame([1.0; 3]).light.color;
         if !now.color.iter().chain([&now.gain]).all(|v| v.is_finite() && *v >= 0.0)
             || color.iter().any(|v| !v.is_finite())
         {
             let text = format!("Gain and color of the emitter \"{name}\" must be finite and at least 0.");
             return Err(RelightError::Edit(text));
         }
-        self.rows[emitter] = next;
+        self.rows[at] = next;
         Ok(())
     }
 
-    /// Takes an emitter whose response is that of another place, with its light.
+    /// Takes the row and the light of an emitter whose response is stale.
     pub fn take_stale(&mut self) -> Option<(usize, AreaLight)> {
-        let (i, row) = self.rows.iter_mut().enumerate().find(|(_, row)| row.stale)?;
+        let (i, row) = self.rows.iter_mut().enumerate().find(|(_, row)| row.stale && !row.removed)?;
         row.stale = false;
-        Some((i, row.frame().light))
+        Some((i, row.frame(self.environment).light))
+    }
+
+    /// Marks all responses as those of the present places.
+    pub fn mark_current(&mut self) {
+        self.rows.iter_mut().for_each(|row| row.stale = false);
     }
 
     /// Marks responses that are those of places in another table.
@@ -116,16 +211,28 @@ impl EmitterTable {
         }
     }
 
-    /// Returns the emitters of a frame.
+    /// Returns the emitters of a frame, by row.
     pub fn frame(&self) -> Vec<FrameEmitter> {
-        self.rows.iter().map(Row::frame).collect()
+        self.rows.iter().map(|row| row.frame(self.environment)).collect()
     }
 }
 
 impl Row {
-    fn frame(&self) -> FrameEmitter {
+    /// Creates the row of an emitter with a dark surface.
+    fn new(file: EmitterRow, middle: Vec3) -> Row {
+        let position = file.shape.center().unwrap_or(middle).to_array();
+        let now = LightParameters { on: file.on, position, gain: 1.0, color: [1.0; 3] };
+        Row { file, surface: [0.0; 3], before: position, now, stale: false, removed: false }
+    }
+
+    /// `environment`: factors on the light of windows.
+    fn frame(&self, environment: [f32; 3]) -> FrameEmitter {
         let Row { file, now, surface, before, .. } = self;
-        let color = if now.on { [0, 1, 2].map(|c| file.color[c] * now.color[c] * now.gain) } else { [0.0; 3] };
+        let on = now.on && !self.removed;
+        let mut color = if on { [0, 1, 2].map(|c| file.color[c] * now.color[c] * now.gain) } else { [0.0; 3] };
+        if is_window(file) {
+            (0..3).for_each(|c| color[c] = (color[c] * environment[c]).min(f32::MAX));
+        }
         let by = [0, 1, 2].map(|k| now.position[k] - before[k]);
         let shape = if by == [0.0; 3] { file.shape } else { file.shape.translated(by) };
         let light = AreaLight { color, shape };
@@ -144,16 +251,19 @@ mod tests {
         let row = |name: &str, on| {
             let shape = LightShape::Sphere { center: [1.0, 2.0, 3.0], radius: 0.1 };
             let file = EmitterRow { name: name.to_owned(), on, color: [1.0, 2.0, 4.0], shape };
-            let now = LightParameters { on, position: [1.0, 2.0, 3.0], gain: 1.0, color: [1.0; 3] };
-            Row {
-                file,
-                surface: if name == "moved" { [0.0; 3] } else { [1.0; 3] },
-                before: now.position,
-                now,
-                stale: false,
-            }
+            let surface = if name == "moved" { [0.0; 3] } else { [1.0; 3] };
+            Row { surface, ..Row::new(file, Vec3::ZERO) }
         };
-        EmitterTable { rows: vec![row("a", true), row("b", false), row("moved", true)] }
+        let rows = vec![row("a", true), row("b", false), row("moved", true)];
+        EmitterTable { rows, order: vec![0, 1, 2], middle: Vec3::ZERO, environment: [1.0; 3] }
+    }
+
+    fn emitter(name: &str, shape: LightShape) -> EmitterRow {
+        EmitterRow { name: name.to_owned(), on: true, color: [1.0; 3], shape }
+    }
+
+    fn window() -> LightShape {
+        LightShape::Window { corner: [0.0; 3], edge_u: [1.0, 0.0, 0.0], edge_v: [0.0, 1.0, 0.0] }
     }
 
     #[test]
@@ -200,5 +310,49 @@ mod tests {
         let nowhere = LightParameters { position: [f32::NAN; 3], ..now };
         assert!(text(all.set(0, nowhere)).contains("\"a\" is not finite"));
         assert_eq!((all.get(0).unwrap(), all.take_stale()), (now, None));
+    }
+    #[test]
+    fn removed_emitters_are_black_and_their_rows_are_taken_again() {
+        let mut all = table();
+        all.remove(0).unwrap();
+        assert_eq!((all.len(), all.has("a"), all.has("b"), all.rows.len()), (2, false, true, 3));
+        assert_eq!((all.frame()[0].light.color, all.frame()[0].surface), ([0.0; 3], [0.0; 3]));
+        assert_eq!((&*all.file(0).unwrap().name, &*all.file(1).unwrap().name), ("b", "moved"));
+        // A window has three parts, so that it cannot take the row of a sphere.
+        assert_eq!(all.add(emitter("window", window())), 3);
+        let sun = LightShape::Directional { direction: [0.0, -1.0, 0.0], angular_radius: 0.0 };
+        assert_eq!(all.add(emitter("sun", sun)), 0);
+        let names: Vec<&str> = (0..all.len()).map(|i| &*all.file(i).unwrap().name).collect();
+        assert_eq!(names, ["b", "moved", "window", "sun"]);
+        // The surface of the removed emitter stays dark.
+        assert_eq!((all.frame()[0].light.color, all.frame()[0].surface), ([1.0; 3], [0.0; 3]));
+        assert_eq!(all.take_stale().map(|(row, light)| (row, light.shape)), Some((0, sun)));
+        assert_eq!(all.take_stale(), None);
+        all.remove(3).unwrap();
+        assert!(all.remove(3).is_err() && all.row_of(3).is_err());
+    }
+
+    #[test]
+    fn replaced_shapes_are_stale_and_windows_follow_the_environment() {
+        let mut all = table();
+        all.add(emitter("window", window()));
+        all.set_environment([2.0, 0.5, 0.0]).unwrap();
+        let colors: Vec<_> = all.frame().iter().map(|e| e.light.color).collect();
+        assert_eq!((colors[0], colors[3]), ([1.0, 2.0, 4.0], [2.0, 0.5, 0.0]));
+        assert!(all.set_environment([1.0, f32::NAN, 1.0]).is_err() && all.set_environment([-1.0; 3]).is_err());
+        let same = LightShape::Sphere { center: [1.0, 2.0, 3.0], radius: 0.1 };
+        all.replace(0, AreaLight { shape: same, color: [5.0; 3] }).unwrap();
+        assert_eq!((all.frame()[0].surface, all.take_stale()), ([5.0; 3], None));
+        let larger = LightShape::Sphere { center: [1.0, 2.0, 3.0], radius: 0.2 };
+        all.replace(1, AreaLight { shape: larger, color: [5.0; 3] }).unwrap();
+        // It was off, and stays off.
+        assert_eq!((all.frame()[1].surface, all.frame()[1].light.color), ([0.0; 3], [0.0; 3]));
+        assert_eq!(all.take_stale().map(|(row, light)| (row, light.shape)), Some((1, larger)));
+        let text = |r: Result<()>| r.unwrap_err().to_string();
+        let pane = AreaLight { shape: window(), color: [1.0; 3] };
+        assert!(text(all.replace(0, pane)).contains("\"a\" cannot become a window; remove it"));
+        let flat = LightShape::Sphere { center: [0.0; 3], radius: -1.0 };
+        assert!(text(all.replace(0, AreaLight { shape: flat, color: [1.0; 3] })).contains("\"a\": radius: length -1"));
+        assert_eq!(all.file(0).unwrap().shape, same);
     }
 }

@@ -155,14 +155,13 @@ pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result
             emitter.shape = emitter.shape.translated(by);
         }
     }
-    in_place.resize(file.emitters.len(), true);
     for (i, new) in edit.add.iter().enumerate() {
         let name = new.name.clone().unwrap_or_else(|| format!("new {}", i + 1));
-        let taken = |name: &String| file.emitters.iter().any(|e| e.name == *name);
-        let others = (2..).map(|n| format!("{name} ({n})"));
-        let name = std::iter::once(name.clone()).chain(others).find(|name| !taken(name)).unwrap_or(name);
+        let name = free_name(name, |name| file.emitters.iter().any(|e| e.name == name));
         file.emitters.push(EmitterRow { name, on: true, color: new.color, shape: new.shape });
     }
+    // An added emitter has no surface.
+    in_place.resize(file.emitters.len(), false);
     if file.emitters.len() > MOST_EMITTERS as usize {
         let count = file.emitters.len();
         return Err(RelightError::Edit(format!("The edit leads to {count} emitters; use {MOST_EMITTERS} at most.")));
@@ -170,7 +169,14 @@ pub(crate) fn edit_emitters(edit: &EmitterEdit, mut file: EmitterFile) -> Result
     Ok(EditedEmitters { file, in_place })
 }
 
-fn is_window(row: &EmitterRow) -> bool {
+/// Returns a name that no other emitter has: the name itself, or with a number.
+pub(crate) fn free_name(name: String, taken: impl Fn(&str) -> bool) -> String {
+    let others = (2..).map(|n| format!("{name} ({n})"));
+    std::iter::once(name.clone()).chain(others).find(|name| !taken(name)).unwrap_or(name)
+}
+
+/// Returns whether an emitter shows the environment. Such an emitter has a part per channel, others have one.
+pub(crate) fn is_window(row: &EmitterRow) -> bool {
     matches!(row.shape, LightShape::Window { .. })
 }
 
@@ -219,7 +225,7 @@ mod tests {
                 "add": [{"shape": {"type": "disk", "center": [0,0,0], "normal": [0,1,0], "radius": 1}, "color": [1,1,1]}]}"#,
         );
         let on: Vec<bool> = found.file.emitters.iter().map(|e| e.on).collect();
-        assert_eq!((on, found.in_place), (vec![false, true, true], vec![true, false]));
+        assert_eq!((on, found.in_place), (vec![false, true, true], vec![true, false, false]));
         let light = &found.file.emitters[1];
         assert_eq!(light.color, [0.5, 0.0, 3.0]);
         assert_eq!(light.shape, LightShape::Sphere { center: [0.5, 1.5, 0.5], radius: 0.1 });

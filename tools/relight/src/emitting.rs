@@ -167,9 +167,17 @@ impl Emitting {
     /// # Errors
     /// If the device fails.
     pub fn live(&self, device: &Device, splats: &Splats) -> Result<ShadedScene> {
+        self.respond(device, splats, &self.frame())
+    }
+
+    /// Returns the Gaussians under the emitters of a frame, with responses. The run's own emitters come first.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub(crate) fn respond(&self, device: &Device, splats: &Splats, frame: &[FrameEmitter]) -> Result<ShadedScene> {
         let numbers = splats.emitters.clone().unwrap_or_else(|| vec![0; splats.len()]);
         let mut scene = shaded_scene(device, splats, None, None, &Visibility::None)?;
-        scene.transport = Some(self.room.respond(&self.frame(), &numbers)?);
+        scene.transport = Some(self.room.respond(frame, &numbers)?);
         Ok(scene)
     }
 }

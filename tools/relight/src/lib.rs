@@ -16,6 +16,7 @@ pub mod fuzzed;
 mod joined_lights;
 mod light_table;
 mod lights;
+mod lit_emitters;
 mod live;
 mod materials;
 mod new_light;

@@ -5,20 +5,20 @@
 //! [`sgs_passes::pipeline::LitView`] renders frames; [`Relighter::relit`] yields images on the host.
 
 use super::edit::{Edit, Insert, NewLight};
-use super::emitter_table::EmitterTable;
-use super::emitters::EmitterEdit;
-use super::emitting::Emitting;
+use super::emitters::{EmitterEdit, NewEmitter};
 use super::environment::edit_environment;
 use super::light_table::{LightParameters, LightTable};
 use super::lights::edit_lights;
+use super::lit_emitters::{LitEmitters, LiveEmitters, OnDevice};
 use super::{Relit, Selector};
 use crate::error::{RelightError, Result};
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{Lighting, LitEnvironment, LitScene, Responder, ShadedScene};
+use sgs_passes::pipeline::{Lighting, LitEnvironment, LitScene, ShadedScene};
 use sgs_passes::scene::FEATURES;
 use sgs_passes::shade::environment::latlong;
+use sgs_passes::transport::{AreaLight, Sky};
 use sgs_run::{
     EmitterRow, RunDirectory, RunLight, SemanticHead, Texels, Visibility, light_of, read_light, read_splats,
     shaded_environment, shaded_scene,
@@ -27,7 +27,9 @@ use sgs_scene::{Scene, Splats};
 use std::path::{Path, PathBuf};
 
 /// Reason why the environment map of a scene with emitters cannot be changed.
-const NO_ENVIRONMENT: &str = "Emitters light the scene, which has no environment map.";
+const NO_ENVIRONMENT: &str = "Emitters light the scene, and no environment is behind its windows; set one.";
+/// Reason why a scene has no emitters to change.
+const NO_EMITTERS: &str = "No emitters light the scene, so that none can be added or changed; use lights.";
 /// Default number of lights that may be added before the capacity grows.
 const SPARE: u32 = 16;
 
@@ -51,59 +53,6 @@ pub struct Relighter {
     /// Emitters that light the scene, instead of the lights.
     emitters: Option<LitEmitters>,
     scene: LitScene,
-}
-
-/// Emitters that light the scene.
-struct LitEmitters {
-    emitting: Emitting,
-    table: EmitterTable,
-    /// Update of the responses of moved emitters.
-    responder: Responder,
-}
-
-impl LitEmitters {
-    /// Returns emitters for a scene with responses to them.
-    fn new(emitting: Emitting, scene: &LitScene) -> Result<Option<LitEmitters>> {
-        let Some(transport) = &scene.scene.transport else { return Ok(None) };
-        let responder = emitting.room.responder(transport)?;
-        let table = EmitterTable::new(&emitting);
-        Ok(Some(LitEmitters { emitting, table, responder }))
-    }
-}
-
-/// Emitters of a run, and the scene whose training views show its surfaces.
-struct LiveEmitters {
-    emitting: Emitting,
-    views: Scene,
-    seed: u64,
-}
-
-impl LiveEmitters {
-    /// Opens the emitters of a run. Returns `None` if the run has none or its scene is not there.
-    fn open(device: &Device, source: &Path, settings: &Settings, splats: &Splats) -> Result<Option<LiveEmitters>> {
-        let run = RunDirectory::open(source)?;
-        if !run.emitters().is_file() {
-            return Ok(None);
-        }
-        let views = match Scene::open(&settings.scene, &settings.scene_options()) {
-            Ok(views) => views,
-            Err(error) => {
-                tracing::warn!(%error, "the run's scene is not there; its lights are shown instead of its emitters");
-                return Ok(None);
-            }
-        };
-        let emitting = Emitting::open(device, &run, &views, splats, settings.seed)?;
-        Ok(emitting.map(|emitting| LiveEmitters { emitting, views, seed: settings.seed }))
-    }
-
-    /// Returns the emitters after an edit. `altered`: Gaussians that the edit changed.
-    fn edited(&self, device: &Device, edit: &EmitterEdit, altered: Option<&Splats>) -> Result<Emitting> {
-        let emitting = match altered {
-            Some(splats) => self.emitting.of_splats(device, &self.views, splats, self.seed)?,
-            None => self.emitting.clone(),
-        };
-        emitting.edited(edit)
-    }
 }
 
 /// Reads the Gaussians of a run directory, or of a PLY or glTF file.
@@ -168,7 +117,7 @@ impl Relighter {
             Some(live) => LitEmitters::new(live.emitting.clone(), &scene)?,
             None => None,
         };
-        rows.set_emitters(emitters.as_ref().map(|e| e.table.frame()).unwrap_or_default());
+        rows.set_emitters(emitters.as_ref().map(LitEmitters::frame).unwrap_or_default());
         let environment = run.light.environment.clone();
         let (device, source) = (device.clone(), source.to_owned());
         let altered = None;
@@ -229,12 +178,44 @@ impl Relighter {
     /// # Errors
     /// If the light does not exist, or the values are invalid.
     pub fn set_light(&mut self, light: usize, light_parameters: LightParameters) -> Result<()> {
-        if let Some(LitEmitters { table, .. }) = &mut self.emitters {
-            table.set(light, light_parameters)?;
-            self.rows.set_emitters(table.frame());
+        if let Some(lit) = &mut self.emitters {
+            lit.table.set(light, light_parameters)?;
+            self.rows.set_emitters(lit.frame());
             return Ok(());
         }
         self.rows.set(light, light_parameters)
+    }
+
+    /// Replaces shape and color of an emitter, without device memory or waiting.
+    ///
+    /// Its gain and the factors of its color become 1. [`Relighter::update`] computes its bounces. A window stays a window.
+    ///
+    /// # Errors
+    /// If no emitters light the scene, the emitter does not exist, or the light is invalid. Nothing changes then.
+    pub fn set_emitter(&mut self, emitter: usize, light: AreaLight) -> Result<()> {
+        let Some(lit) = &mut self.emitters else { return refused(NO_EMITTERS.to_owned()) };
+        lit.replace(emitter, light)?;
+        self.rows.set_emitters(lit.frame());
+        Ok(())
+    }
+
+    /// Adds an emitter after the others and returns its number.
+    ///
+    /// It takes the place of a removed emitter if there is one. Else it solves the bounces of all emitters and waits, and
+    /// views rebuild their plans at their next frame. A window lights the scene in white if no environment is behind it.
+    ///
+    /// # Errors
+    /// If no emitters light the scene, the emitter is invalid, or memory runs out. Nothing changes then.
+    pub fn add_emitter(&mut self, new: &NewEmitter) -> Result<usize> {
+        let Some(lit) = &mut self.emitters else { return refused(NO_EMITTERS.to_owned()) };
+        let splats = self.altered.as_ref().unwrap_or(&self.run.splats);
+        let scene = lit.add(OnDevice { device: &self.device, tuning: &self.tuning, splats }, new)?;
+        self.rows.set_emitters(lit.frame());
+        let number = lit.table.len() - 1;
+        if let Some(scene) = scene {
+            self.scene = scene;
+        }
+        Ok(number)
     }
 
     /// Submits the trace and the solve of one moved emitter. Returns false if the bounces of all are up to date.
@@ -244,44 +225,58 @@ impl Relighter {
     /// # Errors
     /// If the device fails.
     pub fn update(&mut self) -> Result<bool> {
-        let Some(LitEmitters { emitting, table, responder }) = &mut self.emitters else { return Ok(false) };
-        let Some((i, light)) = table.take_stale() else { return Ok(false) };
-        responder.update(i as u32, &emitting.room.in_unit(&light))?;
-        Ok(true)
+        self.emitters.as_mut().map_or(Ok(false), LitEmitters::update)
     }
 
     /// Adds a light and returns its index, or that of the first patch of a rectangle.
     ///
     /// If the capacity for lights is exceeded, it at least doubles. Views then rebuild their plans at their next frame.
+    /// If emitters light the scene, the light is added as an emitter ([`Relighter::add_emitter`]).
     ///
     /// # Errors
     /// If the light is invalid.
     pub fn add_light(&mut self, new: &NewLight) -> Result<usize> {
-        self.without_emitters("Lights are not added to emitters; use \"emitters\" in an edit.")?;
+        if self.has_emitters() {
+            return self.add_emitter(&new.emitter()?);
+        }
         self.rows.add(new)
     }
 
-    /// Removes a light; the indices of later lights decrease by one.
+    /// Removes a light or an emitter; the indices of later ones decrease by one. Neither allocates nor waits.
+    ///
+    /// The surface of a removed emitter is dark.
     ///
     /// # Errors
     /// If the light does not exist.
     pub fn remove_light(&mut self, light: usize) -> Result<()> {
-        self.without_emitters("Emitters are not removed; switch them off.")?;
-        self.rows.remove(light)
+        let Some(lit) = &mut self.emitters else { return self.rows.remove(light) };
+        lit.table.remove(light)?;
+        self.rows.set_emitters(lit.frame());
+        Ok(())
     }
 
-    /// Sets the factors on the light of the environment map.
+    /// Returns whether the scene has an environment map, or windows show one.
+    pub fn has_environment(&self) -> bool {
+        self.emitters.as_ref().map_or(self.scene.environment.is_some(), |lit| lit.emitting.sky.is_some())
+    }
+
+    /// Sets the factors on the environment map, or on the one that windows show.
     ///
     /// Neither allocates nor waits.
     ///
     /// # Errors
-    /// If a factor is negative or not finite.
+    /// If a factor is negative or not finite, or emitters light the scene and no environment is behind its windows.
     pub fn set_environment_gain(&mut self, gain: [f32; 3]) -> Result<()> {
-        self.without_emitters(NO_ENVIRONMENT)?;
-        self.rows.set_environment(gain)
+        let Some(lit) = &mut self.emitters else { return self.rows.set_environment(gain) };
+        if lit.emitting.sky.is_none() {
+            return refused(NO_ENVIRONMENT.to_owned());
+        }
+        lit.table.set_environment(gain)?;
+        self.rows.set_emitters(lit.frame());
+        Ok(())
     }
 
-    /// Replaces the environment map with a latitude-longitude map.
+    /// Replaces the environment map with a latitude-longitude map. If emitters light the scene, their windows show it.
     ///
     /// Linear, three floats per pixel; negative values count as 0. Allocates memory and waits for the device. Frames in
     /// flight use the old map.
@@ -289,7 +284,6 @@ impl Relighter {
     /// # Errors
     /// If the size is invalid, values are not finite, or memory runs out.
     pub fn set_environment(&mut self, map: &[f32], size: [u32; 2]) -> Result<()> {
-        self.without_emitters(NO_ENVIRONMENT)?;
         let [width, height] = size;
         if height == 0 || u64::from(width) != 2 * u64::from(height) || width > 1 << 14 {
             let message =
@@ -304,16 +298,18 @@ impl Relighter {
             return Err(RelightError::Edit("An environment must not hold numbers that are not finite.".into()));
         }
         let map: Vec<f32> = map.iter().map(|v| v.max(0.0)).collect();
+        if let Some(lit) = &mut self.emitters {
+            let splats = self.altered.as_ref().unwrap_or(&self.run.splats);
+            let on = OnDevice { device: &self.device, tuning: &self.tuning, splats };
+            self.scene = lit.set_sky(on, Sky::new(&map, size))?;
+            self.rows.set_emitters(lit.frame());
+            return Ok(());
+        }
         let cube = self.environment_size();
         let texels = Texels { size: cube, data: latlong::to_cube(&map, size, cube) };
         self.scene.environment = Some(self.filtered(&texels)?);
         self.environment = Some(texels);
         Ok(())
-    }
-
-    /// Refuses what scenes lit by emitters do not have.
-    fn without_emitters(&self, otherwise: &str) -> Result<()> {
-        if self.has_emitters() { refused(otherwise.to_owned()) } else { Ok(()) }
     }
 
     /// Returns the number of texels along an edge of the environment map.
@@ -376,11 +372,7 @@ impl Relighter {
         let model = self.rows.lighting().model;
         let emitters = match (emitting, &scene, self.emitters.take()) {
             // The responses stay, except those of moved emitters.
-            (Some(emitting), None, Some(before)) => {
-                let mut table = EmitterTable::new(&emitting);
-                table.mark_moved(&before.table);
-                Some(LitEmitters { emitting, table, ..before })
-            }
+            (Some(emitting), None, Some(before)) => Some(before.edited(emitting)),
             (Some(emitting), Some(scene), before) => match LitEmitters::new(emitting, scene) {
                 Ok(emitters) => emitters,
                 Err(error) => {
@@ -393,7 +385,7 @@ impl Relighter {
         // No call below fails.
         self.rows = LightTable::new(lights.as_ref(), model.lights, model.lobes);
         self.emitters = emitters;
-        self.rows.set_emitters(self.emitters.as_ref().map(|e| e.table.frame()).unwrap_or_default());
+        self.rows.set_emitters(self.emitters.as_ref().map(LitEmitters::frame).unwrap_or_default());
         if let Some(scene) = scene {
             self.scene = scene;
         }

@@ -1,9 +1,12 @@
 //! New lights of an edit of the published model.
 
+use super::emitters::NewEmitter;
 use super::numbers::{finite, positive};
-use serde::de::Error;
+use crate::error::RelightError;
+use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
+use sgs_passes::transport::LightShape;
 use sgs_run::{ListedLight, LobeRow};
 
 /// New light: a light of `lights.json` with its type, a position with an intensity or lobes, or a rectangle.
@@ -65,6 +68,26 @@ impl Serialize for NewLight {
 }
 
 impl NewLight {
+    /// Returns a point or one lobe as an emitter.
+    ///
+    /// # Errors
+    /// If the light is another one or invalid.
+    pub(crate) fn emitter(&self) -> crate::error::Result<NewEmitter> {
+        let (shape, color) = match (&self.light, self.position, self.intensity, self.lobes.as_deref()) {
+            (None, Some(position), Some(color), None) => (LightShape::Point { position }, color),
+            (None, Some(position), None, Some([lobe])) => {
+                // Axes of lobes point to the light, those of emitters follow it.
+                let axis = lobe.axis.map(|x| -x);
+                (LightShape::Lobe { position, axis, sharpness: lobe.sharpness }, lobe.amplitude)
+            }
+            _ => {
+                let text = "Emitters light the scene; add a point, one lobe, or an emitter.";
+                return Err(RelightError::Edit(text.to_owned()));
+            }
+        };
+        Ok(NewEmitter { name: None, shape, color })
+    }
+
     pub(super) fn check(&self, name: &str) -> std::result::Result<(), String> {
         if let Some(light) = &self.light {
             light.check().map_err(|e| format!("{name} {e}"))?;

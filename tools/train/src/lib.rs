@@ -47,3 +47,5 @@ pub use semantics::{SemanticData, SemanticMaps, SemanticView};
 pub use stage::{RoomFit, Stage, StageEvent, StepFigures};
 pub use trainer::{Event, Observer, Outcome, StageSummary, StartGeometry, Trainer, TrainerOptions};
 pub use transport::{Transport, TransportPlan};
+
+pub use sgs_transport::FitNeeds;

@@ -9,7 +9,8 @@
 
 use crate::emitters::{CLIPPED, FoundEmitter, cell_of, find_emitters, is_clipped};
 use crate::error::Result;
-use crate::fit::{FACES, Fitter, Radiosity, Samples, UnitLight};
+use crate::fit::{Fitter, Samples, UnitLight};
+use crate::radiosity::{FACES, Radiosity};
 use crate::room::{Room, SHEEN, near, reflectance, specular};
 use crate::surfels::seen;
 use crate::views::SeenViews;
@@ -19,7 +20,7 @@ use sgs_scene::{Image, Splats};
 use std::collections::BTreeMap;
 
 /// Maximum number of pixels of a view that the fit compares.
-const SAMPLES: usize = 3000;
+pub(crate) const SAMPLES: usize = 3000;
 /// Number of rounds of a fit. Each fits the colors, then the enclosure.
 const ROUNDS: usize = 3;
 /// First and smallest step by which spheres move, in edges of a cell.
@@ -33,7 +34,7 @@ const HIDDEN: usize = 2;
 /// Minimum gain of PSNR by a hidden light, in dB.
 const LEAST_GAIN: f64 = 0.1;
 /// Number of lights per dispatch.
-const BATCH: usize = 32;
+pub(crate) const BATCH: usize = 32;
 /// Minimum power of an emitter, as a share of that of the most powerful one.
 const LEAST_POWER: f32 = 1e-4;
 

@@ -29,12 +29,12 @@ pub struct FittedRoom {
 const MOST_PIXELS: f64 = 2_097_152.0;
 
 /// Returns the cameras of the training views.
-fn cameras_of(scene: &Scene) -> Vec<Camera> {
+pub(crate) fn cameras_of(scene: &Scene) -> Vec<Camera> {
     scene.split.train.iter().map(|&i| scene.views[i].camera.clone()).collect()
 }
 
 /// Returns the scene, with smaller images if there are too many pixels.
-fn reduced(scene: &Scene) -> Scene {
+pub(crate) fn reduced(scene: &Scene) -> Scene {
     let pixels = |camera: &Camera| f64::from(camera.width) * f64::from(camera.height);
     let all: f64 = scene.split.train.iter().map(|&i| pixels(&scene.views[i].camera)).sum();
     if all <= MOST_PIXELS { scene.clone() } else { scene.scaled((MOST_PIXELS / all).sqrt()) }

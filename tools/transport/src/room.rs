@@ -3,7 +3,7 @@
 //! Cells are those into which surfels are clustered ([`crate::surfels`]).
 
 use crate::error::{Result, TransportError};
-use crate::fit::FACES;
+use crate::radiosity::FACES;
 use crate::surfels::{RoomSurfels, SurfelMaterial, SurfelOptions};
 use crate::views::SeenViews;
 use glam::Vec3;
@@ -125,9 +125,7 @@ impl Room {
         options: RoomOptions,
     ) -> Result<(Room, SeenViews)> {
         let unit = Unit::of_splats(splats);
-        let plain = shaded_scene(device, splats, None, None, &Visibility::None)?;
-        let mut shading = Shading::new(device, plain)?.without_visibility();
-        let views: Vec<Shaded> = cameras.iter().map(|camera| Ok(shading.shade(camera)?.0)).collect::<Result<_>>()?;
+        let views = Room::views(device, splats, cameras)?;
         let from: Vec<[f32; 3]> = cameras.iter().map(|c| c.position().as_vec3().to_array()).collect();
         let length = unit.length() as f32;
         let surfels = RoomSurfels::cluster(&views, &from, length, SurfelOptions { most: options.surfels });
@@ -174,6 +172,13 @@ impl Room {
             log_gains: splats.light_gains.as_ref().map(|gains| gains.iter().map(|g| g.ln()).collect()),
         };
         Ok((room, SeenViews::new(views, cameras)))
+    }
+
+    /// Shades the views without light.
+    pub(crate) fn views(device: &Device, splats: &Splats, cameras: &[Camera]) -> Result<Vec<Shaded>> {
+        let plain = shaded_scene(device, splats, None, None, &Visibility::None)?;
+        let mut shading = Shading::new(device, plain)?.without_visibility();
+        cameras.iter().map(|camera| Ok(shading.shade(camera)?.0)).collect()
     }
 
     /// Sets the albedo of the faces of the enclosure: low x, high x, low y, high y, low z, high z.

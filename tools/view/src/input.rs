@@ -17,6 +17,7 @@ N B Home              next, previous, first camera
 , .                   previous, next channel
 + - 0                 exposure
 L                     handles of lights on and off
+Tab                   choose the next light
 [ ]  ; '              hue, saturation of the chosen light
 O  Backspace          switch it, reset it
 I  Delete             new light, remove it
@@ -43,6 +44,8 @@ pub enum Action {
     Camera(Option<i32>),
     /// Shows or hides the handles.
     Handles,
+    /// Selects the next light.
+    Next,
     /// Changes the selected light.
     LightParameters(LightAction),
     /// Adds a light.
@@ -69,6 +72,7 @@ pub fn action(key: &Key) -> Option<Action> {
         Key::Named(named) => match named {
             NamedKey::Home => Action::Camera(None),
             NamedKey::Backspace => Action::LightParameters(LightAction::Reset),
+            NamedKey::Tab => Action::Next,
             NamedKey::Delete => Action::Remove,
             NamedKey::F1 => Action::Help,
             NamedKey::Escape => Action::Leave,

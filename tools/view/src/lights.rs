@@ -6,8 +6,10 @@
 use crate::error::Result;
 use glam::{DVec2, DVec3};
 use sgs_passes::splat::{MARK_HOLLOW, MARK_RINGED, Mark};
+use sgs_passes::transport::LightShape;
 use sgs_relight::{
-    Edit, EmitterChange, EmitterEdit, EnvironmentEdit, LightChange, LightEdit, LightParameters, NewLight, Relighter,
+    Edit, EmitterChange, EmitterEdit, EnvironmentEdit, LightChange, LightEdit, LightParameters, NewEmitter, NewLight,
+    Relighter,
 };
 use sgs_scene::{Camera, linear_to_srgb};
 
@@ -90,6 +92,16 @@ impl Handles {
         self.chosen = Some(light);
         self.held = seen(&light_parameters, camera).map(|p| (light, depth(&light_parameters, camera), p - at));
         Ok(())
+    }
+
+    /// Selects the next light, in the order of their numbers. Returns false if there are none.
+    ///
+    /// Reaches lights whose handles are hidden or at one place, such as those of several suns.
+    pub fn choose_next(&mut self, relighter: &Relighter) -> bool {
+        let count = relighter.lights();
+        self.release();
+        self.chosen = (count > 0).then(|| self.chosen.map_or(0, |light| (light + 1) % count));
+        count > 0
     }
 
     /// Stops dragging.
@@ -213,9 +225,10 @@ impl Handles {
         Ok(Edit { lights, environment: EnvironmentEdit { scale, ..Default::default() }, ..Default::default() })
     }
 
-    /// Returns the changes of emitters.
+    /// Returns the changed and added emitters, and the factor on the environment.
     fn emitter_edit(&self, relighter: &Relighter) -> Result<EmitterEdit> {
         let mut edit = EmitterEdit::default();
+        edit.environment.scale = (self.sky != 1.0).then_some(self.sky);
         for (number, before) in self.before.iter().enumerate() {
             let now = relighter.light(number)?;
             if now != *before {
@@ -226,6 +239,16 @@ impl Handles {
                     intensity: (now.gain != before.gain).then(|| now.gain / before.gain),
                     color: (now.color != before.color).then_some(now.color),
                     by: (by != [0.0; 3]).then_some(by),
+                });
+            }
+        }
+        for number in self.before.len()..relighter.lights() {
+            let (now, row) = (relighter.light(number)?, relighter.emitter(number)?);
+            if now.on && now.gain > 0.0 {
+                edit.add.push(NewEmitter {
+                    name: Some(row.name.clone()),
+                    shape: LightShape::Point { position: now.position },
+                    color: [0, 1, 2].map(|c| row.color[c] * now.gain * now.color[c]),
                 });
             }
         }

@@ -14,6 +14,7 @@ use crate::source::Source;
 use glam::{DVec2, DVec3};
 use sgs_engine::{Device, Surface};
 use sgs_relight::Relighter;
+use sgs_run::EmitterRow;
 use sgs_scene::Camera;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -202,7 +203,8 @@ impl Stage {
                 let ([r, g, b], [x, y, z]) = (light_parameters.color, light_parameters.position);
                 let on = if light_parameters.on { "" } else { " off" };
                 let emitter = relighter.filter(|r| r.has_emitters()).and_then(|r| r.emitter(light).ok());
-                let name = emitter.map_or_else(|| format!("light {light}"), |row| row.name.clone());
+                let kind = |row: &EmitterRow| format!("{}, {}", row.name, row.shape.name());
+                let name = emitter.map_or_else(|| format!("light {light}"), kind);
                 page.line(format_args!(
                     "{name}{on}  gain {:.3}  color {r:.2} {g:.2} {b:.2}  at {x:.2} {y:.2} {z:.2}",
                     light_parameters.gain
@@ -289,6 +291,7 @@ impl Stage {
             Action::SaveImage => self.save_requested = true,
             Action::LightParameters(_)
             | Action::Add
+            | Action::Next
             | Action::Remove
             | Action::Sky(_)
             | Action::Reset
@@ -320,6 +323,11 @@ impl Stage {
         match action {
             Action::LightParameters(light_parameters) => chosen = handles.act(relighter, light_parameters)?,
             Action::Remove => chosen = handles.remove(relighter)?,
+            Action::Next => {
+                if !handles.choose_next(relighter) {
+                    self.message = "there are no lights".into();
+                }
+            }
             Action::Add => handles.add(relighter, target, reach)?,
             Action::Sky(factor) => {
                 handles.dim_sky(relighter, factor)?;

@@ -7,7 +7,7 @@ use sgs_engine::{Budget, Device};
 use sgs_passes::cost::Cost;
 use sgs_passes::pipeline::TransportShape;
 use sgs_scene::Scene;
-use sgs_train::{Decision, IntrinsicNeeds, PriorKinds};
+use sgs_train::{Decision, FitNeeds, IntrinsicNeeds, PriorKinds};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -18,6 +18,8 @@ pub struct TransportPlan {
     room: TransportShape,
     steps: u32,
     priors: PriorKinds,
+    /// Memory of the fit, which ends before the first step of training.
+    fit: FitNeeds,
     needs: IntrinsicNeeds,
     decisions: Vec<Decision>,
     /// Graph of a step.
@@ -30,6 +32,7 @@ impl TransportPlan {
     pub fn of(device: &Device, scene: &Scene, s: &Settings, start: Option<&Path>) -> anyhow::Result<TransportPlan> {
         let splats = geometry_of(scene, s, start)?;
         let sgs_train::TransportPlan { mut training, room } = sgs_train::TransportPlan::of(device, scene, s, &splats)?;
+        let fit = FitNeeds::of(device, scene, &splats, &room)?;
         let graph = training.executor()?.executor().plan().clone();
         let (cost, _) = training.step_cost()?;
         Ok(TransportPlan {
@@ -37,11 +40,17 @@ impl TransportPlan {
             room,
             steps: s.transport.steps,
             priors: training.priors(),
+            fit,
             needs: *training.needs(),
             decisions: training.decisions().to_vec(),
             graph,
             cost,
         })
+    }
+
+    /// Returns the largest memory of the stage: that of the fit or of training.
+    fn peak(&self) -> u64 {
+        self.fit.peak().max(self.needs.total())
     }
 
     pub fn json(&self, budget: &Budget) -> serde_json::Value {
@@ -59,6 +68,9 @@ impl TransportPlan {
             "room_bytes": self.room.bytes(),
             "needs": self.needs,
             "needs_bytes": self.needs.total(),
+            "fit": self.fit,
+            "fit_bytes": self.fit.peak(),
+            "peak_bytes": self.peak(),
             "budget": budget,
             "step_operations": self.cost.operations,
             "step_bytes": self.cost.bytes,
@@ -100,6 +112,14 @@ impl TransportPlan {
         for d in &self.decisions {
             println!("required    {d}");
         }
+        for (name, bytes) in self.fit.parts() {
+            println!("fit         {:>9.1} MiB {name}", mib(bytes));
+        }
         print_step(&self.graph, &self.cost, &self.needs, budget);
+        println!(
+            "peak        {:>9.1} MiB; the fit needs {:.1} MiB and ends before training",
+            mib(self.peak()),
+            mib(self.fit.peak())
+        );
     }
 }
