@@ -2,9 +2,9 @@
 //!
 //! 1. Emitters that photographs show are candidates ([`crate::emitters`]).
 //! 2. The fit ([`crate::fit`]) finds their colors and the albedo of the enclosure.
-//! 3. Each sphere moves to where it explains the photographs best.
+//! 3. Spheres move to where they explain the photographs best ([`crate::placement`]).
 //! 4. Hidden lights, which no photograph shows well enough, are searched on a grid. The position that explains the photographs
-//!    best becomes an emitter if the PSNR rises by [`LEAST_GAIN`].
+//!    best becomes an emitter if the PSNR rises by [`LEAST_GAIN`](crate::placement::LEAST_GAIN). Then all spheres move again.
 //! 5. The fit runs again. Candidates that it leaves dark are removed.
 
 use crate::emitters::{CLIPPED, FoundEmitter, cell_of, find_emitters, is_clipped};
@@ -23,16 +23,8 @@ use std::collections::BTreeMap;
 pub(crate) const SAMPLES: usize = 3000;
 /// Number of rounds of a fit. Each fits the colors, then the enclosure.
 const ROUNDS: usize = 3;
-/// First and smallest step by which spheres move, in edges of a cell.
-const STEPS: [f32; 2] = [2.0, 0.25];
 /// Maximum number of emitters that photographs show; the largest ones count.
 const MOST_FOUND: usize = 64;
-/// Maximum spacing of the grid of hidden lights, as a share of the room's diagonal.
-const GRID: f32 = 0.1;
-/// Maximum number of hidden lights.
-const HIDDEN: usize = 2;
-/// Minimum gain of PSNR by a hidden light, in dB.
-const LEAST_GAIN: f64 = 0.1;
 /// Number of lights per dispatch.
 pub(crate) const BATCH: usize = 32;
 /// Minimum power of an emitter, as a share of that of the most powerful one.
@@ -56,7 +48,7 @@ pub struct Explained {
 /// Pixels that the fit compares, with the points and unit normals that they show.
 ///
 /// Lengths are in the room's unit.
-struct Compared {
+pub(crate) struct Compared {
     samples: Samples,
     points: Vec<[f32; 3]>,
     normals: Vec<[f32; 3]>,
@@ -86,14 +78,7 @@ impl Room {
             fitter.push(unit, i as u32 + 1);
         }
         rounds(&mut fitter);
-        for i in 0..shapes.len() {
-            self.refine(i, &mut shapes, &mut fitter, &compared)?;
-        }
-        for _ in 0..HIDDEN {
-            if !self.add_hidden(&mut shapes, &mut fitter, &compared)? {
-                break;
-            }
-        }
+        self.place(&mut shapes, &mut fitter, &compared)?;
         rounds(&mut fitter);
         let of_gaussians = self.emitters_of(&found, &shapes, views, photographs, splats);
         Ok(self.explained(&shapes, &fitter, of_gaussians))
@@ -121,7 +106,7 @@ impl Room {
     /// Returns the direct light of shapes of color 1.
     ///
     /// Spheres count as points, whose shadows need one ray per receiver.
-    fn units(&self, shapes: &[LightShape], compared: &Compared) -> Result<Vec<UnitLight>> {
+    pub(crate) fn units(&self, shapes: &[LightShape], compared: &Compared) -> Result<Vec<UnitLight>> {
         let mut all = Vec::new();
         for batch in shapes.chunks(BATCH) {
             let light = |shape: &LightShape| match shape {
@@ -145,99 +130,6 @@ impl Room {
             }
         }
         Ok(all)
-    }
-
-    /// Returns whether a place lies in the enclosure.
-    fn contains(&self, place: [f32; 3]) -> bool {
-        let (low, high) = (self.enclosure.low(), self.enclosure.high());
-        (0..3).all(|k| place[k] > low[k] && place[k] < high[k])
-    }
-
-    /// Moves a sphere to where it explains the photographs best.
-    ///
-    /// Of six steps along the axes, the best is taken. If none lowers the error, steps become half as long.
-    /// Other shapes stay as they are.
-    fn refine(
-        &self,
-        emitter: usize,
-        shapes: &mut [LightShape],
-        fitter: &mut Fitter<'_>,
-        compared: &Compared,
-    ) -> Result<()> {
-        let LightShape::Sphere { mut center, radius } = shapes[emitter] else { return Ok(()) };
-        let mut step = STEPS[0] * self.surfels.cell;
-        let mut error = fitter.error();
-        while step >= STEPS[1] * self.surfels.cell {
-            let moved = (0..6).map(|k| {
-                let mut place = center;
-                place[k / 2] += if k % 2 == 0 { step } else { -step };
-                place
-            });
-            let places: Vec<[f32; 3]> = moved.filter(|place| self.contains(*place)).collect();
-            let candidates: Vec<LightShape> =
-                places.iter().map(|place| LightShape::Sphere { center: *place, radius }).collect();
-            let mut best: Option<(f64, [f32; 3], Fitter<'_>)> = None;
-            for (place, unit) in places.iter().zip(self.units(&candidates, compared)?) {
-                let mut tried = fitter.clone();
-                tried.replace(emitter, unit);
-                tried.fit_colors();
-                let found = tried.error();
-                if found < best.as_ref().map_or(error, |b| b.0) {
-                    best = Some((found, *place, tried));
-                }
-            }
-            match best {
-                Some((found, place, tried)) => (error, center, *fitter) = (found, place, tried),
-                None => step *= 0.5,
-            }
-        }
-        shapes[emitter] = LightShape::Sphere { center, radius };
-        Ok(())
-    }
-
-    /// Adds the hidden light that explains the photographs best.
-    ///
-    /// Returns false, and adds none, if none gains [`LEAST_GAIN`].
-    fn add_hidden<'a>(
-        &self,
-        shapes: &mut Vec<LightShape>,
-        fitter: &mut Fitter<'a>,
-        compared: &Compared,
-    ) -> Result<bool> {
-        let (low, high) = (Vec3::from(self.enclosure.low()), Vec3::from(self.enclosure.high()));
-        let edge = GRID * low.distance(high);
-        let counts = ((high - low) / edge).ceil().as_uvec3();
-        let radius = 0.5 * self.surfels.cell;
-        let at = |i: u32| {
-            let cell =
-                Vec3::new((i % counts.x) as f32, (i / counts.x % counts.y) as f32, (i / counts.x / counts.y) as f32);
-            let place = low + (cell + 0.5) / counts.as_vec3() * (high - low);
-            LightShape::Sphere { center: place.into(), radius }
-        };
-        let grid: Vec<LightShape> = (0..counts.x * counts.y * counts.z).map(at).collect();
-        let before = fitter.psnr();
-        let mut best: Option<(f64, LightShape, Fitter<'a>)> = None;
-        for batch in grid.chunks(BATCH) {
-            for (shape, unit) in batch.iter().zip(self.units(batch, compared)?) {
-                let mut tried = fitter.clone();
-                tried.push(unit, 0);
-                tried.fit_colors();
-                let found = tried.psnr();
-                if found > best.as_ref().map_or(before, |b| b.0) {
-                    best = Some((found, *shape, tried));
-                }
-            }
-        }
-        let Some((_, shape, tried)) = best else { return Ok(false) };
-        let mut with = tried;
-        shapes.push(shape);
-        self.refine(shapes.len() - 1, shapes, &mut with, compared)?;
-        if with.psnr() < before + LEAST_GAIN {
-            shapes.pop();
-            return Ok(false);
-        }
-        *fitter = with;
-        Ok(true)
     }
 
     /// Returns the emitter of each Gaussian: 0 for none, else its number plus 1.

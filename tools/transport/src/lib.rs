@@ -10,6 +10,7 @@ mod explain;
 mod fit;
 mod fitted;
 mod needs;
+mod placement;
 mod radiosity;
 mod room;
 mod surfels;

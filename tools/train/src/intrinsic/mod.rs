@@ -403,7 +403,8 @@ impl Intrinsic {
                     unless(splats.roughness.is_some(), roughness.as_ref()),
                     unless(splats.metallic.is_some(), answers.as_ref()),
                 ];
-                start::start(device, &gaussians, &mut surfaces, &data, wanted)?
+                let trains_lights = s.lights.enabled() || has_environment;
+                start::start(device, &gaussians, &mut surfaces, &data, wanted, trains_lights)?
             }
             MaterialStart::Gray => start::Start::default(),
         };

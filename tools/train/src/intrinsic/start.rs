@@ -17,10 +17,13 @@ use sgs_scene::srgb_to_linear;
 /// Least sum of weights, in pixels, with which the mean of the priors is used.
 const LEAST: f64 = 1e-3;
 
-/// Least initial albedo.
+/// Least initial albedo where lights are trained from nothing.
+///
 /// The light that a black surface reflects gives no gradient to lights. Where the photograph shows such a surface
 /// bright, for example a window, the lights must find this before the albedo closes.
 const DARKEST: f32 = 0.1;
+/// Least initial albedo under fitted lights: darker than nearly all materials.
+const DARKEST_IN_ROOM: f32 = 0.02;
 
 /// Materials before activation, where the priors are known.
 /// Elsewhere materials are gray and half rough.
@@ -35,12 +38,15 @@ pub(super) struct Start {
 }
 
 /// Computes the initial materials. Waits for the device, view by view.
+///
+/// `trains_lights`: whether lights are trained from nothing.
 pub(super) fn start(
     device: &Device,
     gaussians: &Gaussians,
     surfaces: &mut Surfaces,
     data: &TrainingData,
     [albedo, roughness, metallic]: [Option<&MaterialPriors>; 3],
+    trains_lights: bool,
 ) -> Result<Start> {
     let n = gaussians.capacity as usize;
     let mut sums = [albedo, roughness, metallic].map(|p| p.map(|p| (p, vec![[0.0; 4]; n])));
@@ -55,8 +61,9 @@ pub(super) fn start(
     }
     let [albedo, roughness, metallic] = sums.map(|s| s.map(|(_, sums)| sums.into_iter().map(mean)));
     let first = |raw: fn(f32) -> f32, otherwise: f32| move |m: Option<[f32; 3]>| m.map_or(otherwise, |m| raw(m[0]));
+    let darkest = if trains_lights { DARKEST } else { DARKEST_IN_ROOM };
     // Albedo priors are encoded in sRGB, and so is their mean.
-    let encoded = |m: Option<[f32; 3]>| m.map_or([0.0; 3], |m| m.map(|v| raw(srgb_to_linear(v).max(DARKEST))));
+    let encoded = |m: Option<[f32; 3]>| m.map_or([0.0; 3], |m| m.map(|v| raw(srgb_to_linear(v).max(darkest))));
     Ok(Start {
         albedo: albedo.map(|a| a.flat_map(encoded).collect()),
         roughness: roughness.map(|r| r.map(first(raw_roughness, 0.0)).collect()),
