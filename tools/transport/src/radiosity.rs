@@ -1,4 +1,4 @@
-//! Radiosity on the host, in double precision, along the rays of a transport matrix.
+//! Radiosity on the host, in double precision, along rays of a transport matrix.
 
 use rayon::prelude::*;
 use std::f64::consts::PI;
