@@ -12,11 +12,11 @@ use sgs_passes::transport::LightShape;
 
 /// First and smallest step by which spheres move, in edges of a cell.
 const STEPS: [f32; 2] = [2.0, 0.25];
-/// Maximum distance from where photographs show a sphere, in edges of a cell, before hidden lights are added.
+/// Reach of shown spheres before hidden lights are added, in edges of a cell.
 const NEAR: f32 = 2.0;
-/// Maximum distance from where photographs show a sphere, in edges of a cell.
+/// Reach of shown spheres after that, in edges of a cell.
 const FAR: f32 = 4.0;
-/// Minimum distance of hidden lights from spheres that photographs show, in edges of a cell.
+/// Minimum distance of hidden lights from shown spheres, in edges of a cell.
 ///
 /// A nearer one would only share the light of that sphere.
 const APART: f32 = 4.0;
