@@ -61,7 +61,7 @@ impl Gpu {
 
     /// Opens a device of its own, without pipelines and with a peak of memory of zero.
     ///
-    /// Waits until no other test uses a device with validation, and keeps others from it ([`turn`]).
+    /// Waits until no other test uses a device with validation, and keeps others from it ([`turn()`]).
     pub fn fresh() -> Gpu {
         let turn = turn();
         Gpu { device: Some(pool::open()), right: Right::Own { _turn: turn } }

@@ -1,7 +1,7 @@
 //! Devices that the tests of a process use in turns.
 //!
 //! Each test thread takes one device at a time. Devices are opened and closed only while a thread has the turn
-//! ([`crate::turn`]), and thus while no other thread uses one: all at once before the first test, and again when they
+//! ([`crate::turn()`]), and thus while no other thread uses one: all at once before the first test, and again when they
 //! have run [`TESTS`] tests each.
 
 use crate::turn::{Share, share, turn};

@@ -4,7 +4,7 @@
 //! (KhronosGroup/Vulkan-ValidationLayers, issue 4391). To create or destroy an instance or a device with the layer
 //! therefore races with every Vulkan call of another thread on such an instance, and crashes at times.
 //!
-//! - A test that opens or closes a device with validation by itself holds [`turn`] for as long as the device lives.
+//! - A test that opens or closes a device with validation by itself holds [`turn()`] for as long as the device lives.
 //! - A [`Gpu::new`](crate::Gpu::new) shares the lock with the others. Its pool opens and closes devices in a turn.
 //!
 //! Turns and shares exclude each other, so a program may contain both kinds of tests. The program `alone` has most tests

@@ -4,7 +4,7 @@
 //! synchronization validation across submissions, and collects the messages itself. Dropping the host fails the test if
 //! the layer has reported a message.
 //!
-//! A thread may have several hosts; those of other threads wait ([`sgs_tests::turn`]).
+//! A thread may have several hosts; those of other threads wait ([`turn()`](sgs_tests::turn())).
 
 use ash::{ext, vk};
 use sgs_engine::device::{Feature, HostDevice, HostInstance, HostQueue, QueueLock, Requirements, requirements};
