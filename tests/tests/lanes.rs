@@ -67,10 +67,13 @@ fn run(name: &str, filters: &[&str]) -> Result<(), String> {
     let mut command = Command::new(program(name));
     command.args(filters).envs(variables()).env_remove("SGS_TEST_LANES");
     let output = command.output().map_err(|e| e.to_string())?;
+    let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    if text.contains("running 0 tests") {
+        return Err(format!("{name} has no test that matches {filters:?}"));
+    }
     if output.status.success() {
         return Ok(());
     }
-    let text = format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
     let lines: Vec<&str> = text.lines().collect();
     Err(format!("{name} at 16 lanes: {}\n{}", output.status, lines[lines.len().saturating_sub(60)..].join("\n")))
 }

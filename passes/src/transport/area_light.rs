@@ -285,22 +285,22 @@ impl AreaLights {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn light(shape: LightShape) -> AreaLight {
+    pub(in crate::transport) fn light(shape: LightShape) -> AreaLight {
         AreaLight { shape, color: [1.0, 2.0, 0.0] }
     }
 
-    fn disk(normal: [f32; 3], radius: f32) -> AreaLight {
+    pub(in crate::transport) fn disk(normal: [f32; 3], radius: f32) -> AreaLight {
         light(LightShape::Disk { center: [1.0, 2.0, 3.0], normal, radius })
     }
 
-    fn spot(inner_angle: f32, outer_angle: f32) -> AreaLight {
+    pub(in crate::transport) fn spot(inner_angle: f32, outer_angle: f32) -> AreaLight {
         light(LightShape::Spot { position: [0.0; 3], axis: [0.0, 0.0, -3.0], inner_angle, outer_angle })
     }
 
-    fn sun(angular_radius: f32) -> AreaLight {
+    pub(in crate::transport) fn sun(angular_radius: f32) -> AreaLight {
         light(LightShape::Directional { direction: [0.0, -2.0, 0.0], angular_radius })
     }
 

@@ -137,26 +137,11 @@ fn angle(property: &'static str, value: f32, low: f32, high: f32) -> Result<(), 
 
 #[cfg(test)]
 mod tests {
+    use super::super::area_light::tests::{disk, light, spot, sun};
     use super::*;
-
-    fn light(shape: LightShape) -> AreaLight {
-        AreaLight { shape, color: [1.0, 2.0, 0.0] }
-    }
-
-    fn disk(normal: [f32; 3], radius: f32) -> AreaLight {
-        light(LightShape::Disk { center: [1.0, 2.0, 3.0], normal, radius })
-    }
 
     fn rectangle(edge_v: [f32; 3]) -> AreaLight {
         light(LightShape::Rectangle { corner: [0.0; 3], edge_u: [2.0, 0.0, 0.0], edge_v })
-    }
-
-    fn spot(inner_angle: f32, outer_angle: f32) -> AreaLight {
-        light(LightShape::Spot { position: [0.0; 3], axis: [0.0, 0.0, -3.0], inner_angle, outer_angle })
-    }
-
-    fn sun(angular_radius: f32) -> AreaLight {
-        light(LightShape::Directional { direction: [0.0, -2.0, 0.0], angular_radius })
     }
 
     #[test]

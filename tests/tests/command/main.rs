@@ -6,6 +6,7 @@ mod emitters;
 mod exchange;
 mod layouts;
 mod lpips;
+mod memory_of_training;
 mod metrics;
 mod outputs;
 mod presets;

@@ -311,6 +311,7 @@ mod tests {
         assert!(text(all.set(0, nowhere)).contains("\"a\" is not finite"));
         assert_eq!((all.get(0).unwrap(), all.take_stale()), (now, None));
     }
+
     #[test]
     fn removed_emitters_are_black_and_their_rows_are_taken_again() {
         let mut all = table();
