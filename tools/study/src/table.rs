@@ -105,15 +105,15 @@ impl Ablation {
         devices.dedup();
         let mut after: Vec<String> = self.steps.map(|n| format!("{n} steps")).into_iter().collect();
         after.extend(self.intrinsic_steps.map(|n| format!("{n} of materials")));
+        let after = if after.is_empty() { String::new() } else { format!(" after {}", after.join(" and ")) };
         let start = self.start.as_ref().map_or_else(String::new, |start| format!(" on {start}"));
         let lpips = match &self.lpips {
             None => String::new(),
             Some(l) => format!(" LPIPS {}: {}, images from {} to {}.", l.version, l.net, l.range[0], l.range[1]),
         };
         let mut text = format!(
-            "Test views of {} after {}{start}, on {}; means and standard deviations over seeds.{lpips}\n\n",
+            "Test views of {}{after}{start}, on {}; means and standard deviations over seeds.{lpips}\n\n",
             self.scene,
-            after.join(" and "),
             devices.join(", ")
         );
         text += &line(["variant".to_owned(), "seeds".to_owned()].into_iter().chain(head).collect());
@@ -166,6 +166,9 @@ mod tests {
         table.add(&variants[2], 5, "gpu".into(), measures(33.0, None));
         let text = table.markdown();
         assert!(text.starts_with("Test views of room after 9 steps, on another, gpu;"), "{text}");
+        let (steps, start) = (None, Some("scene.ply".to_owned()));
+        let text_of_start = Ablation { steps, start, ..table.clone() }.markdown();
+        assert!(text_of_start.starts_with("Test views of room on scene.ply, on another, gpu;"), "{text_of_start}");
         let lines: Vec<&str> = text.lines().skip(2).collect();
         assert_eq!(lines[0], "| variant | seeds | PSNR, dB ↑ | normals, ° ↓ |");
         assert_eq!(lines[1], "|---|---|---|---|");
