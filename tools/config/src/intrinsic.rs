@@ -106,7 +106,7 @@ pub enum Metallic {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum MaterialStart {
-    /// Mean of the priors of all views.
+    /// Mean of the priors of all views. The transport stage takes albedo without priors from colors.
     Priors,
     /// Gray with roughness 0.5, as published.
     Gray,

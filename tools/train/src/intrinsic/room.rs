@@ -3,6 +3,7 @@
 use super::data::MaterialPriors;
 use super::decisions;
 use super::residue::{Pairs, SharedPriors, correct};
+use super::start::albedo_of_colors;
 use super::surfaces::Surfaces;
 use super::{Intrinsic, Purpose};
 use crate::data::TrainingData;
@@ -89,7 +90,8 @@ pub(super) fn correct_priors(
 impl Intrinsic {
     /// Returns splats with the materials from which training starts, and normals.
     ///
-    /// Materials start from their priors. Where there are none, they start from those of the splats.
+    /// Materials start from their priors. Albedo without priors starts from the splats' colors, roughness and metallic
+    /// from those of the splats. If the settings start gray, those of the splats come before gray.
     ///
     /// # Errors
     /// As [`Intrinsic::new`].
@@ -107,8 +109,9 @@ impl Intrinsic {
         fn own<T: Clone>(prior: bool, own: &Option<T>) -> Option<T> {
             own.clone().filter(|_| !prior)
         }
+        let guessed = (uses_priors && !priors.albedo).then(|| albedo_of_colors(splats));
         Ok(Splats {
-            albedo: own(uses_priors && priors.albedo, &splats.albedo).or(start.albedo),
+            albedo: guessed.or(own(uses_priors, &splats.albedo)).or(start.albedo),
             roughness: own(uses_priors && priors.roughness, &splats.roughness).or(start.roughness),
             metallic: own(uses_priors && priors.metallic, &splats.metallic).or(start.metallic),
             normals: splats.normals.clone().filter(|_| !lacks_normals(splats)).or(start.normals),

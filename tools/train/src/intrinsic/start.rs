@@ -11,8 +11,8 @@ use rayon::prelude::*;
 use sgs_engine::Device;
 use sgs_passes::pipeline::WeightColumns;
 use sgs_passes::scene::Gaussians;
-use sgs_run::materials::{raw, raw_metallic, raw_roughness};
-use sgs_scene::srgb_to_linear;
+use sgs_run::materials::{raw, raw_metallic, raw_roughness, sigmoid};
+use sgs_scene::{SH_C0, Splats, srgb_to_linear};
 
 /// Least sum of weights, in pixels, with which the mean of the priors is used.
 const LEAST: f64 = 1e-3;
@@ -24,6 +24,13 @@ const LEAST: f64 = 1e-3;
 const DARKEST: f32 = 0.1;
 /// Least initial albedo under fitted lights: darker than nearly all materials.
 const DARKEST_IN_ROOM: f32 = 0.02;
+
+/// Mean luminance of albedo that is guessed from colors.
+const GUESSED_MEAN: f64 = 0.6;
+/// Power of a color in guessed albedo. Light causes the rest of the contrast.
+const GUESSED_CONTRAST: f64 = 0.4;
+/// Range of guessed albedo.
+const GUESSED_RANGE: [f32; 2] = [0.03, 0.9];
 
 /// Materials before activation, where the priors are known.
 /// Elsewhere materials are gray and half rough.
@@ -90,9 +97,55 @@ fn mean(sum: [f64; 4]) -> Option<[f32; 3]> {
     (sum[3] >= LEAST).then(|| [0, 1, 2].map(|c| (sum[c] / sum[3]) as f32))
 }
 
+/// Guesses albedo from the colors of band 0, for scenes without albedo priors.
+///
+/// It has a part of the colors' contrast around their geometric mean, which becomes gray: the color of that mean is
+/// left to light. Means are weighted by opacity. From gray, texture would have to be explained by light.
+///
+/// Returns albedo before activation: `[Gaussians]`.
+pub(super) fn albedo_of_colors(splats: &Splats) -> Vec<[f32; 3]> {
+    // Black has no logarithm.
+    let log = |dc: f32| f64::from(srgb_to_linear((0.5 + SH_C0 * dc).clamp(0.0, 1.0)).max(1e-3)).ln();
+    let logs: Vec<[f64; 3]> = splats.sh[0].as_chunks::<3>().0.iter().map(|c| c.map(log)).collect();
+    let opacity = |i: usize| f64::from(sigmoid(splats.opacity_logits[i]));
+    let total = (0..logs.len()).map(opacity).sum::<f64>().max(f64::MIN_POSITIVE);
+    let mean = |of: &dyn Fn(usize) -> f64| (0..logs.len()).map(|i| opacity(i) * of(i)).sum::<f64>() / total;
+    let center = [0, 1, 2].map(|c| mean(&|i| logs[i][c]));
+    let contrast = |i: usize| [0, 1, 2].map(|c| (GUESSED_CONTRAST * (logs[i][c] - center[c])).exp());
+    let luminance = |i: usize| contrast(i).iter().zip([0.2126, 0.7152, 0.0722]).map(|(v, w)| v * w).sum();
+    let scale = GUESSED_MEAN / mean(&luminance).max(f64::MIN_POSITIVE);
+    let [least, most] = GUESSED_RANGE;
+    let guess = |i: usize| contrast(i).map(|v| raw(((scale * v) as f32).clamp(least, most)));
+    (0..logs.len()).map(guess).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use sgs_run::materials::value;
+    use sgs_scene::linear_to_srgb;
+
+    #[test]
+    fn guessed_albedo_has_part_of_the_contrast_around_gray() {
+        let dc = |linear: f32| (linear_to_srgb(linear) - 0.5) / SH_C0;
+        let mut splats = Splats::default();
+        // The last Gaussian is transparent.
+        splats.sh[0] = [0.2, 0.1, 0.05, 0.1, 0.05, 0.1, 1.0, 0.0, 1.0].map(dc).to_vec();
+        splats.opacity_logits = vec![40.0, 40.0, -200.0];
+        let albedo: Vec<f32> = albedo_of_colors(&splats).as_flattened().iter().map(|v| value(*v)).collect();
+        let luminance = |i: usize| 0.2126 * albedo[3 * i] + 0.7152 * albedo[3 * i + 1] + 0.0722 * albedo[3 * i + 2];
+        assert!((0.5 * (luminance(0) + luminance(1)) - 0.6).abs() < 1e-3, "{albedo:?}");
+        // Each channel's geometric mean is the same gray.
+        let gray = [0, 1, 2].map(|c| (albedo[c] * albedo[3 + c]).sqrt());
+        assert!((gray[0] / gray[1] - 1.0).abs() < 1e-3 && (gray[2] / gray[1] - 1.0).abs() < 1e-3, "{albedo:?}");
+        for (c, ratio) in [2.0, 2.0, 0.5_f32].into_iter().enumerate() {
+            assert!((albedo[c] / albedo[3 + c] - ratio.powf(0.4)).abs() < 1e-3, "{albedo:?}");
+        }
+        // White is cut; black counts as 0.001.
+        let black = gray[1] * (1e-3 / 0.005_f32.sqrt()).powf(0.4);
+        assert!((albedo[6] - 0.9).abs() < 1e-3 && (albedo[7] - black).abs() < 1e-3, "{albedo:?}");
+        assert!(albedo_of_colors(&Splats::default()).is_empty());
+    }
 
     #[test]
     fn initial_materials_are_weighted_means_of_valid_priors() {

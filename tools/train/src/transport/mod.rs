@@ -54,7 +54,8 @@ pub struct Transport {
 }
 
 impl Transport {
-    /// Prepares the stage. Materials start from their priors. Where there are none, they start from those of the splats.
+    /// Prepares the stage. Materials start from their priors. Without them, albedo starts from the splats' colors,
+    /// roughness and metallic from those of the splats.
     ///
     /// # Errors
     /// If a setting is wrong, there are no splats, or memory runs out.
