@@ -93,7 +93,13 @@ impl Lit {
     /// Finds the emitters in photographs of the room under lights.
     fn explain(&self, lights: &[AreaLight]) -> Explained {
         let photographs = self.photographs(lights);
-        self.room.explain(&self.views, &photographs, &self.splats).unwrap()
+        self.room.explain(&self.views, &photographs, &self.splats, None).unwrap()
+    }
+
+    /// Fits emitters of known shapes to photographs of the room under lights.
+    fn fit(&self, lights: &[AreaLight], known: &[LightShape]) -> Explained {
+        let photographs = self.photographs(lights);
+        self.room.explain(&self.views, &photographs, &self.splats, Some(known)).unwrap()
     }
 
     /// Returns photographs of the room under lights.
@@ -294,4 +300,44 @@ fn hidden_light_is_found_with_its_color() {
     let places = found.emitters.iter().zip(&powers).map(|(e, power)| center(e) * power.element_sum());
     let place = places.sum::<Vec3>() / power.element_sum();
     assert!(place.distance(center(&BULB)) < 0.2, "{place} {found:?}");
+}
+
+/// The photographs are those of seven lights of different types; an eighth is off.
+#[test]
+fn emitters_of_known_shapes_get_their_colors() {
+    let gpu = Gpu::new();
+    let mut lit = Lit::new(&gpu);
+    let pane = OpeningRow { corner: [0.5, -0.5, 2.4], edge_u: [0.0, 1.0, 0.0], edge_v: [1.0, 0.0, 0.0] };
+    lit.room = lit.room.with_outside(&[pane], None).unwrap();
+    let shapes = [
+        LightShape::Point { position: [-1.2, 0.8, 1.5] },
+        BULB.shape,
+        LightShape::Rectangle { corner: [-1.6, 1.4, -2.0], edge_u: [0.8, 0.0, 0.0], edge_v: [0.0, 0.0, 0.8] },
+        LightShape::Disk { center: [1.9, 0.0, -1.0], normal: [-2.0, 0.0, 0.0], radius: 0.3 },
+        LightShape::Spot { position: [-1.5, 0.5, 0.0], axis: [1.0, -1.0, 0.0], inner_angle: 0.3, outer_angle: 0.7 },
+        LightShape::Directional { direction: [-0.3, -0.4, -1.0], angular_radius: 0.01 },
+        LightShape::Lobe { position: [0.8, -1.0, -2.0], axis: [0.0, 0.2, 1.0], sharpness: 6.0 },
+        LightShape::Point { position: [1.5, -0.8, 1.8] },
+    ];
+    let strengths = [0.5, 12.0, 1.0, 1.5, 1.2, 1.0, 0.8, 0.0];
+    let lights: Vec<AreaLight> = shapes
+        .into_iter()
+        .zip(strengths)
+        .enumerate()
+        .map(|(i, (shape, by))| AreaLight { shape, color: [0, 1, 2].map(|c| by * (1.0 + 0.5 * ((i + c) % 3) as f32)) })
+        .collect();
+    let found = lit.fit(&lights, &shapes);
+    assert!(found.psnr > 40.0, "{found:?}");
+    assert_eq!(found.emitters.len(), lights.len(), "an emitter that is off was dropped");
+    for (found, light) in found.emitters.iter().zip(&lights) {
+        assert_eq!(found.shape, light.shape, "a known emitter moved");
+        let name = light.shape.name();
+        for (a, b) in found.color.iter().zip(&light.color) {
+            assert!((a - b).abs() <= 0.15 * b + 0.02, "{name}: {:?}, not {:?}", found.color, light.color);
+        }
+    }
+    assert!(found.of_gaussians.iter().all(|emitter| *emitter == 0), "no wall emits");
+    // Without the sun the photographs are explained worse.
+    let others = [&shapes[..5], &shapes[6..]].concat();
+    assert!(lit.fit(&lights, &others).psnr < found.psnr - 3.0);
 }

@@ -245,6 +245,94 @@ fn training_of_materials_resumes_bit_by_bit() {
     sgs(&resume).refused(&["damaged", "step 24"]);
 }
 
+/// Writes the emitters that the scene names.
+fn write_known(place: &Place, emitters: &Value, openings: &Value) {
+    let file = json!({"format": "sgs-emitters-1", "emitters": emitters, "openings": openings});
+    std::fs::write(place.path("scene/emitters.json"), file.to_string()).unwrap();
+}
+
+/// Returns an emitter of each type that can be fitted.
+fn known() -> Value {
+    json!([
+        {"name": "point", "shape": {"type": "point", "position": [0.5, 0.5, 0]}},
+        {"name": "bulb", "shape": {"type": "sphere", "center": [0, 0.8, 0], "radius": 0.05}},
+        {"name": "panel", "shape": {"type": "rectangle", "corner": [-0.5, 0.9, -0.5], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1]}},
+        {"name": "disk", "shape": {"type": "disk", "center": [0, -0.5, 0.8], "normal": [0, 0, -1], "radius": 0.2}},
+        {"name": "spot", "shape": {"type": "spot", "position": [0, 0.5, 0], "axis": [0, -1, 0], "inner_angle": 20.0, "outer_angle": 40.0}},
+        {"name": "sun", "shape": {"type": "directional", "direction": [-1, -1, 0], "angular_radius": 0.27}},
+        {"name": "lobe", "shape": {"type": "lobe", "position": [0, 0, -0.5], "axis": [0, 0, 1], "sharpness": 4.0}},
+        {"name": "off", "on": false, "shape": {"type": "point", "position": [0, 0, 0]}},
+    ])
+}
+
+#[test]
+fn emitters_that_the_scene_names_are_fitted_and_trained() {
+    let place = place();
+    let pane = json!([{"corner": [1, 0, -0.5], "edge_u": [0, 0.5, 0], "edge_v": [0, 0, 1]}]);
+    write_known(&place, &known(), &pane);
+    let small =
+        ["--set", "transport.surfels=256", "--geometry-steps", "20", "--no-densify", "--set", "transport.steps=3"];
+    let output = train(&place, &[&["--stage", "transport"][..], &small].concat()).ok();
+    assert!(output.stderr.contains("7 emitters of \"") && output.stderr.contains("emitters.json"), "{}", output.stderr);
+    let run = RunDirectory::open(&place.path("run")).unwrap();
+    let file = read_emitters(&run.emitters()).unwrap();
+    let names: Vec<&str> = file.emitters.iter().map(|e| e.name.as_str()).collect();
+    assert_eq!(names, ["point", "bulb", "panel", "disk", "spot", "sun", "lobe"]);
+    let shapes: Vec<Value> =
+        file.emitters.iter().map(|e| serde_json::to_value(e.shape).unwrap()["type"].clone()).collect();
+    assert_eq!(shapes, ["point", "sphere", "rectangle", "disk", "spot", "directional", "lobe"]);
+    assert_eq!((file.openings.len(), file.openings[0].corner), (1, [1.0, 0.0, -0.5]));
+    assert!(file.emitters.iter().flat_map(|e| e.color).all(|c| c.is_finite() && c >= 0.0));
+    let lit = file.emitters.iter().filter(|e| e.color.iter().sum::<f32>() > 0.01).count();
+    assert!(lit >= 2, "{:?}", file.emitters);
+    assert_eq!(
+        (&summary(&place)["transport"]["emitters"], &summary(&place)["transport"]["steps"]),
+        (&7.into(), &4.into())
+    );
+    // The checkpoint holds the fit: the scene's file is not read again.
+    let before = files(&place.path("run"));
+    std::fs::write(place.path("scene/emitters.json"), "{").unwrap();
+    std::fs::remove_file(run.emitters()).unwrap();
+    std::fs::remove_file(place.path("run/training.json")).unwrap();
+    train(&place, &["--stage", "transport", "--resume"]).ok();
+    let after = files(&place.path("run"));
+    assert!(["emitters.json", "scene.ply"].iter().all(|name| after[&run.path(name)] == before[&run.path(name)]));
+}
+
+#[test]
+fn emitters_that_cannot_be_fitted_are_refused_before_training() {
+    let place = place();
+    let window = json!([{"name": "pane", "shape": {"type": "window", "corner": [0, 0, 0], "edge_u": [1, 0, 0], "edge_v": [0, 1, 0]}}]);
+    let refused = |words: &[&str]| {
+        for stage in ["transport", "all"] {
+            train(&place, &["--stage", stage]).refused_with(42, words);
+        }
+        sgs(&["plan", &place.text("scene"), "--stage", "transport"]).refused_with(42, words);
+        assert!(!place.path("run").exists(), "a refused training made a directory");
+    };
+    write_known(&place, &window, &json!([]));
+    refused(&["\"pane\" is a window", "emitters.json"]);
+    write_known(&place, &json!([known()[5]]), &json!([]));
+    refused(&["\"sun\"", "\"openings\""]);
+    write_known(&place, &json!([known()[7]]), &json!([]));
+    refused(&["no emitter is on"]);
+    std::fs::write(place.path("scene/emitters.json"), "{\n\"format\": 1}").unwrap();
+    refused(&["emitters.json, line 2", "expected a string"]);
+    std::fs::write(place.path("scene/emitters.json"), b"\xff").unwrap();
+    train(&place, &["--stage", "transport"]).refused_with(1, &["cannot read", "emitters.json"]);
+    // Geometry needs no emitters.
+    train(&place, &["--geometry-steps", "3", "--no-densify"]).ok();
+    // The plan has room for all emitters.
+    let point =
+        |i: usize| json!({"name": i.to_string(), "shape": {"type": "point", "position": [0.01 * i as f64, 0, 0]}});
+    let plan = |count: usize| {
+        write_known(&place, &(0..count).map(point).collect::<Vec<_>>().into(), &json!([]));
+        let planned = sgs(&["--json", "plan", &place.text("scene"), "--stage", "transport"]).ok().json();
+        planned["emitters"].clone()
+    };
+    assert_eq!([plan(3), plan(40)], [16, 40]);
+}
+
 #[test]
 fn library_names_what_is_missing() {
     let (gpu, place) = (Gpu::new(), place());

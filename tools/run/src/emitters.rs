@@ -16,7 +16,7 @@ pub const MOST_OPENINGS: usize = 256;
 /// Usual name of the map of the environment that windows show.
 pub const SKY: &str = "sky.exr";
 /// Format identifier of the file.
-const FORMAT: &str = "sgs-emitters-1";
+pub(crate) const FORMAT: &str = "sgs-emitters-1";
 
 /// Content of `emitters.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -191,19 +191,27 @@ impl EmitterFile {
         {
             return Err(format!("the environment \"{name}\" is no file beside it; use a file name, such as \"{SKY}\""));
         }
-        let mut names = BTreeSet::new();
-        for (i, emitter) in self.emitters.iter().enumerate() {
-            let name = &emitter.name;
-            if name.trim().is_empty() {
-                return Err(format!("emitter {i} has no name"));
-            }
-            if !names.insert(name) {
-                return Err(format!("two emitters have the name \"{name}\"; use different names"));
-            }
-            emitter.light().check().map_err(|e| format!("emitter {i}, \"{name}\": {e}"))?;
-        }
-        Ok(())
+        check_rows(&self.emitters)
     }
+}
+
+/// Checks names and lights of emitters.
+///
+/// # Errors
+/// Description of the first invalid value.
+pub(crate) fn check_rows(emitters: &[EmitterRow]) -> std::result::Result<(), String> {
+    let mut names = BTreeSet::new();
+    for (i, emitter) in emitters.iter().enumerate() {
+        let name = &emitter.name;
+        if name.trim().is_empty() {
+            return Err(format!("emitter {i} has no name"));
+        }
+        if !names.insert(name) {
+            return Err(format!("two emitters have the name \"{name}\"; use different names"));
+        }
+        emitter.light().check().map_err(|e| format!("emitter {i}, \"{name}\": {e}"))?;
+    }
+    Ok(())
 }
 
 /// Checks a list of openings.

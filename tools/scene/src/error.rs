@@ -93,6 +93,14 @@ pub enum SceneError {
         /// Description of the problem and what to do.
         problem: String,
     },
+    /// The emitters that a scene names cannot be used.
+    #[error("{}: {problem}", path.display())]
+    Emitters {
+        /// Path of `emitters.json`.
+        path: PathBuf,
+        /// Description of the problem and what to do.
+        problem: String,
+    },
     /// Values in memory cannot be stored in a file.
     #[error("{what}: {problem}")]
     Data {

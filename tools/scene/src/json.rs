@@ -6,8 +6,11 @@ use serde::de::DeserializeOwned;
 
 use crate::error::{Result, SceneError, io_error};
 
-/// Reads a file into `T`. Skips a byte-order mark.
-pub(crate) fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
+/// Reads a JSON file into `T`. Skips a byte-order mark.
+///
+/// # Errors
+/// If the file cannot be read or does not hold a `T`.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let text = std::fs::read_to_string(path).map_err(io_error("read", path))?;
     let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     serde_json::from_str(text).map_err(|error| {

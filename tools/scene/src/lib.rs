@@ -45,6 +45,7 @@ pub use image::{
     read_ids, resize, resize_valid, srgb_to_linear, undistort, undistort_coverage, write_environment, write_exr,
     write_exr_layers, write_ids, write_npy_f16, write_npy_f32, write_png,
 };
+pub use json::read_json;
 pub use map_file::NormalFrame;
 pub use maps::{FeatureMap, MaskedMap, RegionMap};
 pub use noise::Noise;

@@ -6,18 +6,20 @@
 //! 4. Hidden lights, which no photograph shows well enough, are searched on a grid. The position that explains the photographs
 //!    best becomes an emitter if the PSNR rises by [`LEAST_GAIN`](crate::placement::LEAST_GAIN). Then all spheres move again.
 //! 5. The fit runs again. Candidates that it leaves dark are removed.
+//!
+//! Emitters whose shapes and places are known are only fitted (step 2).
 
-use crate::emitters::{CLIPPED, FoundEmitter, cell_of, find_emitters, is_clipped};
+use crate::emitters::{CLIPPED, find_emitters, is_clipped};
 use crate::error::Result;
 use crate::fit::{Fitter, Samples, UnitLight};
 use crate::radiosity::{FACES, Radiosity};
 use crate::room::{Room, SHEEN, near, reflectance, specular};
+use crate::shown::Shown;
 use crate::surfels::seen;
 use crate::views::SeenViews;
 use glam::Vec3;
 use sgs_passes::transport::{AreaLight, LightShape, nearest_surfels};
 use sgs_scene::{Image, Splats};
-use std::collections::BTreeMap;
 
 /// Maximum number of pixels of a view that the fit compares.
 pub(crate) const SAMPLES: usize = 3000;
@@ -57,17 +59,39 @@ pub(crate) struct Compared {
 impl Room {
     /// Finds emitters and fits them, and the enclosure, to photographs.
     ///
-    /// Photographs hold display values, one image per view. `splats` are the Gaussians of which the room was built.
+    /// Photographs hold display values, one image per view. `splats` are the Gaussians of which the room was built. `known`
+    /// are the emitters in world units, if their shapes and places are known: none is searched, moved or dropped then.
     ///
     /// # Errors
-    /// If the device fails.
-    pub fn explain(&self, views: &SeenViews, photographs: &[Image], splats: &Splats) -> Result<Explained> {
+    /// If a known emitter is invalid, or the device fails.
+    pub fn explain(
+        &self,
+        views: &SeenViews,
+        photographs: &[Image],
+        splats: &Splats,
+        known: Option<&[LightShape]>,
+    ) -> Result<Explained> {
         let length = self.unit.length() as f32;
-        let mut found = find_emitters(&views.views, photographs, &views.from, length, self.surfels.cell);
-        found.retain(|e| AreaLight { shape: e.shape, color: [1.0; 3] }.check().is_ok());
-        found.truncate(MOST_FOUND);
-        let mut shapes: Vec<LightShape> = found.iter().map(|e| e.shape).collect();
-        let compared = self.compared(&found, views, photographs);
+        let edge = self.surfels.cell;
+        let mut found = Vec::new();
+        let mut shapes: Vec<LightShape> = match known {
+            Some(known) => {
+                let lights: Vec<_> = known.iter().map(|shape| AreaLight { shape: *shape, color: [1.0; 3] }).collect();
+                self.scaled(&lights)?.iter().map(|light| light.shape).collect()
+            }
+            None => {
+                found = find_emitters(&views.views, photographs, &views.from, length, edge);
+                found.retain(|e| AreaLight { shape: e.shape, color: [1.0; 3] }.check().is_ok());
+                found.truncate(MOST_FOUND);
+                found.iter().map(|e| e.shape).collect()
+            }
+        };
+        let at_first = shapes.clone();
+        let shown = |shapes| match known {
+            Some(_) => Shown::Known { shapes, edge },
+            None => Shown::found(&found, shapes, edge),
+        };
+        let compared = self.compared(&shown(&at_first), views, photographs);
         let targets = self.scene.targets()?;
         let surfels: Vec<[f64; 3]> = self.surfels.materials.iter().map(|m| reflectance(m).map(f64::from)).collect();
         let faces: Vec<u8> = self.enclosure.patches().iter().map(|p| p.face as u8).collect();
@@ -78,21 +102,30 @@ impl Room {
             fitter.push(unit, i as u32 + 1);
         }
         rounds(&mut fitter);
-        self.place(&mut shapes, &mut fitter, &compared)?;
-        rounds(&mut fitter);
-        let of_gaussians = self.emitters_of(&found, &shapes, views, photographs, splats);
-        Ok(self.explained(&shapes, &fitter, of_gaussians))
+        if known.is_none() {
+            self.place(&mut shapes, &mut fitter, &compared)?;
+            rounds(&mut fitter);
+        }
+        let of_gaussians = shown(&shapes).by_gaussians(views, photographs, &splats.means, self.unit);
+        let least_power = if known.is_some() { None } else { Some(LEAST_POWER) };
+        Ok(self.explained(&shapes, &fitter, of_gaussians, least_power))
     }
 
-    /// Returns the result, without emitters that are dark.
-    fn explained(&self, shapes: &[LightShape], fitter: &Fitter<'_>, of_gaussians: Vec<u32>) -> Explained {
+    /// Returns the result, without emitters that are darker than a share of the most powerful one.
+    fn explained(
+        &self,
+        shapes: &[LightShape],
+        fitter: &Fitter<'_>,
+        of_gaussians: Vec<u32>,
+        least: Option<f32>,
+    ) -> Explained {
         let lights = shapes.iter().zip(fitter.colors()).map(|(shape, color)| AreaLight { shape: *shape, color });
         let lights: Vec<AreaLight> = lights.collect();
         let power = |light: &AreaLight| light.power().map_or(0.0, |p| p[0] + p[1] + p[2]);
         let most = lights.iter().map(power).fold(0.0, f32::max);
         let (mut emitters, mut numbers) = (Vec::new(), vec![0]);
         for light in &lights {
-            let shines = power(light) > LEAST_POWER * most;
+            let shines = least.is_none_or(|least| power(light) > least * most);
             if shines {
                 emitters.push(light.scaled(self.unit.length() as f32));
             }
@@ -132,64 +165,8 @@ impl Room {
         Ok(all)
     }
 
-    /// Returns the emitter of each Gaussian: 0 for none, else its number plus 1.
-    ///
-    /// A Gaussian belongs to an emitter if it lies in one of its cells or beside one, and most of the views that show the
-    /// Gaussian clip there. Photographs also clip in the glare around a bulb. So a Gaussian of a sphere must lie within two
-    /// radii of its center.
-    fn emitters_of(
-        &self,
-        found: &[FoundEmitter],
-        shapes: &[LightShape],
-        seen: &SeenViews,
-        photographs: &[Image],
-        splats: &Splats,
-    ) -> Vec<u32> {
-        let mut cells: BTreeMap<[i32; 3], u32> = BTreeMap::new();
-        for (number, emitter) in found.iter().enumerate().rev() {
-            for [x, y, z] in &emitter.cells {
-                for offset in 0..27 {
-                    let beside = [x + offset % 3 - 1, y + offset / 3 % 3 - 1, z + offset / 9 - 1];
-                    cells.entry(beside).or_insert(number as u32 + 1);
-                }
-                cells.insert([*x, *y, *z], number as u32 + 1);
-            }
-        }
-        let edge = self.surfels.cell;
-        let tolerance = 2.0 * edge * self.unit.length() as f32;
-        let of = |mean: &[f32; 3]| {
-            let place = self.unit.place(*mean);
-            let Some(emitter) = cells.get(&cell_of(place, edge)) else { return 0 };
-            if let LightShape::Sphere { center, radius } = shapes[*emitter as usize - 1]
-                && Vec3::from(center).distance(place.into()) > 2.0 * radius
-            {
-                return 0;
-            }
-            // Of the views that show the Gaussian, the number of those whose pixel clips.
-            let (mut shown, mut clipped) = (0, 0);
-            for (i, ((view, photograph), from)) in seen.views.iter().zip(photographs).zip(&seen.from).enumerate() {
-                let Some(pixel) = seen.pixel(i, *mean) else { continue };
-                let surface = Vec3::from_slice(&view.points[3 * pixel..3 * pixel + 3]);
-                let from = Vec3::from(*from);
-                if (surface.distance(from) - Vec3::from(*mean).distance(from)).abs() > tolerance {
-                    continue;
-                }
-                shown += 1;
-                clipped += usize::from(is_clipped(photograph, pixel));
-            }
-            if 2 * clipped > shown { *emitter } else { 0 }
-        };
-        splats.means.iter().map(of).collect()
-    }
-
     /// Returns the pixels that the fit compares.
-    fn compared(&self, found: &[FoundEmitter], views: &SeenViews, photographs: &[Image]) -> Compared {
-        let mut cells: BTreeMap<[i32; 3], u32> = BTreeMap::new();
-        for (number, emitter) in found.iter().enumerate().rev() {
-            emitter.cells.iter().for_each(|cell| {
-                cells.insert(*cell, number as u32 + 1);
-            });
-        }
+    fn compared(&self, shown: &Shown<'_>, views: &SeenViews, photographs: &[Image]) -> Compared {
         let unit = self.unit.length() as f32;
         let (mut samples, mut points, mut normals) = (Samples::default(), Vec::new(), Vec::new());
         for ((view, photograph), from) in views.views.iter().zip(photographs).zip(&views.from) {
@@ -203,8 +180,8 @@ impl Room {
                 samples.clipped.push(target.map(|v| v >= CLIPPED));
                 samples.diffuse.push(m.albedo.map(|a| f64::from(a * (1.0 - m.metallic))));
                 samples.specular.push(specular(m, s.normal.dot(to).clamp(0.0, 1.0)).map(f64::from));
-                let emitter = cells.get(&cell_of(s.point.into(), self.surfels.cell)).copied().unwrap_or(0);
-                samples.emitters.push(if is_clipped(photograph, pixel) { emitter } else { 0 });
+                let clips = is_clipped(photograph, pixel);
+                samples.emitters.push(if clips { shown.by_pixel(Vec3::from(*from) / unit, s.point) } else { 0 });
                 points.push(s.point.to_array());
                 normals.push(s.normal.to_array());
             }

@@ -7,7 +7,7 @@ use crate::training::TrainingRoom;
 use sgs_config::{TransportPart, TransportSettings};
 use sgs_engine::Device;
 use sgs_passes::transport::{AreaLight, LightShape};
-use sgs_run::{EmitterFile, EmitterRow, EnclosureRow, MOST_OPENINGS, OpeningRow};
+use sgs_run::{EmitterFile, EmitterRow, EnclosureRow, KnownEmitters, MOST_OPENINGS, OpeningRow};
 use sgs_scene::{Camera, Image, Scene, Splats};
 
 /// Emitters and enclosure of a room.
@@ -42,17 +42,26 @@ pub(crate) fn reduced(scene: &Scene) -> Scene {
 
 /// Finds the emitters of a scene and fits them to its training images.
 ///
-/// Their colors, the positions of spheres and the albedo of the enclosure are fitted. Rectangles are openings, too. Lengths of the scene, the splats and the
-/// result are in the scene's unit.
+/// Their colors, the positions of spheres and the albedo of the enclosure are fitted. Rectangles are openings, too. If the
+/// scene names its emitters ([`KnownEmitters`]), none is searched: their colors and the albedo of the enclosure are fitted.
+/// Lengths of the scene, the splats and the result are in the scene's unit.
 ///
 /// # Errors
-/// If the splats have no materials, a photograph cannot be read, or the device fails.
+/// If the splats have no materials, a photograph or the file of emitters cannot be used, or the device fails.
 pub fn fit_room(device: &Device, scene: &Scene, splats: &Splats, options: RoomOptions) -> Result<FittedRoom> {
+    let known = KnownEmitters::of_scene(scene)?;
     let scene = reduced(scene);
     let cameras = cameras_of(&scene);
     let photographs: Vec<Image> = scene.load_train_images()?;
     let (room, views) = Room::new(device, splats, &cameras, options)?;
-    let explained = room.explain(&views, &photographs, splats)?;
+    let (room, shapes) = match &known {
+        Some(known) => {
+            let shapes: Vec<LightShape> = known.emitters.iter().map(|e| e.shape).collect();
+            (room.with_outside(&known.openings, None)?, Some(shapes))
+        }
+        None => (room, None),
+    };
+    let explained = room.explain(&views, &photographs, splats, shapes.as_deref())?;
     let [low, high] = room.bounds();
 
     let enclosure = EnclosureRow { low, high, albedo: explained.enclosure };
@@ -62,8 +71,18 @@ pub fn fit_room(device: &Device, scene: &Scene, splats: &Splats, options: RoomOp
     if without == Some(TransportPart::Emission) {
         of_gaussians.fill(0);
     }
-    let mut emitters = EmitterFile::new(enclosure, settings, named(&emitters));
-    emitters.openings = emitters.emitters.iter().filter_map(|e| OpeningRow::of(&e.shape)).take(MOST_OPENINGS).collect();
+    let openings = match &known {
+        Some(known) => known.openings.clone(),
+        None => emitters.iter().filter_map(|e| OpeningRow::of(&e.shape)).take(MOST_OPENINGS).collect(),
+    };
+    let rows = match known {
+        Some(known) => {
+            let fitted = known.emitters.into_iter().zip(&emitters);
+            fitted.map(|(row, light)| EmitterRow { color: light.color, ..row }).collect()
+        }
+        None => named(&emitters),
+    };
+    let emitters = EmitterFile { openings, ..EmitterFile::new(enclosure, settings, rows) };
     Ok(FittedRoom { emitters, of_gaussians, psnr, uniform_psnr })
 }
 

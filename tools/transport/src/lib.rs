@@ -13,6 +13,7 @@ mod needs;
 mod placement;
 mod radiosity;
 mod room;
+mod shown;
 mod surfels;
 mod training;
 mod views;

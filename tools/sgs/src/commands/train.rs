@@ -12,8 +12,8 @@ use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Command};
 use sgs_config::{Backward, PRESETS, Preset, Settings, accuracy_named, overlay};
 use sgs_engine::Device;
-use sgs_run::{RunContents, RunDirectory, StageKind};
-use sgs_scene::SplitRule;
+use sgs_run::{KnownEmitters, RunContents, RunDirectory, StageKind};
+use sgs_scene::{Scene, SplitRule};
 use sgs_train::{Outcome, StartGeometry, Trainer, TrainerOptions};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -377,6 +377,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if kinds.contains(&StageKind::Geometry) && !resuming {
         check_start(&scene)?;
     }
+    if kinds.contains(&StageKind::Transport) && !resuming {
+        name_emitters(common, &scene)?;
+    }
     if a.stage != Stage::Geometry && !resuming {
         warn_without_priors(&scene)?;
     }
@@ -414,6 +417,17 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.answer(&RunDirectory::open(&a.output)?.training_summary()?)?;
     drop(trainer);
     validated(&device)
+}
+
+/// Checks the emitters that the scene names, and says that they are used.
+fn name_emitters(common: &Common, scene: &Scene) -> anyhow::Result<()> {
+    if let Some(known) = KnownEmitters::of_scene(scene)?
+        && !common.quiet
+    {
+        let count = known.emitters.len();
+        eprintln!("the lights are the {count} emitters of \"{}\"", KnownEmitters::path(scene).display());
+    }
+    Ok(())
 }
 
 /// Reports on the page of a training how it ended.

@@ -24,7 +24,7 @@ use crate::transport::TransportPlan;
 use record::Record;
 use sgs_config::{OnDivergence, Settings};
 use sgs_engine::Device;
-use sgs_run::{RunDirectory, StageKind};
+use sgs_run::{KnownEmitters, RunDirectory, StageKind};
 use sgs_scene::{Scene, Splats};
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -105,7 +105,8 @@ impl Trainer {
     /// Prepares training. Writes nothing. Uses the device only to check the memory budget.
     ///
     /// # Errors
-    /// If settings are wrong, the run cannot be resumed, or the stages cannot fit into the memory budget.
+    /// If settings are wrong, the emitters that the scene names cannot be used, the run cannot be resumed, or the stages cannot
+    /// fit into the memory budget.
     pub fn new(device: &Device, scene: Arc<Scene>, settings: &Settings, options: TrainerOptions) -> Result<Trainer> {
         let mut settings = settings.clone();
         // The exposure of the scene belongs to the run: evaluation and resuming use the same one.
@@ -113,6 +114,9 @@ impl Trainer {
         settings.check()?;
         if options.start.is_some() && options.stages.contains(&StageKind::Geometry) {
             return Err(Requirement::OneGeometry.into());
+        }
+        if options.stages.contains(&StageKind::Transport) && !options.resume {
+            KnownEmitters::of_scene(&scene)?;
         }
         let resumed = match (&options.run, options.resume) {
             (Some(root), true) if root.join("config.toml").is_file() => Some(RunDirectory::open(root)?),
