@@ -1,7 +1,7 @@
 //! Emitters whose shapes and places a scene names: `SCENE/emitters.json`.
 //!
 //! The file has the form of a run's `emitters.json`, so that one can be copied and edited. Colors and the albedo of the
-//! enclosure are fitted anew.
+//! enclosure are fitted.
 
 use crate::emitters::{EmitterRow, FORMAT, OpeningRow, check_openings, check_rows};
 use serde::Deserialize;
@@ -31,7 +31,7 @@ struct KnownFile {
     emitters: Vec<KnownRow>,
     #[serde(default)]
     openings: Vec<OpeningRow>,
-    // Values of a run, which the stage finds anew.
+    // Values of a run. The stage finds its own.
     #[serde(default, rename = "enclosure")]
     _enclosure: IgnoredAny,
     #[serde(default, rename = "surfels")]
@@ -178,7 +178,7 @@ mod tests {
         refused(&[row("a", "", point), row("a", "", point)].join(","), "", "different names");
         refused(&row("a", r#""color": [-1, 0, 0],"#, point), "", "\"a\"");
         refused(&row("a", r#""colour": 1,"#, point), "", "colour");
-        refused(&row("a", "", point), r#", "lamps": 1"#, "lamps");
+        refused(&row("a", "", point), r#", "panels": 1"#, "panels");
         refused(
             &row("a", "", point),
             r#", "openings": [{"corner": [0, 0, 0], "edge_u": [0, 0, 0], "edge_v": [0, 1, 0]}]"#,

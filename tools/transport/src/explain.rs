@@ -111,7 +111,9 @@ impl Room {
         Ok(self.explained(&shapes, &fitter, of_gaussians, least_power))
     }
 
-    /// Returns the result, without emitters that are darker than a share of the most powerful one.
+    /// Returns the result, without emitters that are too dark.
+    ///
+    /// `least`: minimum power as a share of that of the most powerful emitter; none keeps all.
     fn explained(
         &self,
         shapes: &[LightShape],

@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 
 /// Distance by which a ray may miss a known emitter, in edges of a cell.
 const LATERAL: f32 = 1.0;
-/// Distance by which a surface may lie in front of a known emitter, in edges of a cell.
+/// Distance of surfaces before a known emitter that show it, in edges of a cell.
 ///
 /// Panes of windows are reconstructed up to a few tenths of a meter in front of the true ones.
 const DEPTH: f32 = 6.0;
@@ -123,9 +123,9 @@ fn dilated(cells: &BTreeMap<[i32; 3], u32>) -> BTreeMap<[i32; 3], u32> {
     all
 }
 
-/// Returns the known emitter that a ray from a camera meets at or before the surface: 0 for none, else its number plus 1.
+/// Returns the known emitter that a camera sees before, or just behind, a surface.
 ///
-/// Of several emitters, it is the one that the ray misses least.
+/// 0 stands for none, else it is the number plus 1. Of several emitters, it is the one that the ray misses least.
 fn hit(shapes: &[LightShape], from: Vec3, point: Vec3, edge: f32) -> u32 {
     let reach = from.distance(point) + DEPTH * edge;
     let direction = (point - from).normalize_or_zero();

@@ -64,6 +64,7 @@ fn texts() -> Files {
         ("lights", "three.json", LIGHTS),
         ("lights", "types.json", TYPED_LIGHTS),
         ("emitters", "seven.json", EMITTERS),
+        ("emitters", "known.json", KNOWN_EMITTERS),
         ("lights_beside", "three.json", LIGHTS),
         ("edit", "add.json", EDITS[0]),
         ("edit", "change.json", EDITS[1]),

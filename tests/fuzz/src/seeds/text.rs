@@ -101,6 +101,13 @@ pub(crate) const EMITTERS: &str = r#"{"format": "sgs-emitters-1", "surfels": 819
 "edge_v": [0, 0, 1]}}], "openings": [{"corner": [0, 0, 1], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1]}], "environment": "sky.exr"}
 "#;
 
+pub(crate) const KNOWN_EMITTERS: &str = r#"{"format": "sgs-emitters-1", "emitters": [
+{"name": "bulb", "shape": {"type": "sphere", "center": [1, 0, 2], "radius": 0.1}},
+{"name": "off", "on": false, "shape": {"type": "point", "position": [0, 0, 2]}},
+{"name": "sun", "color": [9, 9, 8], "shape": {"type": "directional", "direction": [1, 1, -1], "angular_radius": 0.27}}],
+"openings": [{"corner": [0, 0, 1], "edge_u": [1, 0, 0], "edge_v": [0, 0, 1]}]}
+"#;
+
 pub(crate) const EDITS: [&str; 5] = [
     r#"{"lights": {"off": true, "add": [{"position": [0, 1, 0], "intensity": [1, 2, 3]},
 {"corners": [[0, 2, 0], [1, 2, 0], [1, 2, 1], [0, 2, 1]], "radiance": [5, 5, 5], "patches": 3},

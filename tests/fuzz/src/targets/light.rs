@@ -5,8 +5,8 @@ use crate::place::Place;
 use crate::seeds;
 use sgs_relight::{Edit, fuzzed};
 use sgs_run::{
-    LightFile, LightList, read_emitters, read_exchange, read_light, read_light_list, read_lights, write_emitters,
-    write_light_list,
+    KnownEmitters, LightFile, LightList, MOST_KNOWN, read_emitters, read_exchange, read_light, read_light_list,
+    read_lights, write_emitters, write_light_list,
 };
 use sgs_scene::read_environment;
 
@@ -34,17 +34,24 @@ pub(crate) fn lights(bytes: &[u8]) -> String {
     })
 }
 
-/// Reads emitters and writes them again.
+/// Reads emitters of a run and of a scene. Writes those of a run again.
 pub(crate) fn emitters(bytes: &[u8]) -> String {
     let place = Place::of("emitters", |_| ());
-    text_of(read_emitters(&place.put("emitters.json", bytes)), |file| {
+    let path = place.put("emitters.json", bytes);
+    let known = text_of(KnownEmitters::read(&path), |known| {
+        let count = known.emitters.len();
+        assert!((1..=MOST_KNOWN).contains(&count) && known.emitters.iter().all(|e| e.on && e.light().check().is_ok()));
+        format!("{} known emitters", count.min(4))
+    });
+    let of_run = text_of(read_emitters(&path), |file| {
         let lights = file.lights();
         assert!(lights.iter().all(|l| l.check().is_ok()), "lights are valid");
         let again = place.path("again.json");
         let back = write_emitters(&again, &file).and_then(|()| read_emitters(&again));
         assert_eq!(back.ok(), Some(file), "emitters come back");
         format!("{} emitters", lights.len().min(4))
-    })
+    });
+    format!("{of_run}; {known}")
 }
 
 /// Reads lights next to a PLY file.
