@@ -16,6 +16,14 @@ pub enum Error {
         /// Names of the available devices.
         found: String,
     },
+    /// A request could mean several devices, or none.
+    #[error("{why}; select one with --device: {found}.")]
+    UnclearDevice {
+        /// What is unclear.
+        why: String,
+        /// Devices to select from.
+        found: String,
+    },
     /// A device lacks required features.
     #[error("Device \"{device}\" lacks {}.", missing.join(", "))]
     MissingFeatures {

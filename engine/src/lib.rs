@@ -16,7 +16,10 @@ mod swapchain;
 pub use allocator::{Activity, Budget, BudgetSource};
 /// Vulkan's own types, for hosts that hand over handles.
 pub use ash::vk;
-pub use device::{Device, DeviceInfo, DeviceOptions, MatrixShape, Surface, Ticket, Window, devices};
+pub use device::{
+    DRIVER_VARIABLES, Device, DeviceInfo, DeviceOptions, DriverFile, Environment, MatrixShape, Selection, Surface,
+    Ticket, Window, devices, driver_files, select_auto,
+};
 pub use error::{Error, Result};
 pub use format::ImageFormat;
 pub use memory::{DeviceBuffer, DeviceImage, Location, STAGING_BYTES};

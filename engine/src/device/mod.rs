@@ -6,8 +6,10 @@
 mod allocation;
 mod cache;
 mod deferred;
+mod driver_files;
 pub mod external;
 pub mod fault;
+mod identity;
 mod instance;
 mod limits;
 mod local_size;
@@ -19,9 +21,11 @@ mod statistics;
 mod surface;
 
 pub(crate) use deferred::{Busy, DeferredObject};
+pub use driver_files::{DRIVER_VARIABLES, DriverFile, driver_files};
 use external::Locked;
 pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements};
 pub use fault::{Fault, FaultKind, Faults};
+pub use identity::{Environment, Selection, select_auto};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
 pub use limits::Limits;
@@ -46,7 +50,7 @@ use std::time::Duration;
 /// Options for opening a device.
 #[derive(Clone, Debug)]
 pub struct DeviceOptions {
-    /// Index or part of a name; the best device if absent.
+    /// Index, part of a name, `uuid:…`, `pci:…` or `auto`; `auto` if absent. See [`select_auto`].
     pub select: Option<String>,
     /// Enables validation and synchronization validation; [`Device::messages`] collects the messages.
     pub validation: bool,
@@ -157,7 +161,10 @@ impl Device {
     pub fn open(options: &DeviceOptions) -> Result<Device> {
         let gate = Gate::new(options.faults.clone(), options.objects.clone());
         let instance = Instance::new(options.validation, &[], &gate)?;
-        let selected = select::choose(select::candidates(&instance, &gate)?, options.select.as_deref())?;
+        let selected = {
+            let candidates = select::candidates(&instance, &gate)?;
+            select::choose(candidates, options.select.as_deref(), &Environment::current())?
+        };
         Device::make(instance, selected, &[], gate, options)
     }
 

@@ -1,6 +1,7 @@
 //! Enumeration and selection of physical devices.
 
 use super::fault::Gate;
+use super::identity::{Environment, has_pci, has_uuid, names, rank, refused, select_auto, uuid_text};
 use super::instance::Instance;
 use crate::error::{Error, Result};
 use crate::format::ImageFormat;
@@ -14,6 +15,12 @@ pub struct DeviceInfo {
     pub index: usize,
     /// Name reported by the driver.
     pub name: String,
+    /// UUID of the device: 32 hexadecimal digits with hyphens. The same in every process, and with other drivers that know it.
+    pub uuid: String,
+    /// PCI address, such as `0000:01:00.0`; absent for devices on no PCI bus.
+    pub pci: Option<String>,
+    /// PCI vendor, or an identifier that Khronos assigned.
+    pub vendor: u32,
     /// `discrete`, `integrated`, `virtual`, `cpu` or `other`.
     pub kind: &'static str,
     /// Driver name and version.
@@ -115,6 +122,8 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let mut driver = vk::PhysicalDeviceDriverProperties::default();
     let mut allocation = vk::PhysicalDeviceMaintenance3Properties::default();
     let mut buffer = vk::PhysicalDeviceMaintenance4Properties::default();
+    let mut identity = vk::PhysicalDeviceIDProperties::default();
+    let mut bus = vk::PhysicalDevicePCIBusInfoPropertiesEXT::default();
     // SAFETY: the physical device comes from this instance. The version is queried first, because older devices do
     // not know the newer structs.
     let basic = unsafe { api.get_physical_device_properties(physical) };
@@ -124,6 +133,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         api.enumerate_device_extension_properties(physical)
     })?;
     let has = |name: &std::ffi::CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
+    let has_bus = has(ash::ext::pci_bus_info::NAME);
     let has_atomics = has(ash::ext::shader_atomic_float::NAME);
     let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default();
     let mut cooperative_stages = vk::PhysicalDeviceCooperativeMatrixPropertiesKHR::default();
@@ -133,7 +143,10 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let mut properties = vk::PhysicalDeviceProperties2::default();
     if modern {
         properties = properties.push_next(&mut subgroup).push_next(&mut sizes).push_next(&mut driver);
-        properties = properties.push_next(&mut allocation).push_next(&mut buffer);
+        properties = properties.push_next(&mut allocation).push_next(&mut buffer).push_next(&mut identity);
+        if has_bus {
+            properties = properties.push_next(&mut bus);
+        }
         let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
         if has_atomics {
             features = features.push_next(&mut atomics);
@@ -240,6 +253,11 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let info = DeviceInfo {
         index,
         name: text(basic.device_name_as_c_str()),
+        uuid: uuid_text(&identity.device_uuid),
+        pci: (modern && has_bus).then(|| {
+            format!("{:04x}:{:02x}:{:02x}.{:x}", bus.pci_domain, bus.pci_bus, bus.pci_device, bus.pci_function)
+        }),
+        vendor: basic.vendor_id,
         kind: match basic.device_type {
             vk::PhysicalDeviceType::DISCRETE_GPU => "discrete",
             vk::PhysicalDeviceType::INTEGRATED_GPU => "integrated",
@@ -325,48 +343,54 @@ fn storage_formats(instance: &Instance, physical: vk::PhysicalDevice) -> Vec<Ima
     ImageFormat::ALL.into_iter().filter(has).collect()
 }
 
-/// Selects a device by index or part of its name, else the best: discrete, integrated, virtual, cpu.
-pub(crate) fn choose(mut all: Vec<Candidate>, requested: Option<&str>) -> Result<Candidate> {
-    let found = if all.is_empty() {
-        "none".to_owned()
-    } else {
-        all.iter().map(|c| c.info.name.clone()).collect::<Vec<_>>().join(", ")
-    };
-    let none = |requested: &str| Error::NoDevice { requested: requested.to_owned(), found: found.clone() };
-    let rank = |c: &Candidate| match c.info.kind {
-        "discrete" => 0,
-        "integrated" => 1,
-        "virtual" => 2,
-        "cpu" => 3,
-        _ => 4,
-    };
-    if let Some(requested) = requested {
-        let matches = |c: &Candidate| match requested.parse::<usize>() {
-            Ok(index) => c.info.index == index,
-            Err(_) => c.info.name.to_lowercase().contains(&requested.to_lowercase()),
-        };
-        all.retain(matches);
-        if all.is_empty() {
-            return Err(none(requested));
+/// Selects a device: by index, part of its name, `uuid:`, `pci:`, or `auto` (the default, [`select_auto`]).
+pub(crate) fn choose(all: Vec<Candidate>, requested: Option<&str>, environment: &Environment<'_>) -> Result<Candidate> {
+    let infos: Vec<DeviceInfo> = all.iter().map(|c| c.info.clone()).collect();
+    let index = match requested {
+        None | Some("auto") => {
+            let selection = select_auto(&infos, environment)?;
+            tracing::info!("device {}: {}", selection.index, selection.reason);
+            selection.index
         }
+        Some(requested) => named(&infos, requested)?,
+    };
+    let none = || Error::NoDevice { requested: "any device".to_owned(), found: names(&infos) };
+    let chosen = all.into_iter().find(|c| c.info.index == index).ok_or_else(none)?;
+    if !chosen.info.missing.is_empty() {
+        return Err(Error::MissingFeatures { device: chosen.info.name, missing: chosen.info.missing });
     }
-    // The stable sort keeps the loader's order among equals; complete devices precede incomplete ones.
-    all.sort_by_key(|c| (!c.info.missing.is_empty(), rank(c)));
-    let best = all.into_iter().next().ok_or_else(|| none("any device"))?;
-    if !best.info.missing.is_empty() {
-        return Err(Error::MissingFeatures { device: best.info.name, missing: best.info.missing });
+    Ok(chosen)
+}
+
+/// Returns the index of the device that a request names. Of several with the name, it is the best.
+fn named(all: &[DeviceInfo], requested: &str) -> Result<usize> {
+    let matches = |d: &&DeviceInfo| match (requested.parse::<usize>(), requested.split_once(':')) {
+        (Ok(index), _) => d.index == index,
+        (_, Some(("uuid", uuid))) => has_uuid(d, uuid),
+        (_, Some(("pci", pci))) => has_pci(d, pci),
+        _ => d.name.to_lowercase().contains(&requested.to_lowercase()),
+    };
+    let mut found: Vec<&DeviceInfo> = all.iter().filter(matches).collect();
+    if found.len() > 1 && (requested.starts_with("uuid:") || requested.starts_with("pci:")) {
+        let found: Vec<DeviceInfo> = found.into_iter().cloned().collect();
+        return Err(refused(&format!("several devices match \"{requested}\""), &found));
     }
-    Ok(best)
+    found.sort_by_key(|d| (!d.missing.is_empty(), rank(d)));
+    let none = || Error::NoDevice { requested: requested.to_owned(), found: names(all) };
+    found.first().map(|d| d.index).ok_or_else(none)
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    fn candidate(index: usize, name: &str, kind: &'static str, missing: &[&str]) -> Candidate {
-        let info = DeviceInfo {
+    pub(in crate::device) fn device(index: usize, name: &str, kind: &'static str, missing: &[&str]) -> DeviceInfo {
+        DeviceInfo {
             index,
             name: name.to_owned(),
+            uuid: uuid_text(&[index as u8; 16]),
+            pci: None,
+            vendor: 0,
             kind,
             driver: String::new(),
             api: "1.3.0".to_owned(),
@@ -388,8 +412,18 @@ mod tests {
             missing: missing.iter().map(|m| (*m).to_owned()).collect(),
             fallbacks: Vec::new(),
             optional: OptionalFeatures::default(),
-        };
+        }
+    }
+
+    fn candidate(index: usize, name: &str, kind: &'static str, missing: &[&str]) -> Candidate {
+        let info = device(index, name, kind, missing);
         Candidate { physical: vk::PhysicalDevice::null(), queue_family: Some(0), info }
+    }
+
+    /// Selects without variables of a scheduler.
+    fn choose(all: Vec<Candidate>, requested: Option<&str>) -> Result<Candidate> {
+        let environment = Environment { variable: &|_| None, nvidia_uuids: &|| None };
+        super::choose(all, requested, &environment)
     }
 
     fn sample_candidates() -> Vec<Candidate> {
@@ -427,6 +461,8 @@ mod tests {
         assert_eq!(choose(sample_candidates(), None).map(|c| c.info.index).ok(), Some(1));
         assert_eq!(choose(sample_candidates(), Some("0")).map(|c| c.info.index).ok(), Some(0));
         assert_eq!(choose(sample_candidates(), Some("PIPE")).map(|c| c.info.index).ok(), Some(0));
+        assert_eq!(choose(sample_candidates(), Some("auto")).map(|c| c.info.index).ok(), Some(1));
+        assert_eq!(choose(sample_candidates(), Some("uuid:00")).map(|c| c.info.index).ok(), Some(0));
     }
 
     #[test]
@@ -450,6 +486,11 @@ mod tests {
         );
         let found = "found: llvmpipe, Small GPU, Old GPU.";
         assert_eq!(fail(sample_candidates(), Some("3")), format!("No Vulkan device matches \"3\"; {found}"));
+        assert_eq!(
+            fail(sample_candidates(), Some("pci:01:00.0")),
+            format!("No Vulkan device matches \"pci:01:00.0\"; {found}")
+        );
+        assert!(fail(sample_candidates(), Some("uuid:0")).starts_with("several devices match \"uuid:0\"; select one"));
         assert_eq!(fail(Vec::new(), None), "No Vulkan device matches \"any device\"; found: none.");
         assert_eq!(
             fail(sample_candidates().split_off(2), None),

@@ -4,6 +4,7 @@
 //! one of its queues both computes and presents. The caller owns the window, its events and its size.
 
 use super::fault::Gate;
+use super::identity::Environment;
 use super::instance::Instance;
 use super::objects::ObjectKind;
 use super::{Device, DeviceOptions, select};
@@ -99,7 +100,7 @@ impl Device {
         for candidate in &mut candidates {
             surface.select_queue_family(candidate, &gate)?;
         }
-        let selected = select::choose(candidates, options.select.as_deref())?;
+        let selected = select::choose(candidates, options.select.as_deref(), &Environment::current())?;
         let device = Device::make(instance, selected, &[khr::swapchain::NAME], gate, options)?;
         Ok((device, Arc::new(surface)))
     }

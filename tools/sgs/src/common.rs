@@ -10,8 +10,9 @@ use std::time::Duration;
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Options of every command")]
 pub struct Common {
-    /// Device by index or part of its name (see `sgs devices`); by default the best.
-    #[arg(long, global = true, value_name = "INDEX|NAME")]
+    /// Device by index, part of its name, UUID or PCI address (see `sgs devices`), or "auto", the default: the first that
+    /// CUDA_VISIBLE_DEVICES and such variables name, else the best.
+    #[arg(long, global = true, value_name = "INDEX|NAME|uuid:…|pci:…|auto")]
     pub device: Option<String>,
     /// Write the result as JSON to standard output, or to FILE. Its name ends in .json.
     #[arg(long, global = true, num_args = 0..=1, default_missing_value = "-", value_name = "FILE", require_equals = true)]

@@ -153,6 +153,7 @@ fn of_engine(error: &sgs_engine::Error) -> Option<Kind> {
     match error {
         error if error.is_out_of_memory() => Some(Kind::OutOfMemory),
         E::DeviceLost(_) | E::Timeout { .. } => Some(Kind::DeviceLost),
+        E::UnclearDevice { .. } => Some(Kind::Usage),
         E::NoDevice { requested, found } if found != "none" && requested != "any device" => Some(Kind::Usage),
         _ => None,
     }

@@ -62,7 +62,7 @@ enum Command {
     /// Export Gaussians, materials and lighting for other programs: PLY, glTF.
     Export(commands::export::Args),
     /// List the Vulkan devices that can run SGS, and the features that others lack.
-    Devices,
+    Devices(commands::devices::Args),
     /// Print a shell completion script.
     Completions(commands::shell::Completions),
     /// Write the manual pages.
@@ -111,7 +111,7 @@ fn main() {
         Command::Robustness(a) => commands::robustness::run(&cli.common, a),
         Command::Report(a) => commands::report::run(&cli.common, a),
         Command::Export(a) => commands::export::run(&cli.common, a),
-        Command::Devices => commands::devices::run(&cli.common),
+        Command::Devices(a) => commands::devices::run(&cli.common, &a),
         Command::Completions(a) => commands::shell::completions(a, Cli::command()),
         Command::Man(a) => commands::shell::man(&cli.common, a, Cli::command()),
     };

@@ -1,8 +1,10 @@
-//! Device list: `sgs devices` shows which devices can run SGS, and what the others lack.
+//! Device list: `sgs devices` shows which devices can run SGS, what the others lack, and which is used by default.
+
+mod doctor;
 
 use crate::common::Common;
 use serde::Serialize;
-use sgs_engine::{DeviceInfo, MatrixShape};
+use sgs_engine::{DeviceInfo, Environment, MatrixShape, select_auto};
 use sgs_passes::{Matrices, NoMatrices};
 
 /// Subgroup sizes of the project's tests on Mesa's lavapipe.
@@ -22,16 +24,31 @@ struct Listed<'a> {
     tests: &'static str,
     /// Subgroup sizes at which this kind of device is tested.
     tested_lanes: &'static [u32],
+    /// Reason why this device is used unless another is selected; absent for all others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    auto: Option<String>,
 }
 
-pub fn run(common: &Common) -> anyhow::Result<()> {
+#[derive(clap::Args)]
+pub struct Args {
+    /// Show which driver files the Vulkan loader reads, which of them it rejects and why, and what to install.
+    #[arg(long)]
+    doctor: bool,
+}
+
+pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
+    if a.doctor {
+        return doctor::run(common);
+    }
     let devices = sgs_engine::devices()?;
+    let chosen = select_auto(&devices, &Environment::current());
     let listed: Vec<Listed<'_>> = devices
         .iter()
         .map(|info| Listed {
             info,
             tests: if tested(&info.name, &info.driver, info.subgroup_size) { "tested" } else { "not tested" },
             tested_lanes: tested_lanes(&info.name, &info.driver),
+            auto: chosen.as_ref().ok().filter(|c| c.index == info.index).map(|c| c.reason.clone()),
         })
         .collect();
     if common.answer(&listed)? {
@@ -42,6 +59,8 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
     }
     for d in devices {
         println!("{}: {} ({}), Vulkan {}, {}", d.index, d.name, d.kind, d.api, d.driver);
+        let pci = d.pci.as_ref().map(|pci| format!(", pci:{pci}")).unwrap_or_default();
+        println!("   uuid:{}{pci}", d.uuid);
         let (low, high) = d.subgroup_sizes;
         println!(
             "   subgroup {} ({low} to {high}), {} MiB of device memory, {} MiB a storage binding",
@@ -62,6 +81,10 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
         for f in d.fallbacks {
             println!("   {f}");
         }
+    }
+    match chosen {
+        Ok(chosen) => println!("used by default: {}, because {}", chosen.index, chosen.reason),
+        Err(error) => println!("used by default: none; {error}"),
     }
     Ok(())
 }
