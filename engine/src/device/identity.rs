@@ -1,4 +1,4 @@
-//! Identity of devices, and the choice of a device where a scheduler has made only some of them visible.
+//! Identity of devices, and the choice of a device among those of a scheduler.
 //!
 //! Ray, Slurm and containers name GPUs in environment variables. Vulkan ignores these, so [`select_auto`] maps them to
 //! Vulkan devices: UUIDs as they are, indices by the UUIDs of `nvidia-smi` or by PCI address. It guesses nothing. If a
@@ -26,7 +26,7 @@ pub struct Selection {
 pub struct Environment<'a> {
     /// Returns the value of a variable.
     pub variable: &'a dyn Fn(&str) -> Option<String>,
-    /// Returns the UUIDs of NVIDIA's devices by their PCI index, if `nvidia-smi` tells them.
+    /// Returns the UUIDs of NVIDIA's devices by index, if `nvidia-smi` tells them.
     pub nvidia_uuids: &'a dyn Fn() -> Option<Vec<String>>,
 }
 
@@ -191,7 +191,7 @@ pub(super) fn rank(device: &DeviceInfo) -> u32 {
     }
 }
 
-/// Returns whether the UUID of a device begins with that of a request, in any spelling.
+/// Returns whether the UUID of a device begins with that of a request.
 pub(super) fn has_uuid(device: &DeviceInfo, requested: &str) -> bool {
     let plain = |uuid: &str| uuid.chars().filter(char::is_ascii_hexdigit).collect::<String>().to_lowercase();
     let bare = |uuid: &str| {

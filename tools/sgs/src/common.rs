@@ -10,8 +10,8 @@ use std::time::Duration;
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Options of every command")]
 pub struct Common {
-    /// Device by index, part of its name, UUID or PCI address (see `sgs devices`), or "auto", the default: the first that
-    /// CUDA_VISIBLE_DEVICES and such variables name, else the best.
+    /// Device by index, part of its name, UUID or PCI address. "auto", the default, is the first one that
+    /// CUDA_VISIBLE_DEVICES and such variables name, else the best (docs/reference/devices.md).
     #[arg(long, global = true, value_name = "INDEX|NAME|uuid:…|pci:…|auto")]
     pub device: Option<String>,
     /// Write the result as JSON to standard output, or to FILE. Its name ends in .json.

@@ -31,7 +31,7 @@ struct Listed<'a> {
 
 #[derive(clap::Args)]
 pub struct Args {
-    /// Show which driver files the Vulkan loader reads, which of them it rejects and why, and what to install.
+    /// Show the driver files of Vulkan, why some are rejected, and what to install.
     #[arg(long)]
     doctor: bool,
 }
