@@ -46,23 +46,6 @@ fn plan_bounds_the_memory_of_a_run() {
 }
 
 #[test]
-fn fit_beyond_the_budget_is_refused_before_training() {
-    let place = place();
-    let (scene, run) = (place.text("scene"), place.text("other"));
-    let set = ["--stage", "transport", "--set", "transport.surfels=8192"];
-    let plan = |more: &[&str]| sgs(&[&["plan", &scene][..], &set, more].concat());
-    let fit = plan(&["--json"]).ok().json()["fit"].clone();
-    let of = |name: &str| fit[name].as_u64().unwrap();
-    let needed = of("room") + of("light") + of("staging");
-    assert!(needed > of("shading"), "{fit}");
-    let budget = (needed - 1).to_string();
-    let refused = ["The fit of the room needs", "transport.surfels"];
-    plan(&["--memory-budget", &budget]).refused_with(75, &refused);
-    sgs(&[&["train", &scene, "-o", &run, "--memory-budget", &budget][..], &set].concat()).refused_with(75, &refused);
-    assert!(!place.path("other/config.toml").exists());
-}
-
-#[test]
 fn needs_bound_the_memory_of_a_fit() {
     let (gpu, place) = (Gpu::new(), place());
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();

@@ -31,8 +31,8 @@ pub struct TransportPlan {
 impl TransportPlan {
     pub fn of(device: &Device, scene: &Scene, s: &Settings, start: Option<&Path>) -> anyhow::Result<TransportPlan> {
         let splats = geometry_of(scene, s, start)?;
-        let plan = sgs_train::TransportPlan::of(device, scene, s, &splats)?;
-        let sgs_train::TransportPlan { mut training, room, fit } = plan;
+        let sgs_train::TransportPlan { mut training, room } = sgs_train::TransportPlan::of(device, scene, s, &splats)?;
+        let fit = FitNeeds::of(device, scene, &splats, &room)?;
         let graph = training.executor()?.executor().plan().clone();
         let (cost, _) = training.step_cost()?;
         Ok(TransportPlan {
