@@ -3,7 +3,7 @@
 use glam::DVec3;
 use serde_json::json;
 use sgs_scene::{Image, Splats, write_exr, write_png};
-use sgs_tests::cli::{Finished, sgs, sgs_with_closed_stdout};
+use sgs_tests::cli::{Finished, sgs, sgs_with, sgs_with_closed_stdout};
 use sgs_tests::rooms::{Room, transforms, write_json};
 use std::path::Path;
 
@@ -274,6 +274,54 @@ fn devices_that_do_not_exist_are_refused() {
     for device in listed.as_array().unwrap() {
         assert!(device["name"].is_string() && device["missing"].is_array());
     }
+}
+
+#[test]
+fn devices_are_selected_by_uuid_and_by_the_variables_of_a_scheduler() {
+    let place = Place::new(Room::default());
+    let ply = place.ply(|_| {});
+    let listed = sgs(&["devices", "--json"]).ok().json();
+    let chosen: Vec<_> = listed.as_array().unwrap().iter().filter(|d| d["auto"].is_string()).collect();
+    assert_eq!(chosen.len(), 1, "{listed}");
+    let uuid = chosen[0]["uuid"].as_str().unwrap();
+    assert!(uuid.len() == 36 && uuid.matches('-').count() == 4, "{uuid}");
+    for device in [format!("uuid:{uuid}"), format!("uuid:{}", uuid.replace('-', "").to_uppercase()), "auto".to_owned()]
+    {
+        place.render(&ply, &["--device", &device, "--force"]).ok();
+    }
+    place
+        .render(&ply, &["--device", "uuid:ffff", "--force"])
+        .refused_with(2, &["No Vulkan device matches", "uuid:ffff"]);
+    place.render(&ply, &["--device", "pci:ff:1f.7", "--force"]).refused_with(2, &["pci:ff:1f.7"]);
+    // No device of these tests is NVIDIA's or AMD's, so their variables mean nothing.
+    if listed.as_array().unwrap().iter().all(|d| d["kind"] == "cpu") {
+        let hidden = [("CUDA_VISIBLE_DEVICES", "7"), ("ROCR_VISIBLE_DEVICES", ""), ("SLURM_JOB_GPUS", "3")];
+        assert_eq!(sgs_with(&["devices", "--json"], &hidden).ok().json(), listed);
+    }
+}
+
+#[test]
+fn doctor_shows_driver_files_and_what_is_wrong_with_them() {
+    let place = Place::new(Room::default());
+    let report = sgs(&["devices", "--doctor", "--json"]).ok().json();
+    let drivers = report["drivers"].as_array().unwrap();
+    assert!(drivers.iter().any(|d| d["problem"].is_null() && d["library"].is_string()), "{report}");
+    assert!(report["devices"].as_array().unwrap().iter().any(|d| d["missing"].as_array().unwrap().is_empty()));
+    let text = sgs(&["devices", "--doctor"]).ok().stdout;
+    assert!(
+        text.contains("Vulkan loader: opened") && text.contains("   accepted") && text.contains("   can run"),
+        "{text}"
+    );
+    // A driver whose library is missing, and no other.
+    let file = place.text("broken.json");
+    std::fs::write(&file, r#"{"ICD": {"library_path": "./missing.so", "api_version": "1.3.0"}}"#).unwrap();
+    let broken = sgs_with(&["devices", "--doctor"], &[("VK_DRIVER_FILES", &file), ("VK_ICD_FILENAMES", &file)]);
+    assert_eq!(broken.status, Some(1), "{broken:?}");
+    for word in ["rejected: its library cannot be loaded", "missing.so", "variable VK_DRIVER_FILES", "advice: "] {
+        assert!(broken.stdout.contains(word), "{word}: {broken:?}");
+    }
+    assert!(broken.stderr.contains("no device can run SGS"), "{broken:?}");
+    broken.assert_no_panic();
 }
 
 #[test]
