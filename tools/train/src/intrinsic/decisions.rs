@@ -51,10 +51,22 @@ pub(super) fn add(
     decisions.push(of("albedo under other lights", on, reason, "intrinsic.losses.relight"));
 }
 
+/// Returns the lowest and the highest gain.
+fn range(log_gains: &[[f32; 3]]) -> (f32, f32) {
+    let gains = log_gains.iter().flatten().map(|g| g.exp());
+    gains.fold((1.0_f32, 1.0_f32), |(low, high), g| (low.min(g), high.max(g)))
+}
+
+/// Makes the decision about the gains of roughness priors.
+pub(super) fn equal_priors(log_gains: &[[f32; 3]]) -> Decision {
+    let (low, high) = range(log_gains);
+    let reason = format!("views of roughness priors differ by gains of {low:.2} to {high:.2}");
+    of("corrected roughness priors", true, reason, "intrinsic.losses.roughness")
+}
+
 /// Makes the decision about the light and the gains of albedo priors.
 pub(super) fn corrected_priors(residue: f64, log_gains: &[[f32; 3]]) -> Decision {
-    let gains = log_gains.iter().flatten().map(|g| g.exp());
-    let (low, high) = gains.fold((1.0_f32, 1.0_f32), |(low, high), g| (low.min(g), high.max(g)));
+    let (low, high) = range(log_gains);
     let reason = format!(
         "albedo priors retain the light of their photographs to the power {residue:.2}, and their views differ by gains of {low:.2} to {high:.2}"
     );

@@ -208,7 +208,7 @@ impl Intrinsic {
             if weight > 0.0 { MaterialPriors::read(scene, kind) } else { Ok(None) }
         };
         let mut albedo = read(Material::Albedo, s.losses.albedo)?;
-        let roughness = read(Material::Roughness, s.losses.roughness)?;
+        let mut roughness = read(Material::Roughness, s.losses.roughness)?;
         let answers = if s.metallic == Metallic::Off { None } else { read(Material::Metallic, s.losses.metallic)? };
         let views = limits::Remedy::Views { views: packed.views().len(), scale: settings.scale };
         let sized = |what, priors: &Option<MaterialPriors>| {
@@ -383,6 +383,10 @@ impl Intrinsic {
         if let (Some(albedo), Some(photographs)) = (&mut albedo, &photographs) {
             let views = PriorViews { device, gaussians: &gaussians, data: &data, photographs };
             decisions.push(room::correct_priors(&views, &mut surfaces, albedo)?);
+        }
+        if let (Some(roughness), Some(_)) = (&mut roughness, &room) {
+            let views = PriorViews { device, gaussians: &gaussians, data: &data, photographs: &[] };
+            decisions.push(room::equalize_priors(&views, &mut surfaces, roughness)?);
         }
         let up =
             |priors: &Option<MaterialPriors>, name: &str| priors.as_ref().map(|p| p.upload(device, name)).transpose();

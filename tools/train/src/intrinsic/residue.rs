@@ -1,4 +1,4 @@
-//! Albedo priors without retained light, and with equal gains in all views.
+//! Priors with equal gains in all views, and albedo priors without retained light.
 //!
 //! Networks estimate albedo photograph by photograph. Their estimates differ by a gain from view to view, and keep a part of
 //! shading and shadows: prior = gain · albedo · light^r. The gains follow from Gaussians that several views show. The
@@ -6,6 +6,8 @@
 //!
 //! [`Pairs::residue`] measures r: between two points of the same material, photograph and prior change by light and light^r. Most pairs of
 //! pixels at some distance show the same material, the others are outliers of a robust fit.
+//!
+//! Estimates of roughness differ by a gain from view to view, too, but keep no light.
 
 use rayon::prelude::*;
 use sgs_passes::pipeline::WeightColumns;
@@ -107,12 +109,20 @@ fn luminance(c: [f32; 3]) -> f32 {
 /// Mean log prior of Gaussians in the views that show them.
 pub(super) struct SharedPriors {
     stride: usize,
+    /// Values of a packed prior.
+    values: fn(u32) -> [f32; 3],
     /// By view: Gaussian, weight and mean.
     views: Vec<Vec<(u32, f32, [f32; 3])>>,
 }
 
-fn linear(word: u32) -> [f32; 3] {
-    [0, 8, 16].map(|shift| srgb_to_linear((word >> shift & 0xff) as f32 / 255.0))
+/// Returns the linear color of a packed prior or photograph.
+pub(super) fn linear(word: u32) -> [f32; 3] {
+    plain(word).map(srgb_to_linear)
+}
+
+/// Returns the values of a packed prior that is not encoded.
+pub(super) fn plain(word: u32) -> [f32; 3] {
+    [0, 8, 16].map(|shift| (word >> shift & 0xff) as f32 / 255.0)
 }
 
 fn log(color: [f32; 3]) -> [f32; 3] {
@@ -124,9 +134,9 @@ fn mean(v: [f32; 3]) -> f32 {
 }
 
 impl SharedPriors {
-    /// Prepares for this number of Gaussians.
-    pub fn new(gaussians: usize) -> SharedPriors {
-        SharedPriors { stride: gaussians.div_ceil(MOST).max(1), views: Vec::new() }
+    /// Prepares for this number of Gaussians. `values` unpacks a prior.
+    pub fn new(gaussians: usize, values: fn(u32) -> [f32; 3]) -> SharedPriors {
+        SharedPriors { stride: gaussians.div_ceil(MOST).max(1), values, views: Vec::new() }
     }
 
     /// Adds the next view.
@@ -137,7 +147,7 @@ impl SharedPriors {
             for (pixel, weight) in columns.of(gaussian) {
                 let word = packed.get(pixel).copied().unwrap_or(0);
                 if word >> 24 != 0 && weight.is_finite() {
-                    let value = log(linear(word));
+                    let value = log((self.values)(word));
                     (0..3).for_each(|k| sum[k] += weight * value[k]);
                     all += weight;
                 }
@@ -180,7 +190,21 @@ impl SharedPriors {
     }
 }
 
-/// Removes gains and retained light from packed priors.
+/// Removes gains from packed priors that are not encoded.
+pub(super) fn equalize(packed: &mut [Vec<u32>], log_gains: &[[f32; 3]]) {
+    packed.par_iter_mut().zip(log_gains).for_each(|(priors, gain)| {
+        for prior in priors.iter_mut().filter(|prior| **prior >> 24 != 0) {
+            let value = log(plain(*prior));
+            let byte = |k: usize| {
+                let value = ((value[k] - gain[k]).exp() - FLOOR).clamp(0.0, 1.0);
+                ((255.0 * value).round() as u32) << (8 * k)
+            };
+            *prior = (*prior & 0xff00_0000) | byte(0) | byte(1) | byte(2);
+        }
+    });
+}
+
+/// Removes gains and retained light from packed albedo priors.
 ///
 /// `photographs` are packed alike. `residue` is the power of the light that the priors retain.
 pub(super) fn correct(packed: &mut [Vec<u32>], photographs: &[Vec<u32>], log_gains: &[[f32; 3]], residue: f64) {
@@ -268,7 +292,7 @@ mod tests {
             pixels: (0..count as u32).collect(),
             weights: vec![1.0; count],
         };
-        let mut shared = SharedPriors::new(count);
+        let mut shared = SharedPriors::new(count, linear);
         views.iter().for_each(|(_, prior, _)| shared.add(&columns, prior));
         let found = shared.log_gains();
         for (gain, found) in gains.iter().zip(&found) {
@@ -287,5 +311,32 @@ mod tests {
         assert!(high / low < 1.08 && (0.8..1.25).contains(&low), "{low} to {high}");
         let before = |i: usize| linear(views[0].1[i])[0] / views[0].0[i][0];
         assert!(before(count - 1) / before(0) > 1.2, "the priors were wrong");
+    }
+
+    #[test]
+    fn roughness_of_all_views_has_one_gain() {
+        let count = 600;
+        let roughness = |i: usize| 0.2 + 0.6 * (i % 7) as f32 / 7.0;
+        let pack = |value: f32| 0xff00_0000 | ((255.0 * value).round() as u32) * 0x01_0101;
+        let gains = [0.85_f32, 1.1, 1.0];
+        let mut priors: Vec<Vec<u32>> =
+            gains.iter().map(|gain| (0..count).map(|i| pack(gain * roughness(i))).collect()).collect();
+        priors[1][5] = 0;
+        let columns = WeightColumns {
+            starts: (0..=count as u32).collect(),
+            pixels: (0..count as u32).collect(),
+            weights: vec![1.0; count],
+        };
+        let mut shared = SharedPriors::new(count, plain);
+        priors.iter().for_each(|prior| shared.add(&columns, prior));
+        equalize(&mut priors, &shared.log_gains());
+        assert_eq!(priors[1][5], 0, "an unknown prior stays unknown");
+        let level = (0.85_f32 * 1.1).cbrt();
+        for prior in &priors {
+            for (i, word) in prior.iter().enumerate().filter(|(_, word)| **word != 0) {
+                let (found, right) = (plain(*word)[0], level * roughness(i));
+                assert!((found - right).abs() < 0.012, "{found} instead of {right}");
+            }
+        }
     }
 }

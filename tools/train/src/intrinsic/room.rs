@@ -2,7 +2,7 @@
 
 use super::data::MaterialPriors;
 use super::decisions;
-use super::residue::{Pairs, SharedPriors, correct};
+use super::residue::{Pairs, SharedPriors, correct, equalize, linear, plain};
 use super::start::albedo_of_colors;
 use super::surfaces::Surfaces;
 use super::{Intrinsic, Purpose};
@@ -59,7 +59,7 @@ pub(super) fn trainables(
     }))
 }
 
-/// Training views whose albedo priors are corrected.
+/// Training views whose priors are corrected.
 pub(super) struct PriorViews<'a> {
     pub device: &'a Device,
     pub gaussians: &'a Gaussians,
@@ -74,7 +74,7 @@ pub(super) fn correct_priors(
     surfaces: &mut Surfaces,
     albedo: &mut MaterialPriors,
 ) -> Result<Decision> {
-    let (mut shared, mut pairs) = (SharedPriors::new(v.gaussians.capacity as usize), Pairs::default());
+    let (mut shared, mut pairs) = (SharedPriors::new(v.gaussians.capacity as usize, linear), Pairs::default());
     for (i, (camera, _)) in v.data.views.iter().enumerate() {
         let surface = surfaces.of_view(v.gaussians, camera, i)?;
         shared.add(&surface.weights(v.device)?, &albedo.packed[i]);
@@ -85,6 +85,21 @@ pub(super) fn correct_priors(
     let (residue, log_gains) = (pairs.residue(), shared.log_gains());
     correct(&mut albedo.packed, v.photographs, &log_gains, residue);
     Ok(decisions::corrected_priors(residue, &log_gains))
+}
+
+/// Removes gains of views from roughness priors. Returns the decision that says how much.
+pub(super) fn equalize_priors(
+    v: &PriorViews<'_>,
+    surfaces: &mut Surfaces,
+    roughness: &mut MaterialPriors,
+) -> Result<Decision> {
+    let mut shared = SharedPriors::new(v.gaussians.capacity as usize, plain);
+    for (i, (camera, _)) in v.data.views.iter().enumerate() {
+        shared.add(&surfaces.of_view(v.gaussians, camera, i)?.weights(v.device)?, &roughness.packed[i]);
+    }
+    let log_gains = shared.log_gains();
+    equalize(&mut roughness.packed, &log_gains);
+    Ok(decisions::equal_priors(&log_gains))
 }
 
 impl Intrinsic {
