@@ -317,7 +317,7 @@ mod tests {
     fn roughness_of_all_views_has_one_gain() {
         let count = 600;
         let roughness = |i: usize| 0.2 + 0.6 * (i % 7) as f32 / 7.0;
-        let pack = |value: f32| 0xff00_0000 | ((255.0 * value).round() as u32) * 0x01_0101;
+        let pack = |value: f32| 0xff00_0000 | (((255.0 * value).round() as u32) * 0x01_0101);
         let gains = [0.85_f32, 1.1, 1.0];
         let mut priors: Vec<Vec<u32>> =
             gains.iter().map(|gain| (0..count).map(|i| pack(gain * roughness(i))).collect()).collect();
