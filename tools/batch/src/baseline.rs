@@ -35,7 +35,7 @@ impl Baseline {
         Ok(Baseline(results))
     }
 
-    /// Compares each PSNR of each done run of the baseline with the same of the results.
+    /// Compares each PSNR of the baseline's done runs with that of the results.
     ///
     /// `tolerance`: largest loss in dB.
     pub fn compare(&self, results: &[RunResult], tolerance: f64) -> Verdict {

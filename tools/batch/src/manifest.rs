@@ -235,7 +235,9 @@ fn variant(table: VariantTable, limits: &Limits) -> std::result::Result<Variant,
     Ok(Variant { name, settings })
 }
 
-/// Returns the scenes of paths and patterns. Also returns matching folders that hold no scene.
+/// Returns the scenes of paths and patterns.
+///
+/// Also returns matching folders that hold no scene.
 fn scenes(patterns: &[String], folder: &Path) -> std::result::Result<(Vec<PathBuf>, Vec<PathBuf>), String> {
     unique("scenes", patterns)?;
     let (mut found, mut ignored): (Vec<PathBuf>, Vec<PathBuf>) = Default::default();
@@ -251,7 +253,12 @@ fn scenes(patterns: &[String], folder: &Path) -> std::result::Result<(Vec<PathBu
             return Err(format!("\"{pattern}\" is no scene; name a scene directory"));
         };
         for path in matches {
-            let path = path.canonicalize().map_err(|e| format!("\"{}\" cannot be read: {e}", path.display()))?;
+            // A link keeps its name: machines may keep the data itself in different places.
+            let own = std::path::absolute(&path).ok().filter(|p| p.file_name().is_some());
+            let path = match own {
+                Some(path) => path,
+                None => path.canonicalize().map_err(|e| format!("\"{}\" cannot be read: {e}", path.display()))?,
+            };
             if !found.contains(&path) {
                 found.push(path);
             }

@@ -266,13 +266,14 @@ impl Queue<'_> {
         let slots = lock(&shared.slots);
         let mut report = Report { runs: shared.order.len(), skipped, ..Report::default() };
         let mut done = 0;
-        for (i, slot) in slots.iter().enumerate().filter(|(i, _)| shared.order.contains(i)) {
-            match slot {
+        let mut order = shared.order.clone();
+        order.sort_unstable();
+        for i in order {
+            match &slots[i] {
                 Slot::Ended(result) if result.state == State::Done => done += 1,
                 Slot::Ended(result) => report.failed.push((**result).clone()),
                 Slot::Open | Slot::Working => report.stopped = true,
             }
-            debug_assert!(i < self.batch.runs.len());
         }
         report.done = done - skipped;
         Ok(report)

@@ -30,7 +30,7 @@ pub struct RunResult {
     /// Exit status of the last process; absent if a signal ended it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub status: Option<i32>,
-    /// Kind of the failure, as `--json` of `sgs train` has it, or `timeout` or `killed`.
+    /// Kind of the failure: as in `--json` of `sgs train`, or `timeout`, or `killed`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kind: Option<String>,
     /// Reason of the failure.
