@@ -282,7 +282,7 @@ pub(crate) fn name_of(path: &Path) -> Option<&str> {
 
 type Matches = (Vec<PathBuf>, Vec<PathBuf>);
 
-/// Returns the scenes that match a pattern in order of their names, and other folders.
+/// Returns the scenes that match a pattern, in order, and other folders.
 fn matching(path: &Path, pattern: &str) -> std::result::Result<Matches, String> {
     let parent = path.parent().unwrap_or(Path::new("."));
     let last = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
