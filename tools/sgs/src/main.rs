@@ -115,7 +115,7 @@ fn main() {
         Command::Robustness(a) => commands::robustness::run(&cli.common, a),
         Command::Report(a) => commands::report::run(&cli.common, a),
         Command::Export(a) => commands::export::run(&cli.common, a),
-        Command::Devices(a) => commands::devices::run(&cli.common, &a),
+        Command::Devices(a) => commands::devices::run(&cli.common, a),
         Command::Completions(a) => commands::shell::completions(a, Cli::command()),
         Command::Man(a) => commands::shell::man(&cli.common, a, Cli::command()),
     };

@@ -167,12 +167,12 @@ mod tests {
         let missing = driver("libnone.so", Some("its library cannot be loaded: libnone.so"));
         assert!(first(false, &[], false, none).contains("libvulkan1"));
         assert!(first(true, &[], false, none).contains("mesa-vulkan-drivers"));
-        assert!(first(true, &[lavapipe.clone()], false, nvidia).contains("NVIDIA_DRIVER_CAPABILITIES"));
+        assert!(first(true, std::slice::from_ref(&lavapipe), false, nvidia).contains("NVIDIA_DRIVER_CAPABILITIES"));
         assert!(first(true, &[glx], false, nvidia).contains("/proc/driver/nvidia/version"));
         assert!(first(true, &[broken], false, nvidia).contains("libx11-6"));
         assert!(first(true, &[missing], false, none).contains("mend or remove"));
-        assert!(first(true, &[lavapipe.clone()], false, render).contains("renderD"));
-        assert!(first(true, &[lavapipe.clone()], true, none).contains("unset"));
+        assert!(first(true, std::slice::from_ref(&lavapipe), false, render).contains("renderD"));
+        assert!(first(true, std::slice::from_ref(&lavapipe), true, none).contains("unset"));
         assert_eq!(first(true, &[lavapipe], false, none), "");
     }
 }
