@@ -52,10 +52,13 @@ impl Process for Pretended {
     }
 }
 
+/// Started process: name of the run, phase, whether it resumes, memory budget.
+type Start = (String, Phase, bool, Option<u64>);
+
 /// Starts pretended processes and records them.
 struct Pretender<'a> {
     script: &'a Script<'a>,
-    starts: Mutex<Vec<(String, Phase, bool, Option<u64>)>>,
+    starts: Mutex<Vec<Start>>,
     beats: Arc<AtomicUsize>,
 }
 
@@ -64,7 +67,7 @@ impl<'a> Pretender<'a> {
         Pretender { script, starts: Mutex::default(), beats: Arc::default() }
     }
 
-    fn starts(&self) -> Vec<(String, Phase, bool, Option<u64>)> {
+    fn starts(&self) -> Vec<Start> {
         lock(&self.starts).clone()
     }
 }
