@@ -13,6 +13,7 @@ const CRATES: &[&str] = &[
     "bench",
     "engine",
     "passes",
+    "tools/batch",
     "tools/capi",
     "tools/config",
     "tools/evaluate",

@@ -3,6 +3,7 @@
 mod ablate;
 mod ablate_materials;
 mod bands;
+mod batch;
 mod datasets;
 mod decided;
 mod divergence;

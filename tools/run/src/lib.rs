@@ -42,7 +42,7 @@ pub use head::SemanticHead;
 pub use known::{KnownEmitters, MOST_KNOWN};
 pub use light_list::{LightList, ListedLight, PhysicalRow, read_light_list, write_light_list};
 pub use lights::{LightFile, LightRow, LobeRow, MOST as MOST_LIGHTS, raw_lobe, write_lights};
-pub use lock::{DirectoryLock, LockHolder};
+pub use lock::{DirectoryLock, LockHolder, process_start};
 pub use placement::{join, placed};
 pub use published::{MOST_AMPLITUDE, PATCHES, published_light, read_lights, rectangle_patches};
 pub use render::render_view;

@@ -31,7 +31,7 @@ impl LockHolder {
     pub fn this_process() -> LockHolder {
         let pid = std::process::id();
         let host = gethostname::gethostname().to_string_lossy().into_owned();
-        LockHolder { pid, host, started: start_of(pid), boot: boot() }
+        LockHolder { pid, host, started: process_start(pid), boot: boot() }
     }
 
     /// Returns whether the process ran on this machine.
@@ -45,12 +45,14 @@ impl LockHolder {
     ///
     /// A running process has the same id and the same start time.
     fn is_alive(&self) -> bool {
-        self.started.is_some() && self.boot == boot() && start_of(self.pid) == self.started
+        self.started.is_some() && self.boot == boot() && process_start(self.pid) == self.started
     }
 }
 
 /// Returns the start time of a process in clock ticks since boot.
-fn start_of(pid: u32) -> Option<u64> {
+///
+/// `None` if the process does not exist, or the system does not report the time.
+pub fn process_start(pid: u32) -> Option<u64> {
     let text = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
     // The program name is in parentheses and may contain spaces; the start time is field 22.
     text.rsplit_once(')')?.1.split_whitespace().nth(19)?.parse().ok()
@@ -88,6 +90,22 @@ impl DirectoryLock {
         }
         let (file, recovered) = locked?;
         Ok(DirectoryLock { path, made, recovered, _file: file })
+    }
+
+    /// Removes the lock of a process on another machine. Returns whether the directory had one.
+    ///
+    /// Only for callers that know that the process has ended. Locks of this machine stay: acquiring recovers them.
+    ///
+    /// # Errors
+    /// If the file cannot be removed.
+    pub fn remove_foreign(root: &Path) -> Result<bool> {
+        let path = root.join(LOCK_FILE);
+        let holder = File::open(&path).ok().and_then(|mut file| holder(&mut file));
+        if holder.is_none_or(|holder| holder.is_here()) {
+            return Ok(false);
+        }
+        std::fs::remove_file(&path).map_err(|e| error(&path, format!("cannot be removed: {e}")))?;
+        Ok(true)
     }
 
     /// Returns the dead process whose lock was taken over, if any.
@@ -229,6 +247,10 @@ mod tests {
         leave(root, &elsewhere);
         let refused = DirectoryLock::acquire(root).unwrap_err().to_string();
         assert!(refused.contains(" on far ") && refused.contains("delete"), "{refused}");
+        assert!(DirectoryLock::remove_foreign(root).unwrap());
+        let lock = DirectoryLock::acquire(root).unwrap();
+        assert!(!DirectoryLock::remove_foreign(root).unwrap(), "a lock of this machine was removed");
+        drop(lock);
         // A truncated file names no holder.
         std::fs::write(root.join(LOCK_FILE), "{\"pid\": 1").unwrap();
         assert_eq!(DirectoryLock::acquire(root).unwrap().recovered(), None);

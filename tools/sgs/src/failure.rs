@@ -1,6 +1,7 @@
 //! Failures of commands: their kinds, their exit statuses and their output.
 
 use crate::common::Common;
+use sgs_batch::BatchError;
 use sgs_config::ConfigError;
 use sgs_evaluate::EvaluateError;
 use sgs_relight::RelightError;
@@ -78,6 +79,7 @@ impl Kind {
                 .or_else(|| known(cause, of_relight))
                 .or_else(|| known(cause, of_evaluate))
                 .or_else(|| known(cause, of_study))
+                .or_else(|| known(cause, of_batch))
                 .or_else(|| cause.is::<ConfigError>().then_some(Kind::Usage))
                 .or_else(|| known(cause, of_scene))
                 .or_else(|| known(cause, of_engine))
@@ -137,6 +139,15 @@ fn of_study(error: &StudyError) -> Option<Kind> {
         StudyError::Scene(error) => of_scene(error),
         StudyError::Run(error) => of_run(error),
         StudyError::Config(_) | StudyError::UnknownRow { .. } => Some(Kind::Usage),
+    }
+}
+
+fn of_batch(error: &BatchError) -> Option<Kind> {
+    match error {
+        BatchError::Wrong { .. } | BatchError::Config(_) => Some(Kind::Usage),
+        BatchError::Scene(error) => of_scene(error),
+        BatchError::Run(error) => of_run(error),
+        BatchError::File { .. } => None,
     }
 }
 

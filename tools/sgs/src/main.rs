@@ -45,6 +45,8 @@ enum Command {
     Plan(commands::plan::Args),
     /// Train on a scene directory.
     Train(commands::train::Args),
+    /// Train many scenes by a manifest. Skips finished runs, resumes interrupted ones, writes a summary.
+    Batch(commands::batch::Args),
     /// Evaluate a run at held-out or training views.
     Eval(commands::eval::Args),
     /// Render images or a video of a run or file from any cameras.
@@ -97,12 +99,14 @@ fn main() {
         Err(error) => std::process::exit(failure::report_arguments(error, &arguments)),
     };
     ui::start_logging(&cli.common);
+    ui::heed_supervisor();
     let result = match &cli.command {
         Command::Synth(a) => commands::synth::run(&cli.common, a),
         Command::Priors(a) => commands::priors::run(&cli.common, a),
         Command::Pseudo(a) => commands::pseudo::run(&cli.common, a),
         Command::Plan(a) => commands::plan::run(&cli.common, a),
         Command::Train(a) => commands::train::run(&cli.common, a),
+        Command::Batch(a) => commands::batch::run(&cli.common, a),
         Command::Eval(a) => commands::eval::run(&cli.common, a),
         Command::Render(a) => commands::render::run(&cli.common, a),
         Command::Relight(a) => commands::relight::run(&cli.common, a),

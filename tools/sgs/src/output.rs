@@ -98,6 +98,17 @@ pub fn check_series(root: &Path, tables: &[&str]) -> anyhow::Result<()> {
     }
 }
 
+/// Refuses a directory for a batch that holds anything else. A directory with results of a batch is one.
+pub fn check_batch(root: &Path) -> anyhow::Result<()> {
+    if root.join("results").is_dir() && root.join("leases").is_dir() {
+        return Ok(());
+    }
+    if let Contents::Run(_) = check_kind(root, "a batch")? {
+        refuse_usage!("\"{}\" is a run: name another directory for a batch.", root.display());
+    }
+    Ok(())
+}
+
 /// Refuses a scene or a run as the directory for images.
 ///
 /// Without `--force`, also refuses a directory that holds files other than images, videos and JSON.

@@ -4,10 +4,10 @@ use crate::common::Common;
 use crate::failure::{Kind, failure};
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::{consts, flag};
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Read};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
@@ -40,6 +40,38 @@ pub fn heed_closed_pipes() {
         }
         usual(info);
     }));
+}
+
+/// Variable that tells a process that a supervisor beats on its standard input.
+pub const SUPERVISED: &str = "SGS_SUPERVISED";
+
+/// Time without a heartbeat after which a process stops itself.
+const LONGEST_PAUSE: Duration = Duration::from_secs(8);
+
+/// Time in which a process that stops itself may write a checkpoint.
+///
+/// With the longest pause, it stays below the time after which other machines take a run over.
+const LAST_WORK: Duration = Duration::from_secs(4);
+
+/// Stops this process when its supervisor ends or sends no heartbeat.
+///
+/// A process without a supervisor could write into a run that another machine has taken over.
+pub fn heed_supervisor() {
+    if std::env::var_os(SUPERVISED).is_none() {
+        return;
+    }
+    let (beat, beats) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        let mut byte = [0];
+        while matches!(std::io::stdin().read(&mut byte), Ok(1..)) && beat.send(()).is_ok() {}
+    });
+    std::thread::spawn(move || {
+        while beats.recv_timeout(LONGEST_PAUSE).is_ok() {}
+        // Training writes a checkpoint; other commands end at once.
+        let _ = signal_hook::low_level::raise(consts::SIGTERM);
+        std::thread::sleep(LAST_WORK);
+        std::process::exit(Kind::Terminated.status());
+    });
 }
 
 /// Progress bar on a terminal; elsewhere a line for every tenth of the total.

@@ -1,6 +1,7 @@
 //! Commands, one file each.
 
 pub mod ablate;
+pub mod batch;
 pub mod devices;
 pub mod eval;
 pub mod export;

@@ -1,0 +1,279 @@
+//! Runs of a batch: each scene with each variant and each seed.
+
+use crate::error::{Result, failed, wrong};
+use crate::identity::{Digest, scene_digest};
+use crate::manifest::{Limits, Manifest, Stage, name_of};
+use sgs_config::Settings;
+use sgs_scene::Scene;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// Run of a batch.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Run {
+    /// Name of the scene.
+    pub scene: String,
+    /// Scene directory.
+    pub scene_path: PathBuf,
+    /// Name of the variant.
+    pub variant: String,
+    /// Seed.
+    pub seed: u64,
+    /// File with the variant's settings, relative to the directory of the batch.
+    pub config: PathBuf,
+    /// Hash of settings, scene and program version.
+    pub identity: String,
+    /// Estimated cost: pixels of the training views times steps. 0 if the scene cannot be opened.
+    pub cost: u128,
+}
+
+impl Run {
+    /// Returns the name: scene, variant and seed.
+    pub fn name(&self) -> String {
+        format!("{}/{}/seed{}", self.scene, self.variant, self.seed)
+    }
+
+    /// Returns the name for files in a folder of all runs.
+    ///
+    /// Names of variants have no dots, so that two runs never share a key.
+    pub fn key(&self) -> String {
+        format!("{}.{}.seed{}", self.scene, self.variant, self.seed)
+    }
+
+    /// Returns a path of the run: the run directory without an extension, the log or the record with one.
+    pub fn path(&self, root: &Path, extension: &str) -> PathBuf {
+        let folder = root.join("runs").join(&self.scene).join(&self.variant);
+        let name = format!("seed{}", self.seed);
+        folder.join(if extension.is_empty() { name } else { format!("{name}.{extension}") })
+    }
+}
+
+/// Static part of the runs: those whose position has a remainder.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    /// Index from 0.
+    pub index: usize,
+    /// Number of shards.
+    pub count: usize,
+}
+
+impl Shard {
+    /// Parses `I/N`, where I is 1 to N.
+    ///
+    /// # Errors
+    /// A sentence that describes the expected format.
+    pub fn parse(text: &str) -> std::result::Result<Shard, String> {
+        let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse::<usize>().ok()?, n.parse().ok()?)));
+        match parts {
+            Some((i, count)) if i >= 1 && i <= count => Ok(Shard { index: i - 1, count }),
+            _ => Err(format!("\"{text}\" is no shard; write I/N with I from 1 to N, as 1/4")),
+        }
+    }
+}
+
+/// All runs of a manifest.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Batch {
+    /// Runs in the order of the manifest: by scene, then variant, then seed.
+    pub runs: Vec<Run>,
+    /// Settings of each variant, and the file that they are written to.
+    configs: Vec<(PathBuf, String)>,
+    /// Stages to train.
+    pub stage: Stage,
+    /// Whether to evaluate each run after training.
+    pub evaluate: bool,
+    /// Limits of each run.
+    pub limits: Limits,
+}
+
+impl Batch {
+    /// Expands a manifest. Reads all scenes to hash them. `version`: that of the program.
+    ///
+    /// # Errors
+    /// If a scene cannot be read, or settings cannot be written as TOML.
+    pub fn new(manifest: &Manifest, version: &str, stop: &AtomicBool) -> Result<Batch> {
+        let digests = digests(&manifest.scenes, stop)?;
+        let mut configs = Vec::new();
+        for variant in &manifest.variants {
+            let text = config_text(&variant.settings)?;
+            let mut digest = Digest::new();
+            digest.add(text.as_bytes());
+            // The hash keeps settings apart that have one name in two versions of a manifest.
+            let file = format!("{}.{:.8}.toml", variant.name, digest.to_string());
+            configs.push((Path::new("variants").join(file), text));
+        }
+        let mut runs = Vec::new();
+        for (path, digest) in manifest.scenes.iter().zip(&digests) {
+            let Some(scene) = name_of(path) else { return Err(wrong(path, "it has no name")) };
+            for (variant, (config, text)) in manifest.variants.iter().zip(&configs) {
+                let cost = cost(path, &variant.settings, manifest.stage);
+                for seed in &manifest.seeds {
+                    runs.push(Run {
+                        scene: scene.to_owned(),
+                        scene_path: path.clone(),
+                        variant: variant.name.clone(),
+                        seed: *seed,
+                        config: config.clone(),
+                        identity: identity(version, text, manifest.stage, *seed, digest),
+                        cost,
+                    });
+                }
+            }
+        }
+        let Manifest { stage, evaluate, limits, .. } = *manifest;
+        Ok(Batch { runs, configs, stage, evaluate, limits })
+    }
+
+    /// Writes the settings of the variants below the directory of a batch. Leaves equal files as they are.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub fn write_configs(&self, root: &Path) -> Result<()> {
+        for (relative, text) in &self.configs {
+            write_if_changed(&root.join(relative), text)?;
+        }
+        Ok(())
+    }
+
+    /// Returns the indices of a shard's runs, most expensive first.
+    pub fn order(&self, shard: Option<Shard>) -> Vec<usize> {
+        let Shard { index, count } = shard.unwrap_or(Shard { index: 0, count: 1 });
+        let mut order: Vec<usize> = (0..self.runs.len()).filter(|i| i % count == index).collect();
+        order.sort_by_key(|i| std::cmp::Reverse(self.runs[*i].cost));
+        order
+    }
+}
+
+/// Writes a text atomically, unless the file holds it.
+pub(crate) fn write_if_changed(path: &Path, text: &str) -> Result<()> {
+    if std::fs::read(path).is_ok_and(|there| there == text.as_bytes()) {
+        return Ok(());
+    }
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).map_err(failed("made", folder))?;
+    }
+    Ok(sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, text.as_bytes()))?)
+}
+
+fn config_text(settings: &Settings) -> Result<String> {
+    let table = settings.to_table()?;
+    toml::to_string(&table)
+        .map_err(|e| sgs_config::ConfigError::Format(format!("The settings cannot be written: {e}.")).into())
+}
+
+fn identity(version: &str, settings: &str, stage: Stage, seed: u64, scene: &Digest) -> String {
+    let mut digest = Digest::new();
+    for field in ["sgs batch 1", version, settings, stage.name(), &seed.to_string(), &scene.to_string()] {
+        digest.field(field.as_bytes());
+    }
+    digest.to_string()
+}
+
+/// Hashes scenes, several at once.
+fn digests(scenes: &[PathBuf], stop: &AtomicBool) -> Result<Vec<Digest>> {
+    let next = AtomicUsize::new(0);
+    let found: Mutex<Vec<Option<Result<Digest>>>> = Mutex::new(scenes.iter().map(|_| None).collect());
+    let threads = std::thread::available_parallelism().map_or(1, usize::from).min(scenes.len());
+    std::thread::scope(|scope| {
+        for _ in 0..threads {
+            scope.spawn(|| {
+                while !stop.load(Ordering::SeqCst) {
+                    let i = next.fetch_add(1, Ordering::SeqCst);
+                    let Some(path) = scenes.get(i) else { break };
+                    let digest = scene_digest(path);
+                    if let Ok(mut found) = found.lock() {
+                        found[i] = Some(digest);
+                    }
+                }
+            });
+        }
+    });
+    // A scene without a hash was left out by the stop. The queue then starts nothing.
+    let found = found.into_inner().unwrap_or_default();
+    found.into_iter().map(|digest| digest.unwrap_or_else(|| Ok(Digest::new()))).collect()
+}
+
+/// Estimates the cost of a run.
+///
+/// A scene that cannot be opened costs 0 and is tried last. Its training says what is wrong.
+fn cost(path: &Path, settings: &Settings, stage: Stage) -> u128 {
+    let Ok(scene) = Scene::open(path, &settings.scene_options()) else { return 0 };
+    let cameras = scene.split.train.iter().filter_map(|view| scene.views.get(*view)).map(|view| &view.camera);
+    let pixels: u128 = cameras.map(|c| u128::from(c.width as u64) * u128::from(c.height as u64)).sum();
+    pixels * u128::from(stage.steps(settings))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::manifest::Variant;
+
+    /// Returns a run without a scene.
+    pub(crate) fn run(scene: &str, seed: u64) -> Run {
+        Run {
+            scene: scene.into(),
+            scene_path: PathBuf::new(),
+            variant: "fast".into(),
+            seed,
+            config: PathBuf::new(),
+            identity: format!("{scene}{seed}"),
+            cost: 1,
+        }
+    }
+
+    /// Returns a batch of runs without scenes.
+    pub(crate) fn batch(runs: Vec<Run>) -> Batch {
+        let limits = Limits { retries: 2, timeout: None, memory_budget: None };
+        Batch { runs, configs: Vec::new(), stage: Stage::Geometry, evaluate: false, limits }
+    }
+
+    #[test]
+    fn identity_depends_on_all_that_determines_the_result() {
+        let folder = tempfile::tempdir().unwrap();
+        let scene = folder.path().join("room");
+        std::fs::create_dir(&scene).unwrap();
+        std::fs::write(scene.join("cameras.txt"), "one").unwrap();
+        let manifest = |change: &dyn Fn(&mut Manifest)| {
+            let mut manifest = Manifest {
+                scenes: vec![scene.clone()],
+                ignored: Vec::new(),
+                variants: vec![Variant { name: "fast".into(), settings: Settings::default() }],
+                seeds: vec![0],
+                stage: Stage::Geometry,
+                evaluate: true,
+                limits: batch(Vec::new()).limits,
+            };
+            change(&mut manifest);
+            manifest
+        };
+        let of = |version: &str, change: &dyn Fn(&mut Manifest)| {
+            Batch::new(&manifest(change), version, &AtomicBool::new(false)).unwrap().runs[0].identity.clone()
+        };
+        let base = of("1", &|_| {});
+        assert_eq!(base.len(), 32);
+        assert_eq!(of("1", &|m| m.limits.retries = 9), base);
+        assert_eq!(of("1", &|m| m.variants[0].name = "other".into()), base);
+        assert_ne!(of("2", &|_| {}), base);
+        assert_ne!(of("1", &|m| m.seeds = vec![1]), base);
+        assert_ne!(of("1", &|m| m.stage = Stage::All), base);
+        assert_ne!(of("1", &|m| m.variants[0].settings.geometry.steps += 1), base);
+        std::fs::write(scene.join("cameras.txt"), "onf").unwrap();
+        assert_ne!(of("1", &|_| {}), base);
+    }
+
+    #[test]
+    fn runs_are_expanded_in_order_and_split_without_gaps() {
+        let runs: Vec<Run> = (0..7).map(|seed| Run { cost: u128::from(seed % 3), ..run("a", seed) }).collect();
+        let batch = batch(runs);
+        assert_eq!(batch.order(None), [2, 5, 1, 4, 0, 3, 6]);
+        let shards = ["1/3", "2/3", "3/3"].map(|s| batch.order(Some(Shard::parse(s).unwrap())));
+        assert_eq!(shards[0], [0, 3, 6]);
+        let mut all = shards.concat();
+        all.sort_unstable();
+        assert_eq!(all, (0..7).collect::<Vec<_>>());
+        for wrong in ["0/3", "4/3", "1", "a/b", "1/0", "-1/2"] {
+            assert!(Shard::parse(wrong).unwrap_err().contains("is no shard"), "{wrong}");
+        }
+    }
+}

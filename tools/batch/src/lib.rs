@@ -1,0 +1,28 @@
+//! Batches: many scenes trained by one command, on one or several machines.
+//!
+//! A manifest is expanded to runs ([`Batch`]). Several workers share the runs through a directory ([`Store`]): leases
+//! say who trains a run, results say how it ended. [`Queue`] supervises the processes that train.
+
+mod baseline;
+mod batch;
+mod error;
+mod heart;
+mod holder;
+mod identity;
+mod lease;
+mod manifest;
+mod queue;
+mod result;
+mod store;
+mod summary;
+
+pub use baseline::{Baseline, Verdict};
+pub use batch::{Batch, Run, Shard};
+pub use error::{BatchError, Result};
+pub use identity::{Digest, scene_digest};
+pub use lease::Lease;
+pub use manifest::{Limits, Manifest, Stage, Variant};
+pub use queue::{Exit, Launch, Launcher, Phase, Process, Progress, Queue, Report, Timing};
+pub use result::{RunResult, State};
+pub use store::{Claim, Store};
+pub use summary::Summary;
