@@ -1,7 +1,8 @@
 //! Process that holds a lease.
 
 use serde::{Deserialize, Serialize};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Process that holds a lease, as its file records it.
@@ -24,13 +25,13 @@ pub struct Holder {
 impl Holder {
     /// Returns this process, with a new token.
     pub fn this_process() -> Holder {
-        static COUNT: AtomicU64 = AtomicU64::new(0);
         let lock = sgs_run::LockHolder::this_process();
-        let count = COUNT.fetch_add(1, Ordering::SeqCst);
+        // Hash maps are seeded at random; two holders of one process differ.
+        let random = RandomState::new().build_hasher().finish();
         // The time only makes the token unique. Nothing compares it.
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
         let started = lock.started.unwrap_or_default();
-        let token = format!("{}-{}-{started}-{now:x}-{count}", lock.host, lock.pid);
+        let token = format!("{}-{}-{started}-{now:x}-{random:x}", lock.host, lock.pid);
         let sgs_run::LockHolder { pid, host, started, boot } = lock;
         Holder { host, pid, started, boot, namespace: namespace(), token }
     }

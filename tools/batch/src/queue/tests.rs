@@ -23,6 +23,7 @@ struct Pretended {
     act: Act,
     ended: Option<Option<i32>>,
     beats: Arc<AtomicUsize>,
+    kills: Arc<AtomicUsize>,
 }
 
 impl Process for Pretended {
@@ -44,6 +45,7 @@ impl Process for Pretended {
     }
 
     fn kill(&mut self) {
+        self.kills.fetch_add(1, Ordering::SeqCst);
         self.ended = Some(None);
     }
 
@@ -60,11 +62,12 @@ struct Pretender<'a> {
     script: &'a Script<'a>,
     starts: Mutex<Vec<Start>>,
     beats: Arc<AtomicUsize>,
+    kills: Arc<AtomicUsize>,
 }
 
 impl<'a> Pretender<'a> {
     fn new(script: &'a Script<'a>) -> Self {
-        Pretender { script, starts: Mutex::default(), beats: Arc::default() }
+        Pretender { script, starts: Mutex::default(), beats: Arc::default(), kills: Arc::default() }
     }
 
     fn starts(&self) -> Vec<Start> {
@@ -81,7 +84,8 @@ impl Launcher for Pretender<'_> {
         drop(starts);
         std::fs::create_dir_all(&launch.directory)?;
         std::fs::write(launch.directory.join("config.toml"), "")?;
-        Ok(Box::new(Pretended { act: (self.script)(launch, earlier), ended: None, beats: self.beats.clone() }))
+        let (act, beats, kills) = ((self.script)(launch, earlier), self.beats.clone(), self.kills.clone());
+        Ok(Box::new(Pretended { act, ended: None, beats, kills }))
     }
 }
 
@@ -250,10 +254,10 @@ fn lost_lease_ends_the_process_without_a_result() {
                 std::thread::sleep(Duration::from_millis(1));
             }
             std::thread::sleep(Duration::from_millis(200));
-            assert_eq!(store.result(&run), None);
-            assert_eq!(setup.leases(), 2);
+            let (kills, found) = (launcher.kills.load(Ordering::SeqCst), (store.result(&run), setup.leases()));
             // The stop ends a queue that waits for the other worker.
             setup.stop.store(true, Ordering::SeqCst);
+            assert_eq!((kills, found), (1, (None, 2)));
         });
         let report = setup.work(&launcher);
         assert!(report.stopped && report.failed.is_empty());
