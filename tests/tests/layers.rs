@@ -42,7 +42,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
         ],
     ),
     ("tools/study", &["tools/config", "tools/evaluate", "tools/run", "tools/scene"]),
-    ("tools/batch", &["tools/config", "tools/run", "tools/scene"]),
+    ("tools/batch", &["tools/config", "tools/report", "tools/run", "tools/scene"]),
     ("tools/view", &["engine", "passes", "tools/config", "tools/relight", "tools/run", "tools/scene"]),
     ("tools/capi", &["engine", "passes", "tools/config", "tools/relight", "tools/run", "tools/scene", "tools/train"]),
     ("tools/sgs", &["engine", "passes", "tools/*"]),

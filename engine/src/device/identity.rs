@@ -46,12 +46,12 @@ fn nvidia_uuids() -> Option<Vec<String>> {
     (output.status.success() && !uuids.is_empty()).then_some(uuids)
 }
 
-/// What a variable says of the devices of a vendor.
-enum Said {
-    /// Nothing that restricts the devices.
-    Nothing,
+/// Restriction that a variable places on the devices of a vendor.
+enum Restriction {
+    /// All devices may be used.
+    Absent,
     /// No device of the vendor may be used.
-    None,
+    Hidden,
     /// First visible device: an index or a UUID.
     First(String),
 }
@@ -61,7 +61,7 @@ struct Variable {
     name: &'static str,
     /// Vendor whose devices it names; none for the GPUs of all vendors.
     vendor: Option<u32>,
-    read: fn(&str) -> Said,
+    read: fn(&str) -> Restriction,
 }
 
 /// Variables in the order of their precedence.
@@ -73,17 +73,17 @@ const VARIABLES: [Variable; 4] = [
 ];
 
 /// Reads a list of devices. An empty list and invalid entries hide all devices, as in CUDA.
-fn listed(value: &str) -> Said {
+fn listed(value: &str) -> Restriction {
     match value.split(',').next().map(str::trim) {
-        None | Some("" | "-1" | "NoDevFiles") => Said::None,
-        Some(first) => Said::First(first.to_owned()),
+        None | Some("" | "-1" | "NoDevFiles") => Restriction::Hidden,
+        Some(first) => Restriction::First(first.to_owned()),
     }
 }
 
 /// Reads the devices that a container has. Words say that nothing restricts the devices that are there.
-fn injected(value: &str) -> Said {
+fn injected(value: &str) -> Restriction {
     match value.trim() {
-        "" | "all" | "void" | "none" => Said::Nothing,
+        "" | "all" | "void" | "none" => Restriction::Absent,
         value => listed(value),
     }
 }
@@ -104,9 +104,9 @@ pub fn select_auto(all: &[DeviceInfo], environment: &Environment<'_>) -> Result<
         }
         gpus.sort_by(|a, b| (&a.pci, a.index).cmp(&(&b.pci, b.index)));
         match (read)(&value) {
-            Said::Nothing => {}
-            Said::None => hidden.extend(vendor.map(|v| (name, v))),
-            Said::First(entry) => {
+            Restriction::Absent => {}
+            Restriction::Hidden => hidden.extend(vendor.map(|v| (name, v))),
+            Restriction::First(entry) => {
                 let index = visible(&gpus, name, &value, &entry, environment)?;
                 return Ok(Selection { index, reason: format!("{name} is \"{value}\"") });
             }

@@ -161,10 +161,8 @@ impl Device {
     pub fn open(options: &DeviceOptions) -> Result<Device> {
         let gate = Gate::new(options.faults.clone(), options.objects.clone());
         let instance = Instance::new(options.validation, &[], &gate)?;
-        let selected = {
-            let candidates = select::candidates(&instance, &gate)?;
-            select::choose(candidates, options.select.as_deref(), &Environment::current())?
-        };
+        let candidates = select::candidates(&instance, &gate)?;
+        let selected = select::choose(candidates, options.select.as_deref(), &Environment::current())?;
         Device::make(instance, selected, &[], gate, options)
     }
 

@@ -83,8 +83,8 @@ fn all_runs_are_trained_once_and_measured() {
     let rooms = Rooms::new(&["kitchen", "bath"]);
     rooms.manifest(5);
     let answer = rooms.batch(&["--json", "--jobs", "2"]).ok().json();
-    let counts = ["runs", "done", "failed", "skipped"].map(|key| answer[key].as_u64().unwrap());
-    assert_eq!(counts, [4, 4, 0, 0], "{answer}");
+    let counts = ["runs", "done", "skipped"].map(|key| answer[key].as_u64().unwrap());
+    assert_eq!(counts, [4, 4, 0], "{answer}");
     let summary = rooms.summary();
     let names: Vec<_> = summary.keys().map(String::as_str).collect();
     assert_eq!(names, ["bath/tiny/seed0", "bath/tiny/seed1", "kitchen/tiny/seed0", "kitchen/tiny/seed1"]);
@@ -169,7 +169,7 @@ fn commands_over_one_directory_share_the_runs() {
     rooms.manifest(5);
     let commands: Vec<_> = (0..2).map(|_| start(&rooms.arguments(&["--json"]))).collect();
     let answers: Vec<Value> = commands.into_iter().map(|c| wait(c).ok().json()).collect();
-    assert!(answers.iter().all(|a| a["runs"] == 6 && a["failed"] == 0), "{answers:?}");
+    assert!(answers.iter().all(|a| a["runs"] == 6), "{answers:?}");
     let summary = rooms.summary();
     assert_eq!(summary.len(), 6);
     for (name, line) in summary {

@@ -4,94 +4,15 @@ use crate::batch::{Batch, Run, Shard};
 use crate::error::{Result, failed};
 use crate::heart::Heart;
 use crate::lease::Lease;
+use crate::process::{Exit, Launch, Launcher, Phase};
 use crate::result::{RunResult, State};
 use crate::store::{Claim, Record, Store};
 use crate::summary::Summary;
 use sgs_run::{DirectoryLock, RunError};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-
-/// What a process does with a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Phase {
-    /// Trains it.
-    Train,
-    /// Evaluates it.
-    Evaluate,
-}
-
-/// Process to start.
-#[derive(Clone, Debug)]
-pub struct Launch<'a> {
-    /// Run to train or evaluate.
-    pub run: &'a Run,
-    /// What the process does.
-    pub phase: Phase,
-    /// Whether to continue the run in the directory.
-    pub resume: bool,
-    /// Device memory in bytes, if limited.
-    pub memory_budget: Option<u64>,
-    /// Run directory.
-    pub directory: PathBuf,
-    /// File of settings.
-    pub config: PathBuf,
-    /// File to which the process appends its messages.
-    pub log: PathBuf,
-    /// Index of the worker.
-    pub worker: usize,
-}
-
-/// How a process ended.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Exit {
-    /// Exit status; `None` if a signal ended it.
-    pub status: Option<i32>,
-    /// Signal that ended it, if any.
-    pub signal: Option<i32>,
-    /// Standard output: JSON with `error` and `kind` after a failure.
-    pub output: String,
-}
-
-impl Exit {
-    /// Returns kind and sentence of a failure.
-    fn failure(&self, log: &Path) -> (String, String) {
-        let json: serde_json::Value = serde_json::from_str(&self.output).unwrap_or_default();
-        let log = log.display();
-        let (kind, sentence) = match (self.status, self.signal) {
-            (None, Some(signal)) => ("killed", format!("signal {signal} ended the process; see \"{log}\"")),
-            (None, None) => ("killed", format!("a signal ended the process; see \"{log}\"")),
-            (Some(status), _) => ("failed", format!("the process ended with status {status}; see \"{log}\"")),
-        };
-        let text = |key: &str, other: String| json[key].as_str().map_or(other, str::to_owned);
-        (text("kind", kind.to_owned()), text("error", sentence))
-    }
-}
-
-/// Started process.
-pub trait Process {
-    /// Returns how the process ended; `None` while it runs.
-    ///
-    /// # Errors
-    /// If the system cannot report it.
-    fn poll(&mut self) -> std::io::Result<Option<Exit>>;
-    /// Asks the process to write a checkpoint and end.
-    fn terminate(&mut self);
-    /// Ends the process at once.
-    fn kill(&mut self);
-    /// Tells the process that its supervisor still holds the run.
-    fn beat(&mut self);
-}
-
-/// Starts processes.
-pub trait Launcher: Sync {
-    /// Starts a process.
-    ///
-    /// # Errors
-    /// If it cannot be started.
-    fn start(&self, launch: &Launch<'_>) -> std::io::Result<Box<dyn Process>>;
-}
 
 /// Intervals of a queue.
 #[derive(Clone, Copy, Debug)]
@@ -322,9 +243,13 @@ impl Shared<'_> {
                 slots[i] = Slot::Working;
             }
             let (slot, worked) = self.claim(i, worker)?;
-            lock(&self.slots)[i] = slot;
+            let ended = {
+                let mut slots = lock(&self.slots);
+                slots[i] = slot;
+                self.order.iter().filter(|i| matches!(slots[**i], Slot::Ended(_))).count()
+            };
             if worked {
-                self.ended(i)?;
+                self.ended(i, ended)?;
                 return Ok(true);
             }
         }
@@ -351,11 +276,10 @@ impl Shared<'_> {
         })
     }
 
-    /// Reports the end of a run and updates the summary.
-    fn ended(&self, i: usize) -> Result<()> {
+    /// Reports the end of a run and updates the summary. `ended`: number of runs that had ended then.
+    fn ended(&self, i: usize, ended: usize) -> Result<()> {
         self.summarize()?;
         let slots = lock(&self.slots);
-        let ended = self.order.iter().filter(|i| matches!(slots[**i], Slot::Ended(_))).count();
         if let Slot::Ended(result) = &slots[i] {
             (self.queue.progress)(&Progress::Ended { result, ended, total: self.order.len() });
         }

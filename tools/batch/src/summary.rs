@@ -4,6 +4,7 @@ use crate::batch::{Batch, write_if_changed};
 use crate::error::Result;
 use crate::result::{RunResult, State};
 use crate::store::Store;
+use sgs_report::escape;
 use std::fmt::Write as _;
 
 /// Column of the tables.
@@ -192,20 +193,6 @@ const HEAD: &str = "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf
     <style>body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:80rem;padding:0 1rem}\
     table{border-collapse:collapse}th,td{border:1px solid #ccc;padding:.2rem .6rem;text-align:left}\
     td{font-variant-numeric:tabular-nums}</style></head><body>\n";
-
-fn escape(text: &str) -> String {
-    let mut escaped = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => escaped += "&amp;",
-            '<' => escaped += "&lt;",
-            '>' => escaped += "&gt;",
-            '"' => escaped += "&quot;",
-            c => escaped.push(c),
-        }
-    }
-    escaped
-}
 
 fn sorted(mut values: Vec<f64>) -> Vec<f64> {
     values.sort_by(f64::total_cmp);

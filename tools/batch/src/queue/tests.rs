@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::batch::tests::{batch, run};
+use crate::process::Process;
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
 

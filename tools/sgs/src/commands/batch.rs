@@ -79,8 +79,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if report.stopped {
         return Err(stopped());
     }
-    let (runs, failed) = (report.runs, report.failed.len());
+    let runs = report.runs;
     if let Some(first) = report.failed.first() {
+        let failed = report.failed.len();
         let (name, error) = (first.name(), first.error.as_deref().unwrap_or("no reason is known"));
         return Err(failure(Kind::Failed, format!("{failed} of {runs} runs failed; the first, {name}: {error}")));
     }
@@ -96,7 +97,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let answer = serde_json::json!({
         "runs": runs,
         "done": done,
-        "failed": failed,
         "skipped": skipped,
         "seconds": begun.elapsed().as_secs_f64(),
         "summary": summary.display().to_string(),

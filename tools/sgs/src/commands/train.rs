@@ -378,7 +378,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         check_start(&scene)?;
     }
     if kinds.contains(&StageKind::Transport) && !resuming {
-        name_emitters(common, &scene)?;
+        check_emitters(common, &scene)?;
     }
     if a.stage != Stage::Geometry && !resuming {
         warn_without_priors(&scene)?;
@@ -420,7 +420,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
 }
 
 /// Checks the emitters that the scene names, and says that they are used.
-fn name_emitters(common: &Common, scene: &Scene) -> anyhow::Result<()> {
+fn check_emitters(common: &Common, scene: &Scene) -> anyhow::Result<()> {
     if let Some(known) = KnownEmitters::of_scene(scene)?
         && !common.quiet
     {

@@ -380,12 +380,11 @@ impl Intrinsic {
         if let Some(room) = &room {
             surfaces.light(device, room, &data)?;
         }
+        let views = PriorViews { device, gaussians: &gaussians, data: &data };
         if let (Some(albedo), Some(photographs)) = (&mut albedo, &photographs) {
-            let views = PriorViews { device, gaussians: &gaussians, data: &data, photographs };
-            decisions.push(room::correct_priors(&views, &mut surfaces, albedo)?);
+            decisions.push(room::correct_priors(&views, photographs, &mut surfaces, albedo)?);
         }
         if let (Some(roughness), Some(_)) = (&mut roughness, &room) {
-            let views = PriorViews { device, gaussians: &gaussians, data: &data, photographs: &[] };
             decisions.push(room::equalize_priors(&views, &mut surfaces, roughness)?);
         }
         let up =

@@ -64,13 +64,14 @@ pub(super) struct PriorViews<'a> {
     pub device: &'a Device,
     pub gaussians: &'a Gaussians,
     pub data: &'a TrainingData,
-    /// Packed photographs, by view.
-    pub photographs: &'a [Vec<u32>],
 }
 
 /// Removes retained light and gains of views from albedo priors. Returns the decision that says how much.
+///
+/// `photographs` are packed, by view.
 pub(super) fn correct_priors(
     v: &PriorViews<'_>,
+    photographs: &[Vec<u32>],
     surfaces: &mut Surfaces,
     albedo: &mut MaterialPriors,
 ) -> Result<Decision> {
@@ -80,10 +81,10 @@ pub(super) fn correct_priors(
         shared.add(&surface.weights(v.device)?, &albedo.packed[i]);
         let [_, normals, _] = surface.download(v.device)?;
         let size = camera.size.map(|side| side as usize);
-        pairs.add(size, &normals, [&albedo.packed[i], &v.photographs[i]], v.data.views.len());
+        pairs.add(size, &normals, [&albedo.packed[i], &photographs[i]], v.data.views.len());
     }
     let (residue, log_gains) = (pairs.residue(), shared.log_gains());
-    correct(&mut albedo.packed, v.photographs, &log_gains, residue);
+    correct(&mut albedo.packed, photographs, &log_gains, residue);
     Ok(decisions::corrected_priors(residue, &log_gains))
 }
 
