@@ -77,6 +77,11 @@ impl Limits {
     }
 }
 
+/// Returns the bytes of device memory that the driver offers; those of the heap if it does not tell.
+pub(crate) fn available(instance: &ash::Instance, physical: vk::PhysicalDevice, heap: u64, driver_budget: bool) -> u64 {
+    Limits::new(instance, physical, heap, driver_budget).driver_left().map_or(heap, |left| left.min(heap))
+}
+
 impl Memory {
     /// Returns the current budget.
     pub fn budget(&self) -> Budget {

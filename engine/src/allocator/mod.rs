@@ -4,6 +4,7 @@
 
 mod budget;
 
+pub(crate) use budget::available;
 pub use budget::{Budget, BudgetSource};
 
 use crate::error::{Error, Result};

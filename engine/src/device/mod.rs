@@ -9,6 +9,7 @@ mod deferred;
 mod driver_files;
 pub mod external;
 pub mod fault;
+mod find;
 mod identity;
 mod instance;
 mod limits;
@@ -25,6 +26,7 @@ pub use driver_files::{DRIVER_VARIABLES, DriverFile, driver_files};
 use external::Locked;
 pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements};
 pub use fault::{Fault, FaultKind, Faults};
+pub use find::{FoundDevice, devices, find_device};
 pub use identity::{Environment, Selection, select_auto};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
@@ -141,16 +143,6 @@ struct RawDevice {
     gate: Gate,
     /// Whether the driver can report statistics of kernels.
     statistics: bool,
-}
-
-/// Lists every device of the loader, with the features that each lacks.
-///
-/// # Errors
-/// If the loader is missing or the instance cannot be created.
-pub fn devices() -> Result<Vec<DeviceInfo>> {
-    let gate = Gate::default();
-    let instance = Instance::new(false, &[], &gate)?;
-    Ok(select::candidates(&instance, &gate)?.into_iter().map(|c| c.info).collect())
 }
 
 impl Device {

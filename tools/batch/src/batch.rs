@@ -4,7 +4,6 @@ use crate::error::{Result, failed, wrong};
 use crate::identity::{Digest, scene_digest};
 use crate::manifest::{Limits, Manifest, Stage, name_of};
 use sgs_config::Settings;
-use sgs_scene::Scene;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -24,8 +23,8 @@ pub struct Run {
     pub config: PathBuf,
     /// Hash of settings, scene and program version.
     pub identity: String,
-    /// Estimated cost: pixels of the training views times steps. 0 if the scene cannot be opened.
-    pub cost: u128,
+    /// Hash of what its forecast depends on. All seeds have the same.
+    pub plan_identity: String,
 }
 
 impl Run {
@@ -72,13 +71,21 @@ impl Shard {
     }
 }
 
+/// Settings of a variant, and the file that they are written to.
+#[derive(Clone, Debug, PartialEq)]
+struct Config {
+    path: PathBuf,
+    text: String,
+    settings: Settings,
+}
+
 /// All runs of a manifest.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
     /// Runs in the order of the manifest: by scene, then variant, then seed.
     pub runs: Vec<Run>,
-    /// Settings of each variant, and the file that they are written to.
-    configs: Vec<(PathBuf, String)>,
+    /// Settings of each variant.
+    configs: Vec<Config>,
     /// Stages to train.
     pub stage: Stage,
     /// Whether to evaluate each run after training.
@@ -101,22 +108,23 @@ impl Batch {
             digest.add(text.as_bytes());
             // The hash keeps settings apart that have one name in two versions of a manifest.
             let file = format!("{}.{:.8}.toml", variant.name, digest.to_string());
-            configs.push((Path::new("variants").join(file), text));
+            let settings = variant.settings.clone();
+            configs.push(Config { path: Path::new("variants").join(file), text, settings });
         }
         let mut runs = Vec::new();
         for (path, digest) in manifest.scenes.iter().zip(&digests) {
             let Some(scene) = name_of(path) else { return Err(wrong(path, "it has no name")) };
-            for (variant, (config, text)) in manifest.variants.iter().zip(&configs) {
-                let cost = cost(path, &variant.settings, manifest.stage);
+            for (variant, config) in manifest.variants.iter().zip(&configs) {
+                let plan_identity = identity(version, &config.text, manifest.stage, None, digest);
                 for seed in &manifest.seeds {
                     runs.push(Run {
                         scene: scene.to_owned(),
                         scene_path: path.clone(),
                         variant: variant.name.clone(),
                         seed: *seed,
-                        config: config.clone(),
-                        identity: identity(version, text, manifest.stage, *seed, digest),
-                        cost,
+                        config: config.path.clone(),
+                        identity: identity(version, &config.text, manifest.stage, Some(*seed), digest),
+                        plan_identity: plan_identity.clone(),
                     });
                 }
             }
@@ -130,19 +138,29 @@ impl Batch {
     /// # Errors
     /// If a file cannot be written.
     pub fn write_configs(&self, root: &Path) -> Result<()> {
-        for (relative, text) in &self.configs {
-            write_if_changed(&root.join(relative), text)?;
+        for Config { path, text, .. } in &self.configs {
+            write_if_changed(&root.join(path), text)?;
         }
         Ok(())
     }
 
-    /// Returns the indices of a shard's runs, most expensive first.
-    pub fn order(&self, shard: Option<Shard>) -> Vec<usize> {
-        let Shard { index, count } = shard.unwrap_or(Shard { index: 0, count: 1 });
-        let mut order: Vec<usize> = (0..self.runs.len()).filter(|i| i % count == index).collect();
-        order.sort_by_key(|i| std::cmp::Reverse(self.runs[*i].cost));
-        order
+    /// Returns the settings of a run, without scene and seed.
+    pub(crate) fn settings(&self, run: &Run) -> Option<&Settings> {
+        self.configs.iter().find(|config| config.path == run.config).map(|config| &config.settings)
     }
+
+    /// Returns the indices of a shard's runs, in the order of the manifest.
+    pub fn indices(&self, shard: Option<Shard>) -> Vec<usize> {
+        let Shard { index, count } = shard.unwrap_or(Shard { index: 0, count: 1 });
+        (0..self.runs.len()).filter(|i| i % count == index).collect()
+    }
+}
+
+/// Sorts indices of runs by their costs, most expensive first. Runs without a cost come last.
+///
+/// Long runs at the end would leave other devices idle.
+pub fn sort_by_cost(indices: &mut [usize], cost: impl Fn(usize) -> Option<f64>) {
+    indices.sort_by(|a, b| cost(*b).unwrap_or(-1.0).total_cmp(&cost(*a).unwrap_or(-1.0)));
 }
 
 /// Writes a text atomically, unless the file holds it.
@@ -162,9 +180,11 @@ fn config_text(settings: &Settings) -> Result<String> {
         .map_err(|e| sgs_config::ConfigError::Format(format!("The settings cannot be written: {e}.")).into())
 }
 
-fn identity(version: &str, settings: &str, stage: Stage, seed: u64, scene: &Digest) -> String {
+/// Returns the identity of a run, or without a seed that of its forecast.
+fn identity(version: &str, settings: &str, stage: Stage, seed: Option<u64>, scene: &Digest) -> String {
     let mut digest = Digest::new();
-    for field in ["sgs batch 1", version, settings, stage.name(), &seed.to_string(), &scene.to_string()] {
+    let (kind, seed) = seed.map_or(("sgs batch plan 1", String::new()), |seed| ("sgs batch 1", seed.to_string()));
+    for field in [kind, version, settings, stage.name(), &seed, &scene.to_string()] {
         digest.field(field.as_bytes());
     }
     digest.to_string()
@@ -194,16 +214,6 @@ fn digests(scenes: &[PathBuf], stop: &AtomicBool) -> Result<Vec<Digest>> {
     found.into_iter().map(|digest| digest.unwrap_or_else(|| Ok(Digest::new()))).collect()
 }
 
-/// Estimates the cost of a run.
-///
-/// A scene that cannot be opened costs 0 and is tried last. Its training says what is wrong.
-fn cost(path: &Path, settings: &Settings, stage: Stage) -> u128 {
-    let Ok(scene) = Scene::open(path, &settings.scene_options()) else { return 0 };
-    let cameras = scene.split.train.iter().filter_map(|view| scene.views.get(*view)).map(|view| &view.camera);
-    let pixels: u128 = cameras.map(|c| u128::from(c.width as u64) * u128::from(c.height as u64)).sum();
-    pixels * u128::from(stage.steps(settings))
-}
-
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -218,14 +228,15 @@ pub(crate) mod tests {
             seed,
             config: PathBuf::new(),
             identity: format!("{scene}{seed}"),
-            cost: 1,
+            plan_identity: scene.into(),
         }
     }
 
     /// Returns a batch of runs without scenes.
     pub(crate) fn batch(runs: Vec<Run>) -> Batch {
         let limits = Limits { retries: 2, timeout: None, memory_budget: None };
-        Batch { runs, configs: Vec::new(), stage: Stage::Geometry, evaluate: false, limits }
+        let config = Config { path: PathBuf::new(), text: String::new(), settings: Settings::default() };
+        Batch { runs, configs: vec![config], stage: Stage::Geometry, evaluate: false, limits }
     }
 
     #[test]
@@ -264,10 +275,11 @@ pub(crate) mod tests {
 
     #[test]
     fn runs_are_expanded_in_order_and_split_without_gaps() {
-        let runs: Vec<Run> = (0..7).map(|seed| Run { cost: u128::from(seed % 3), ..run("a", seed) }).collect();
-        let batch = batch(runs);
-        assert_eq!(batch.order(None), [2, 5, 1, 4, 0, 3, 6]);
-        let shards = ["1/3", "2/3", "3/3"].map(|s| batch.order(Some(Shard::parse(s).unwrap())));
+        let batch = batch((0..7).map(|seed| run("a", seed)).collect());
+        let mut order = batch.indices(None);
+        sort_by_cost(&mut order, |i| (i != 1).then_some((i % 3) as f64));
+        assert_eq!(order, [2, 5, 4, 0, 3, 6, 1]);
+        let shards = ["1/3", "2/3", "3/3"].map(|s| batch.indices(Some(Shard::parse(s).unwrap())));
         assert_eq!(shards[0], [0, 3, 6]);
         let mut all = shards.concat();
         all.sort_unstable();

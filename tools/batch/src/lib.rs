@@ -3,9 +3,11 @@
 //! A manifest is expanded to runs ([`Batch`]). Several workers share the runs through a directory ([`Store`]): leases
 //! say who trains a run, results say how it ended. [`Queue`] supervises the processes that train.
 
+mod admission;
 mod baseline;
 mod batch;
 mod error;
+mod forecast;
 mod heart;
 mod holder;
 mod identity;
@@ -17,9 +19,11 @@ mod result;
 mod store;
 mod summary;
 
+pub use admission::DeviceMemory;
 pub use baseline::{Baseline, Verdict};
-pub use batch::{Batch, Run, Shard};
+pub use batch::{Batch, Run, Shard, sort_by_cost};
 pub use error::{BatchError, Result};
+pub use forecast::Forecast;
 pub use identity::{Digest, scene_digest};
 pub use lease::Lease;
 pub use manifest::{Limits, Manifest, Stage, Variant};

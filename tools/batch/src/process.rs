@@ -1,11 +1,14 @@
 //! Processes that train and evaluate runs, as a queue sees them.
 
+use crate::admission::DeviceMemory;
 use crate::batch::Run;
 use std::path::{Path, PathBuf};
 
 /// What a process does with a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
+    /// Forecasts its work and memory.
+    Plan,
     /// Trains it.
     Train,
     /// Evaluates it.
@@ -76,6 +79,11 @@ pub trait Process {
 
 /// Starts processes.
 pub trait Launcher: Sync {
+    /// Returns the memory of the device that a worker's processes use. Runs are admitted by it.
+    ///
+    /// Without an answer, each worker trains a run.
+    fn device(&self, worker: usize) -> Option<DeviceMemory>;
+
     /// Starts a process.
     ///
     /// # Errors

@@ -1,18 +1,21 @@
 //! Workers of a batch: claim runs, supervise the processes that train them, write results.
 
-use crate::batch::{Batch, Run, Shard};
-use crate::error::{Result, failed};
+mod attempts;
+mod planning;
+
+use crate::admission::{Admission, Demand, DeviceMemory, Permit};
+use crate::batch::{Batch, Run, Shard, sort_by_cost};
+use crate::error::Result;
+use crate::forecast::Forecast;
 use crate::heart::Heart;
 use crate::lease::Lease;
-use crate::process::{Exit, Launch, Launcher, Phase};
+use crate::process::{Exit, Launcher};
 use crate::result::{RunResult, State};
-use crate::store::{Claim, Record, Store};
+use crate::store::{Claim, Store};
 use crate::summary::Summary;
-use sgs_run::{DirectoryLock, RunError};
-use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Intervals of a queue.
 #[derive(Clone, Copy, Debug)]
@@ -130,6 +133,11 @@ struct Shared<'a> {
     /// Ends all jobs: after an error, or after a user stopped a process.
     halt: AtomicBool,
     summary: Mutex<()>,
+    /// Forecasts by index of the run.
+    forecasts: Vec<Option<Forecast>>,
+    /// Memory of each worker's device, if known.
+    devices: Vec<Option<DeviceMemory>>,
+    admission: Admission,
 }
 
 /// How the attempts of a run ended.
@@ -159,7 +167,7 @@ impl Queue<'_> {
     /// # Errors
     /// If the directory cannot be read or written. Failures of runs are results.
     pub fn work(&self) -> Result<Report> {
-        let order = self.batch.order(self.shard);
+        let order = self.batch.indices(self.shard);
         let mut slots = vec![Slot::Open; self.batch.runs.len()];
         let mut again = vec![None; slots.len()];
         let mut skipped = 0;
@@ -174,10 +182,24 @@ impl Queue<'_> {
             }
         }
         let (slots, halt) = (Mutex::new(slots), AtomicBool::new(false));
-        let shared = Shared { queue: self, order, slots, again, halt, summary: Mutex::new(()) };
+        let jobs = self.jobs.max(1);
+        let mut shared = Shared {
+            queue: self,
+            order,
+            slots,
+            again,
+            halt,
+            summary: Mutex::new(()),
+            forecasts: Vec::new(),
+            devices: (0..jobs).map(|worker| self.launcher.device(worker)).collect(),
+            admission: Admission::default(),
+        };
+        shared.forecasts = shared.forecasts()?;
+        let forecasts = &shared.forecasts;
+        sort_by_cost(&mut shared.order, |i| forecasts[i].as_ref().map(|forecast| forecast.operations));
         let errors: Vec<_> = std::thread::scope(|scope| {
             let shared = &shared;
-            let jobs: Vec<_> = (0..self.jobs.max(1)).map(|worker| scope.spawn(move || shared.job(worker))).collect();
+            let jobs: Vec<_> = (0..jobs).map(|worker| scope.spawn(move || shared.job(worker))).collect();
             jobs.into_iter().filter_map(|job| job.join().ok().and_then(Result::err)).collect()
         });
         if let Some(error) = errors.into_iter().next() {
@@ -229,20 +251,37 @@ impl Shared<'_> {
         Ok(())
     }
 
-    /// Trains the first free run. Returns false if there is none.
+    /// Returns the memory that a run is admitted with.
+    fn demand(&self, i: usize) -> Demand {
+        match &self.forecasts[i] {
+            Some(forecast) => {
+                let limit = self.queue.batch.limits.memory_budget.unwrap_or(u64::MAX);
+                Demand::Bytes(forecast.bytes.min(limit))
+            }
+            None => Demand::Alone,
+        }
+    }
+
+    /// Trains the first free run that the worker's device admits. Returns false if there is none.
     fn work_once(&self, worker: usize) -> Result<bool> {
         for &i in &self.order {
             if self.stopping() {
                 return Ok(true);
             }
-            {
+            let permit = {
                 let mut slots = lock(&self.slots);
                 if !matches!(slots[i], Slot::Open) {
                     continue;
                 }
+                let device = self.devices[worker].as_ref();
+                let permit = device.map(|device| self.admission.admit(device, self.demand(i)));
+                if matches!(permit, Some(None)) {
+                    continue;
+                }
                 slots[i] = Slot::Working;
-            }
-            let (slot, worked) = self.claim(i, worker)?;
+                permit.flatten()
+            };
+            let (slot, worked) = self.claim(i, worker, permit)?;
             let ended = {
                 let mut slots = lock(&self.slots);
                 slots[i] = slot;
@@ -257,7 +296,7 @@ impl Shared<'_> {
     }
 
     /// Claims a run and trains it. Returns its new state, and whether this job trained it.
-    fn claim(&self, i: usize, worker: usize) -> Result<(Slot, bool)> {
+    fn claim(&self, i: usize, worker: usize, permit: Option<Permit<'_>>) -> Result<(Slot, bool)> {
         let Queue { store, batch, .. } = *self.queue;
         let run = &batch.runs[i];
         let again = self.again[i].as_ref();
@@ -268,7 +307,7 @@ impl Shared<'_> {
                 if again.is_some() {
                     store.forget(run)?;
                 }
-                match self.train(run, lease, worker)? {
+                match self.train(run, lease, worker, permit)? {
                     Some(result) => (Slot::Ended(Box::new(result)), true),
                     None => (Slot::Open, false),
                 }
@@ -292,11 +331,11 @@ impl Shared<'_> {
     }
 
     /// Trains a held run. Returns its result; `None` if the queue was stopped or the lease was lost.
-    fn train(&self, run: &Run, lease: Lease, worker: usize) -> Result<Option<RunResult>> {
+    fn train(&self, run: &Run, lease: Lease, worker: usize, permit: Option<Permit<'_>>) -> Result<Option<RunResult>> {
         let Queue { store, batch, timing, .. } = self.queue;
         let taken_over = lease.generation() > 1;
         let heart = Heart::start(lease, timing.heartbeat, timing.give_up);
-        let outcome = self.attempts(run, &heart, taken_over, worker);
+        let outcome = self.attempts(run, &heart, taken_over, worker, permit);
         let lost = heart.is_lost();
         let Some(lease) = heart.stop() else { return Ok(None) };
         match outcome {
@@ -312,209 +351,6 @@ impl Shared<'_> {
             }
         }
     }
-
-    /// Attempts a run until it has a result.
-    fn attempts(&self, run: &Run, heart: &Heart, taken_over: bool, worker: usize) -> Result<Outcome> {
-        let Queue { store, batch, .. } = self.queue;
-        let directory = run.path(store.root(), "");
-        if taken_over {
-            // The last holder let the run go, and its processes end without its heartbeat.
-            DirectoryLock::remove_foreign(&directory)?;
-        }
-        let begun = Instant::now();
-        let mut result = RunResult { memory_budget: batch.limits.memory_budget, ..RunResult::of(run) };
-        let (mut retries, mut waits) = (0, 0);
-        loop {
-            if self.stopping() {
-                return Ok(Outcome::Stopped);
-            }
-            let (mut ended, phase) = match self.begin(run, &directory)? {
-                Some((resume, record)) => {
-                    result.attempts = record.attempts;
-                    self.attempt(run, heart, resume, result.memory_budget, worker)?
-                }
-                None => {
-                    let output = r#"{"kind": "locked", "error": "another process writes into the run"}"#.to_owned();
-                    (Ended::Exit(Exit { status: Some(1), signal: None, output }), Phase::Train)
-                }
-            };
-            if heart.is_lost() {
-                ended = Ended::Lost;
-            }
-            result.seconds = begun.elapsed().as_secs_f64();
-            let exit = match ended {
-                Ended::Stopped => return Ok(Outcome::Stopped),
-                Ended::Lost => return Ok(Outcome::Lost),
-                Ended::Timeout => {
-                    let seconds = batch.limits.timeout.unwrap_or_default().as_secs_f64();
-                    result.kind = Some("timeout".to_owned());
-                    result.error = Some(format!("the attempt took longer than limits.timeout ({seconds} s)"));
-                    return Ok(Outcome::Result(Box::new(result)));
-                }
-                Ended::Exit(exit) => exit,
-            };
-            result.status = exit.status;
-            if exit.status == Some(0) {
-                result.evaluated = phase == Phase::Evaluate;
-                result.state = State::Done;
-                result.read_run(&directory);
-                return Ok(Outcome::Result(Box::new(result)));
-            }
-            let (kind, error) = exit.failure(&run.path(store.root(), "log"));
-            if exit.status == Some(130) {
-                // A user stopped the process; the whole batch stops.
-                self.halt.store(true, Ordering::SeqCst);
-                return Ok(Outcome::Stopped);
-            }
-            let locked = kind == "locked";
-            if locked {
-                // A process of a killed worker may still write its checkpoint. That is no attempt.
-                waits += 1;
-                if let Some(record) = store.record(run).filter(|r| r.identity == run.identity && r.attempts > 0) {
-                    store.write_record(run, &Record { attempts: record.attempts - 1, ..record })?;
-                }
-            } else if matches!(exit.status, Some(75) | None) && retries < batch.limits.retries {
-                retries += 1;
-                if kind == "out_of_memory" {
-                    result.memory_budget = result.memory_budget.map(|bytes| (bytes - bytes / 4).max(1));
-                }
-            } else {
-                (result.kind, result.error) = (Some(kind), Some(error));
-                result.read_run(&directory);
-                return Ok(Outcome::Result(Box::new(result)));
-            }
-            let delay = self.delay(if locked { waits } else { retries });
-            (self.queue.progress)(&Progress::Again { name: run.name(), reason: error, delay });
-            self.pause(delay, heart);
-        }
-    }
-
-    /// Returns the delay before the `n`-th retry.
-    fn delay(&self, n: u32) -> Duration {
-        let Timing { delay, longest_delay, .. } = self.queue.timing;
-        delay.saturating_mul(1 << n.saturating_sub(1).min(16)).min(longest_delay)
-    }
-
-    /// Waits, unless the queue is stopped or the lease is lost.
-    fn pause(&self, delay: Duration, heart: &Heart) {
-        let begun = Instant::now();
-        while begun.elapsed() < delay && !self.stopping() && !heart.is_lost() {
-            std::thread::sleep(self.queue.timing.poll);
-        }
-    }
-
-    /// Prepares the run directory for an attempt. Returns whether it is resumed, and the new record.
-    ///
-    /// `None` if another process writes into the directory.
-    fn begin(&self, run: &Run, directory: &Path) -> Result<Option<(bool, Record)>> {
-        let store = self.queue.store;
-        let mut record = match store.record(run) {
-            Some(record) if record.identity == run.identity => record,
-            before => {
-                // Without a record, the directory is not of a batch. Then `sgs train` refuses to replace a run.
-                if before.is_some() && !clear(directory)? {
-                    return Ok(None);
-                }
-                Record { identity: run.identity.clone(), attempts: 0 }
-            }
-        };
-        let resume = directory.join("config.toml").is_file() && store.record(run).is_some();
-        record.attempts = record.attempts.saturating_add(1);
-        store.write_record(run, &record)?;
-        Ok(Some((resume, record)))
-    }
-
-    /// Trains and evaluates a run once. Also returns the phase that ended.
-    fn attempt(
-        &self,
-        run: &Run,
-        heart: &Heart,
-        resume: bool,
-        memory_budget: Option<u64>,
-        worker: usize,
-    ) -> Result<(Ended, Phase)> {
-        let Queue { store, batch, .. } = self.queue;
-        let deadline = batch.limits.timeout.and_then(|limit| Instant::now().checked_add(limit));
-        let launch = |phase| Launch {
-            run,
-            phase,
-            resume,
-            memory_budget,
-            directory: run.path(store.root(), ""),
-            config: store.root().join(&run.config),
-            log: run.path(store.root(), "log"),
-            worker,
-        };
-        let ended = self.supervise(&launch(Phase::Train), heart, deadline)?;
-        if !batch.evaluate || !matches!(&ended, Ended::Exit(exit) if exit.status == Some(0)) {
-            return Ok((ended, Phase::Train));
-        }
-        Ok((self.supervise(&launch(Phase::Evaluate), heart, deadline)?, Phase::Evaluate))
-    }
-
-    /// Runs a process to its end.
-    fn supervise(&self, launch: &Launch<'_>, heart: &Heart, deadline: Option<Instant>) -> Result<Ended> {
-        if self.stopping() {
-            return Ok(Ended::Stopped);
-        }
-        let mut process = self.queue.launcher.start(launch).map_err(failed("used to start a process", &launch.log))?;
-        let Timing { poll, grace, .. } = self.queue.timing;
-        let mut beats = heart.beats();
-        let (mut stopped, mut timed_out) = (false, false);
-        let mut kill_at = None;
-        let exit = loop {
-            if let Some(exit) = process.poll().map_err(failed("polled", &launch.log))? {
-                break exit;
-            }
-            if heart.is_lost() {
-                process.kill();
-            }
-            let late = deadline.is_some_and(|d| Instant::now() >= d);
-            if kill_at.is_none() && (self.stopping() || late) {
-                stopped = self.stopping();
-                timed_out = !stopped;
-                process.terminate();
-                kill_at = Instant::now().checked_add(grace);
-            }
-            if kill_at.is_some_and(|at| Instant::now() >= at) {
-                process.kill();
-            }
-            if heart.beats() != beats {
-                beats = heart.beats();
-                process.beat();
-            }
-            std::thread::sleep(poll);
-        };
-        // A process that ended with a result of its own counts, even if it was asked to end.
-        let own = matches!(exit.status, Some(status) if ![75, 130, 143].contains(&status));
-        Ok(match own {
-            _ if heart.is_lost() => Ended::Lost,
-            false if timed_out => Ended::Timeout,
-            false if stopped => Ended::Stopped,
-            _ => Ended::Exit(exit),
-        })
-    }
-}
-
-/// Removes the contents of a run directory. Returns false if another process writes into it.
-fn clear(directory: &Path) -> Result<bool> {
-    if !directory.exists() {
-        return Ok(true);
-    }
-    let _lock = match DirectoryLock::acquire(directory) {
-        Ok(lock) => lock,
-        Err(RunError::Locked { .. }) => return Ok(false),
-        Err(error) => return Err(error.into()),
-    };
-    for entry in std::fs::read_dir(directory).map_err(failed("read", directory))? {
-        let path = entry.map_err(failed("read", directory))?.path();
-        if path.file_name().is_some_and(|name| name == ".lock") {
-            continue;
-        }
-        let removed = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
-        removed.map_err(failed("removed", &path))?;
-    }
-    Ok(true)
 }
 
 #[cfg(test)]

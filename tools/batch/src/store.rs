@@ -49,7 +49,7 @@ impl Store {
     /// If the directory cannot be written.
     pub fn open(root: &Path, expiry: Duration) -> Result<Store> {
         let store = Store { root: root.to_owned(), expiry, seen: Mutex::default() };
-        for folder in [store.leases(), store.results(), root.join("runs"), root.join("variants")] {
+        for folder in [store.leases(), store.results(), root.join("runs"), root.join("variants"), root.join("plans")] {
             std::fs::create_dir_all(&folder).map_err(failed("made", &folder))?;
         }
         store.sweep();

@@ -2,9 +2,10 @@
 
 use super::*;
 use crate::batch::tests::{batch, run};
-use crate::process::Process;
+use crate::process::{Launch, Phase, Process};
 use std::sync::Arc;
 use std::sync::atomic::AtomicUsize;
+use std::time::Instant;
 
 /// Returns what a process does. The number counts the run's earlier processes.
 type Script<'a> = dyn Fn(&Launch<'_>, usize) -> Act + Sync + 'a;
@@ -18,19 +19,35 @@ enum Act {
     Wait(i32),
     /// Runs until it is killed.
     Hang,
+    /// Runs for a while, then ends with a status and a kind.
+    After(Duration, i32, &'static str),
+    /// Ends with an answer.
+    Answer(String),
 }
 
 struct Pretended {
     act: Act,
+    begun: Instant,
     ended: Option<Option<i32>>,
     beats: Arc<AtomicUsize>,
     kills: Arc<AtomicUsize>,
+    running: Arc<Mutex<(usize, usize)>>,
+}
+
+impl Drop for Pretended {
+    fn drop(&mut self) {
+        lock(&self.running).0 -= 1;
+    }
 }
 
 impl Process for Pretended {
     fn poll(&mut self) -> std::io::Result<Option<Exit>> {
         let (status, kind) = match (&self.act, self.ended) {
             (Act::End(status, kind), _) => (*status, *kind),
+            (Act::After(time, status, kind), _) if self.begun.elapsed() >= *time => (Some(*status), *kind),
+            (Act::Answer(output), _) => {
+                return Ok(Some(Exit { status: Some(0), signal: None, output: output.clone() }));
+            }
             (_, Some(status)) => (status, "terminated"),
             (_, None) => return Ok(None),
         };
@@ -64,20 +81,59 @@ struct Pretender<'a> {
     starts: Mutex<Vec<Start>>,
     beats: Arc<AtomicUsize>,
     kills: Arc<AtomicUsize>,
+    /// Memory of the one device, if it is known.
+    memory: Option<u64>,
+    /// Forecasts: operations of a step and bytes of a run.
+    plan: &'a (dyn Fn(&Run) -> Option<(f64, u64)> + Sync),
+    /// Number of processes that train, and the largest such number.
+    running: Arc<Mutex<(usize, usize)>>,
 }
 
 impl<'a> Pretender<'a> {
     fn new(script: &'a Script<'a>) -> Self {
-        Pretender { script, starts: Mutex::default(), beats: Arc::default(), kills: Arc::default() }
+        Pretender {
+            script,
+            starts: Mutex::default(),
+            beats: Arc::default(),
+            kills: Arc::default(),
+            memory: None,
+            plan: &|_| None,
+            running: Arc::default(),
+        }
     }
 
     fn starts(&self) -> Vec<Start> {
         lock(&self.starts).clone()
     }
+
+    fn most_at_once(&self) -> usize {
+        lock(&self.running).1
+    }
 }
 
 impl Launcher for Pretender<'_> {
+    fn device(&self, _worker: usize) -> Option<DeviceMemory> {
+        self.memory.map(|bytes| DeviceMemory { uuid: "one".into(), bytes })
+    }
+
     fn start(&self, launch: &Launch<'_>) -> std::io::Result<Box<dyn Process>> {
+        let pretended = |act| {
+            let mut running = lock(&self.running);
+            running.0 += 1;
+            if launch.phase != Phase::Plan {
+                running.1 = running.1.max(running.0);
+            }
+            let (beats, kills, running) = (self.beats.clone(), self.kills.clone(), self.running.clone());
+            Box::new(Pretended { act, begun: Instant::now(), ended: None, beats, kills, running })
+        };
+        if launch.phase == Phase::Plan {
+            return Ok(pretended(match (self.plan)(launch.run) {
+                Some((operations, bytes)) => Act::Answer(format!(
+                    "{{\"expected\": [{{\"bytes\": {bytes}, \"step_operations\": {operations}}}]}}"
+                )),
+                None => Act::End(Some(42), "input"),
+            }));
+        }
         let name = launch.run.name();
         let mut starts = lock(&self.starts);
         let earlier = starts.iter().filter(|s| s.0 == name).count();
@@ -85,8 +141,7 @@ impl Launcher for Pretender<'_> {
         drop(starts);
         std::fs::create_dir_all(&launch.directory)?;
         std::fs::write(launch.directory.join("config.toml"), "")?;
-        let (act, beats, kills) = ((self.script)(launch, earlier), self.beats.clone(), self.kills.clone());
-        Ok(Box::new(Pretended { act, ended: None, beats, kills }))
+        Ok(pretended((self.script)(launch, earlier)))
     }
 }
 
@@ -296,4 +351,92 @@ fn queues_over_one_directory_train_each_run_once() {
     assert_eq!((launcher.starts().len(), names.len(), setup.leases()), (24, 24, 0));
     let lines = std::fs::read_to_string(setup.folder.path().join("summary.jsonl")).unwrap();
     assert_eq!(lines.lines().count(), 24);
+}
+
+/// Returns a batch of runs in scenes of these names.
+fn scenes(names: &[&str]) -> Batch {
+    batch(names.iter().map(|name| run(name, 0)).collect())
+}
+
+const WHILE: Duration = Duration::from_millis(30);
+
+#[test]
+fn expensive_runs_start_first_and_share_the_device_while_they_fit() {
+    let mut setup = Setup::new(0);
+    setup.batch = scenes(&["small", "large", "middle", "broken"]);
+    let script = |_: &Launch<'_>, _: usize| Act::After(WHILE, 0, "");
+    let plan = |run: &Run| match run.scene.as_str() {
+        "small" => Some((1.0, 300)),
+        "middle" => Some((2.0, 500)),
+        "large" => Some((3.0, 500)),
+        _ => None,
+    };
+    for (memory, jobs, most) in [(1000, 4, 2), (2000, 4, 3), (2000, 2, 2), (400, 4, 1), (1000, 1, 1)] {
+        setup.folder = tempfile::tempdir().unwrap();
+        setup.jobs = jobs;
+        let launcher = Pretender { memory: Some(memory), plan: &plan, ..Pretender::new(&script) };
+        assert_eq!(setup.work(&launcher).done, 4);
+        assert_eq!(launcher.most_at_once(), most, "{memory} bytes, {jobs} jobs");
+        if jobs == 1 {
+            // A run without a forecast comes last.
+            let names: Vec<_> = launcher.starts().into_iter().map(|s| s.0).collect();
+            assert_eq!(names, ["large", "middle", "small", "broken"].map(|scene| format!("{scene}/fast/seed0")));
+        }
+    }
+    // Without knowledge of the device, each job has a run.
+    setup.folder = tempfile::tempdir().unwrap();
+    setup.jobs = 4;
+    let launcher = Pretender { plan: &plan, ..Pretender::new(&script) };
+    assert_eq!((setup.work(&launcher).done, launcher.most_at_once()), (4, 4));
+}
+
+#[test]
+fn forecasts_are_made_once_for_all_seeds() {
+    let mut setup = Setup::new(3);
+    setup.jobs = 2;
+    let plans = AtomicUsize::new(0);
+    let plan = |_: &Run| {
+        plans.fetch_add(1, Ordering::SeqCst);
+        Some((1.0, 300))
+    };
+    let script = |_: &Launch<'_>, _: usize| Act::End(Some(0), "");
+    let launcher = Pretender { memory: Some(1000), plan: &plan, ..Pretender::new(&script) };
+    assert_eq!((setup.work(&launcher).done, plans.load(Ordering::SeqCst)), (3, 1));
+    for run in &mut setup.batch.runs {
+        run.identity.push('2');
+    }
+    assert_eq!((setup.work(&launcher).done, plans.load(Ordering::SeqCst)), (3, 1));
+    for run in &mut setup.batch.runs {
+        run.identity.push('3');
+        run.plan_identity.push('3');
+    }
+    assert_eq!((setup.work(&launcher).done, plans.load(Ordering::SeqCst)), (3, 2));
+}
+
+#[test]
+fn run_out_of_memory_is_repeated_alone_and_then_with_less() {
+    let mut setup = Setup::new(4);
+    setup.jobs = 4;
+    let launcher_at = Mutex::new(None::<Arc<Mutex<(usize, usize)>>>);
+    let beside = Mutex::new(Vec::new());
+    // The first run exhausts the memory three times.
+    let script = |launch: &Launch<'_>, earlier: usize| {
+        if launch.run.seed != 0 {
+            return Act::After(4 * WHILE, 0, "");
+        }
+        let running = lock(&launcher_at).clone().unwrap();
+        lock(&beside).push(lock(&running).0);
+        match earlier {
+            0..2 => Act::After(WHILE, 75, "out_of_memory"),
+            _ => Act::After(WHILE, 0, ""),
+        }
+    };
+    let plan = |_: &Run| Some((1.0, 100));
+    let launcher = Pretender { memory: Some(1000), plan: &plan, ..Pretender::new(&script) };
+    *lock(&launcher_at) = Some(launcher.running.clone());
+    assert_eq!(setup.work(&launcher).done, 4);
+    let mine: Vec<_> = launcher.starts().into_iter().filter(|s| s.0.ends_with("seed0")).map(|s| s.3).collect();
+    assert_eq!(mine, [None, None, Some(750)], "alone with all memory, then alone with less");
+    assert_eq!(lock(&beside)[1..], [0, 0], "another run was on the device");
+    assert_eq!(launcher.most_at_once(), 4);
 }

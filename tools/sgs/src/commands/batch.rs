@@ -5,9 +5,10 @@ use crate::failure::{Kind, failure};
 use crate::output;
 use crate::ui::{SUPERVISED, Stop};
 use sgs_batch::{
-    Baseline, Batch, Exit, Launch, Launcher, Manifest, Phase, Process, Progress, Queue, Shard, State, Store, Summary,
-    Timing, Verdict,
+    Baseline, Batch, DeviceMemory, Exit, Launch, Launcher, Manifest, Phase, Process, Progress, Queue, Shard, State,
+    Store, Summary, Timing, Verdict,
 };
+use sgs_engine::find_device;
 use std::io::{Read, Write};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -23,9 +24,9 @@ pub struct Args {
     /// Directory of the batch. Several commands, also on several machines, can share it.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Number of runs that are trained side by side.
-    #[arg(long, value_name = "N", default_value = "1", value_parser = clap::value_parser!(u16).range(1..))]
-    jobs: u16,
+    /// Number of runs that are trained side by side, or "auto": one per device.
+    #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = jobs)]
+    jobs: Jobs,
     /// Devices that the jobs take in turn, as --device names them.
     #[arg(long, value_name = "A,B", value_delimiter = ',', conflicts_with = "device")]
     devices: Vec<String>,
@@ -41,6 +42,20 @@ pub struct Args {
     /// Largest loss of PSNR against the baseline, in dB.
     #[arg(long, value_name = "DB", default_value = "0.1", requires = "baseline", value_parser = tolerance)]
     tolerance: f64,
+}
+
+/// Number of runs side by side.
+#[derive(Clone, Copy, Debug)]
+enum Jobs {
+    Auto,
+    Exactly(u16),
+}
+
+fn jobs(text: &str) -> Result<Jobs, String> {
+    match text {
+        "auto" => Ok(Jobs::Auto),
+        _ => text.parse().ok().filter(|n| *n > 0).map(Jobs::Exactly).ok_or_else(|| "a number above 0, or auto".into()),
+    }
 }
 
 fn tolerance(text: &str) -> Result<f64, String> {
@@ -62,15 +77,20 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if stop.load(Ordering::SeqCst) {
         return Err(stopped());
     }
+    let devices = devices(common, &a.devices)?;
+    let jobs = match a.jobs {
+        Jobs::Auto => devices.len(),
+        Jobs::Exactly(n) => usize::from(n),
+    };
     let store = Store::open(&a.output, Timing::EXPIRY)?;
     batch.write_configs(store.root())?;
     let queue = Queue {
         store: &store,
         batch: &batch,
-        launcher: &Programs { common, devices: &a.devices, stage: batch.stage.name() },
+        launcher: &Programs { common, devices: &devices, stage: batch.stage.name() },
         stop: &stop,
         progress: &|progress| show(common, progress),
-        jobs: usize::from(a.jobs),
+        jobs,
         retry_failed: a.retry_failed,
         shard: a.shard,
         timing: Timing::default(),
@@ -132,14 +152,49 @@ fn show(common: &Common, progress: &Progress<'_>) {
 /// Starts this program for each run.
 struct Programs<'a> {
     common: &'a Common,
-    devices: &'a [String],
+    devices: &'a [Device],
     stage: &'static str,
 }
 
+/// Device of jobs.
+struct Device {
+    /// Option `--device` of the processes; none for the default.
+    option: Option<String>,
+    memory: DeviceMemory,
+}
+
+/// Finds the devices of the jobs. They are not opened: each process opens its own.
+fn devices(common: &Common, named: &[String]) -> anyhow::Result<Vec<Device>> {
+    let mut options: Vec<Option<String>> = named.iter().cloned().map(Some).collect();
+    if options.is_empty() {
+        options.push(common.device.clone());
+    }
+    let find = |option: Option<String>| {
+        let found = find_device(option.as_deref())?;
+        let memory = DeviceMemory { uuid: found.info.uuid, bytes: found.available_bytes };
+        Ok(Device { option, memory })
+    };
+    options.into_iter().map(find).collect()
+}
+
+impl Programs<'_> {
+    fn of(&self, worker: usize) -> Option<&Device> {
+        self.devices.get(worker % self.devices.len().max(1))
+    }
+}
+
 impl Launcher for Programs<'_> {
+    fn device(&self, worker: usize) -> Option<DeviceMemory> {
+        self.of(worker).map(|device| device.memory.clone())
+    }
+
     fn start(&self, launch: &Launch<'_>) -> std::io::Result<Box<dyn Process>> {
         let mut command = Command::new(std::env::current_exe()?);
         match launch.phase {
+            Phase::Plan => {
+                command.arg("plan").arg(&launch.run.scene_path).args(["--stage", self.stage]);
+                command.arg("--config").arg(&launch.config);
+            }
             Phase::Train => {
                 command.arg("train").arg(&launch.run.scene_path).arg("-o").arg(&launch.directory);
                 command.args(["--stage", self.stage, "--seed", &launch.run.seed.to_string()]);
@@ -155,9 +210,8 @@ impl Launcher for Programs<'_> {
                 command.arg("eval").arg(&launch.directory).arg("--scene").arg(&launch.run.scene_path);
             }
         }
-        let turn = self.devices.get(launch.worker % self.devices.len().max(1));
-        if let Some(device) = turn.or(self.common.device.as_ref()) {
-            command.args(["--device", device]);
+        if let Some(option) = self.of(launch.worker).and_then(|device| device.option.as_ref()) {
+            command.args(["--device", option]);
         }
         if let Some(limit) = self.common.timeout {
             command.args(["--timeout", &limit.as_secs_f64().to_string()]);
