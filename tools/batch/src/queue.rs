@@ -91,6 +91,10 @@ pub struct Queue<'a> {
     pub jobs: usize,
     /// Whether to train failed runs again.
     pub retry_failed: bool,
+    /// Whether to train runs again whose failure was temporary.
+    pub retry_temporary: bool,
+    /// Whether to write the summary. A queue of selected runs does not know the results of the others.
+    pub summarize: bool,
     /// Part of the runs; all if `None`.
     pub shard: Option<Shard>,
     /// Intervals.
@@ -166,7 +170,8 @@ impl Queue<'_> {
         for &i in &order {
             let run = &self.batch.runs[i];
             let Some(result) = self.store.result(run).filter(|r| r.answers(run, self.batch.evaluate)) else { continue };
-            if result.state == State::Failed && self.retry_failed {
+            let retry = self.retry_failed || self.retry_temporary && result.is_temporary();
+            if result.state == State::Failed && retry {
                 again[i] = Some(result);
             } else {
                 skipped += usize::from(result.state == State::Done);
@@ -287,6 +292,9 @@ impl Shared<'_> {
     }
 
     fn summarize(&self) -> Result<()> {
+        if !self.queue.summarize {
+            return Ok(());
+        }
         let _one = lock(&self.summary);
         Summary::update(self.queue.store, self.queue.batch)
     }
