@@ -46,6 +46,11 @@ def until(what, condition, seconds=90, interval=0.05):
     raise AssertionError("{} did not happen in {} s".format(what, seconds))
 
 
+def accuracy(result):
+    """Returns the measures of a result without frames per second, which depend on the load of the machine."""
+    return {name: value for name, value in result["measures"].items() if not name.startswith("fps.")}
+
+
 class Rooms:
     """Folder with three scenes, a manifest, and the directory of a batch for each test."""
 
@@ -125,7 +130,8 @@ class Batch:
         assert sorted(results) == sorted(expected) and len(results) == 12, sorted(results)
         for name, result in results.items():
             assert result["state"] == "done", result
-            assert result["measures"] == expected[name]["measures"] and result["measures"], name
+            measures, others = accuracy(result), accuracy(expected[name])
+            assert measures == others and "nvs.psnr" in measures, "{}: {} {}".format(name, measures, others)
             assert result["identity"] == expected[name]["identity"], name
             assert self.gaussians(name) == alone.gaussians(name), name + " has other Gaussians"
             commands = [l for l in (self.path / "runs" / (name + ".log")).read_text().splitlines() if l.startswith("$ ")]

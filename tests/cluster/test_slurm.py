@@ -3,7 +3,6 @@
 import os
 import pathlib
 import shutil
-import signal
 import socket
 import subprocess
 import tempfile
@@ -35,7 +34,7 @@ SelectTypeParameters=CR_CPU
 SlurmdParameters=config_overrides
 PreemptType=preempt/partition_prio
 PreemptMode=REQUEUE
-SchedulerParameters=batch_sched_delay=0,sched_min_interval=100000,bf_interval=2
+SchedulerParameters=batch_sched_delay=0,sched_min_interval=100000,sched_interval=1,bf_interval=1
 ReturnToService=2
 NodeName=node1 NodeHostname={host} NodeAddr=127.0.0.1 Port={ports[1]} CPUs=2 State=UNKNOWN
 PartitionName=usual Nodes=ALL Default=YES PriorityTier=1
@@ -110,11 +109,12 @@ class Slurm:
         return self.ask("sbatch", "--parsable", "--output=" + output, *more, str(script)).split(";")[0]
 
     def tasks(self, job):
-        """Returns the state of each task that has not left the queue, by index."""
+        """Returns the state of each task by index; that of a job without tasks by -1."""
         rows = subprocess.run(
             ["squeue", "-h", "-r", "-t", "all", "-j", job, "-o", "%K %T"], env=self.environment, capture_output=True, text=True
         ).stdout
-        return {int(row.split()[0]): row.split()[1] for row in rows.splitlines() if row.split()[0].isdigit()}
+        words = [row.split() for row in rows.splitlines()]
+        return {int(index) if index.isdigit() else -1: state for index, state in words}
 
 
 class SlurmTest(unittest.TestCase):
@@ -130,7 +130,7 @@ class SlurmTest(unittest.TestCase):
 
         def tasks():
             found = self.slurm.tasks(job)
-            return found if all(s not in ("PENDING", "RUNNING", "COMPLETING", "CONFIGURING") for s in found.values()) else None
+            return found if found and all(s not in ("PENDING", "RUNNING", "COMPLETING", "CONFIGURING") for s in found.values()) else None
 
         found = until("the end of job {}".format(job), tasks, seconds=150, interval=0.3)
         self.assertLessEqual(set(found.values()), set(states), self.logs())
@@ -163,8 +163,11 @@ class SlurmTest(unittest.TestCase):
 
         # The signal before the time limit reaches the script alone. The task requeues itself.
         name, task, program = training()
-        slurm.ask("scancel", "--signal=TERM", "--batch", task)
-        until("the end of the stopped program", lambda: not running(program), seconds=30)
+        # scancel itself sends the signal again after 5 seconds while the task is requeued.
+        scancel = subprocess.Popen(["scancel", "--signal=TERM", "--batch", task], env=slurm.environment, stderr=subprocess.DEVNULL)
+        until("the end of the stopped program", lambda: not running(program), seconds=4)
+        scancel.kill()
+        scancel.wait()
         self.assertFalse(batch.is_done(name))
 
         # A canceled task stays canceled.

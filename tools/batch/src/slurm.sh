@@ -1,5 +1,5 @@
 #!/bin/bash
-# Trains @COUNT@ runs as a job array. Written by sgs batch --slurm; docs/guide/slurm.md says what the cluster needs.
+# Trains @COUNT@ runs as a job array. Written by sgs batch --slurm; docs/guide/clusters.md says what the cluster needs.
 #SBATCH --job-name=sgs-batch
 #SBATCH --array=0-@LAST@
 #SBATCH --requeue

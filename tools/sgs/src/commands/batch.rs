@@ -50,7 +50,7 @@ pub struct Args {
     /// Write the summary of the existing results, and train nothing.
     #[arg(long, conflicts_with_all = ["only", "shard", "retry_failed", "slurm"])]
     summary: bool,
-    /// Write a script for sbatch that trains each run as a task of a job array, and train nothing.
+    /// Write a script for sbatch, a job array with a task per run, and train nothing.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["only", "shard", "jobs", "devices", "baseline"])]
     slurm: Option<PathBuf>,
 }
@@ -159,7 +159,7 @@ fn finish(
     Ok(())
 }
 
-/// Returns the kind of the failures of selected runs, whose exit status tells a scheduler what to do.
+/// Returns the kind of failures of selected runs. A scheduler acts on its status.
 fn kind_of(failed: &[RunResult]) -> Kind {
     match failed.iter().find(|result| result.is_temporary()).map(|result| result.kind.as_deref()) {
         Some(Some("out_of_memory")) => Kind::OutOfMemory,
