@@ -10,7 +10,7 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-lanes test-priors bench lint docs book check deny fuzz setup setup-tests install
+.PHONY: help demo test test-lanes test-priors test-cluster container bench lint docs book check deny fuzz setup setup-tests install
 .NOTPARALLEL:
 
 help:
@@ -18,6 +18,8 @@ help:
 	@echo "make test    formatting, lints and all tests"
 	@echo "make test-lanes    the device tests again where lavapipe has 16 lanes"
 	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"
+	@echo "make test-cluster  twelve runs alone, on a Ray cluster and by Slurm on this machine: equal bits, though nodes and tasks die"
+	@echo "make container     the image sgs:latest; needs podman, buildah or docker"
 	@echo "make bench   time every pass and a whole step on this machine's device"
 	@echo "make fuzz    feed every reader damaged files, in turns, until each has had an hour of the processor; stop it and go on at will"
 	@echo "make lint    formatting, clippy, documentation and the crates' layers, without the other tests"
@@ -50,6 +52,15 @@ test-lanes: setup-tests
 test-priors:
 	$(PYTHON) -c "import numpy, PIL, torch, torchvision, transformers"
 	$(PYTHON) -B -m unittest discover -s tools/priors/tests
+
+test-cluster: setup
+	$(CARGO) build --locked -p sgs
+	tests/cluster/run
+
+# The program must not need newer libraries than the image has: Debian 12.
+container: setup
+	$(CARGO) build --release --locked -p sgs
+	tools/container/build "$${CARGO_TARGET_DIR:-target}/release/sgs"
 
 lint: check
 	$(CARGO) test --locked -p sgs-tests --test layers

@@ -12,11 +12,11 @@ const SETTINGS: &str = "geometry = { backward = \"pixel\", steps = STEPS, sh_deg
      train = { checkpoint_interval = 5 }";
 
 /// Folder with tiny scenes and a manifest.
-struct Rooms(TempDir);
+pub struct Rooms(TempDir);
 
 impl Rooms {
     /// Synthesizes rooms that differ in their images.
-    fn new(names: &[&str]) -> Rooms {
+    pub fn new(names: &[&str]) -> Rooms {
         let rooms = Rooms(tempfile::tempdir().unwrap());
         for (i, name) in names.iter().enumerate() {
             let seed = i.to_string();
@@ -26,16 +26,16 @@ impl Rooms {
         rooms
     }
 
-    fn path(&self, name: &str) -> PathBuf {
+    pub fn path(&self, name: &str) -> PathBuf {
         self.0.path().join(name)
     }
 
-    fn text(&self, name: &str) -> String {
+    pub fn text(&self, name: &str) -> String {
         self.path(name).display().to_string()
     }
 
     /// Writes a manifest of all scenes with two seeds.
-    fn manifest(&self, steps: u32) {
+    pub fn manifest(&self, steps: u32) {
         let settings = SETTINGS.replace("STEPS", &steps.to_string());
         let text = format!(
             "scenes = [\"scenes/*\"]\nseeds = [0, 1]\n[[variants]]\nname = \"tiny\"\nsettings = {{ {settings} }}\n"
@@ -43,17 +43,17 @@ impl Rooms {
         std::fs::write(self.path("rooms.toml"), text).unwrap();
     }
 
-    fn arguments(&self, more: &[&str]) -> Vec<String> {
+    pub fn arguments(&self, more: &[&str]) -> Vec<String> {
         let all = ["batch", &self.text("rooms.toml"), "-o", &self.text("out"), "-q"];
         all.iter().chain(more).map(|s| (*s).to_owned()).collect()
     }
 
-    fn batch(&self, more: &[&str]) -> Finished {
+    pub fn batch(&self, more: &[&str]) -> Finished {
         sgs(&self.arguments(more))
     }
 
     /// Returns the lines of the summary by name of the run.
-    fn summary(&self) -> BTreeMap<String, Value> {
+    pub fn summary(&self) -> BTreeMap<String, Value> {
         let text = std::fs::read_to_string(self.path("out/summary.jsonl")).unwrap();
         let lines = text.lines().map(|l| serde_json::from_str::<Value>(l).unwrap());
         let name = |l: &Value| format!("{}/tiny/seed{}", l["scene"].as_str().unwrap(), l["seed"]);
@@ -61,7 +61,7 @@ impl Rooms {
     }
 
     /// Trains a run alone, with the same options. Returns the bytes of its Gaussians.
-    fn alone(&self, scene: &str, seed: u64) -> Vec<u8> {
+    pub fn alone(&self, scene: &str, seed: u64) -> Vec<u8> {
         let (scene, run, seed) = (self.text(&format!("scenes/{scene}")), self.text("alone"), seed.to_string());
         let configs = std::fs::read_dir(self.path("out/variants")).unwrap().map(|e| e.unwrap().path());
         let config = configs.map(|p| p.display().to_string()).max().unwrap();
@@ -69,7 +69,7 @@ impl Rooms {
         std::fs::read(self.path("alone/scene.ply")).unwrap()
     }
 
-    fn gaussians(&self, run: &str) -> Vec<u8> {
+    pub fn gaussians(&self, run: &str) -> Vec<u8> {
         std::fs::read(self.path(&format!("out/runs/{run}/scene.ply"))).unwrap()
     }
 

@@ -18,6 +18,7 @@ mod region_sources;
 mod relit_provider;
 mod required;
 mod robustness;
+mod schedulers;
 mod starts;
 mod tiles;
 mod traced_train;

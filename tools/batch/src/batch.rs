@@ -4,6 +4,7 @@ use crate::error::{Result, failed, wrong};
 use crate::identity::{Digest, scene_digest};
 use crate::manifest::{Limits, Manifest, Stage, name_of};
 use sgs_config::Settings;
+use sgs_scene::Scene;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -25,6 +26,8 @@ pub struct Run {
     pub identity: String,
     /// Hash of what its forecast depends on. All seeds have the same.
     pub plan_identity: String,
+    /// Estimated cost: pixels of the training views times steps. 0 if the scene cannot be opened.
+    pub cost: u128,
 }
 
 impl Run {
@@ -115,6 +118,7 @@ impl Batch {
         for (path, digest) in manifest.scenes.iter().zip(&digests) {
             let Some(scene) = name_of(path) else { return Err(wrong(path, "it has no name")) };
             for (variant, config) in manifest.variants.iter().zip(&configs) {
+                let cost = cost(path, &config.settings, manifest.stage);
                 let plan_identity = identity(version, &config.text, manifest.stage, None, digest);
                 for seed in &manifest.seeds {
                     runs.push(Run {
@@ -125,6 +129,7 @@ impl Batch {
                         config: config.path.clone(),
                         identity: identity(version, &config.text, manifest.stage, Some(*seed), digest),
                         plan_identity: plan_identity.clone(),
+                        cost,
                     });
                 }
             }
@@ -149,10 +154,12 @@ impl Batch {
         self.configs.iter().find(|config| config.path == run.config).map(|config| &config.settings)
     }
 
-    /// Returns the indices of a shard's runs, in the order of the manifest.
-    pub fn indices(&self, shard: Option<Shard>) -> Vec<usize> {
+    /// Returns the indices of a shard's runs, most expensive first by the estimate.
+    pub fn order(&self, shard: Option<Shard>) -> Vec<usize> {
         let Shard { index, count } = shard.unwrap_or(Shard { index: 0, count: 1 });
-        (0..self.runs.len()).filter(|i| i % count == index).collect()
+        let mut order: Vec<usize> = (0..self.runs.len()).filter(|i| i % count == index).collect();
+        order.sort_by_key(|i| std::cmp::Reverse(self.runs[*i].cost));
+        order
     }
 }
 
@@ -214,6 +221,16 @@ fn digests(scenes: &[PathBuf], stop: &AtomicBool) -> Result<Vec<Digest>> {
     found.into_iter().map(|digest| digest.unwrap_or_else(|| Ok(Digest::new()))).collect()
 }
 
+/// Estimates the cost of a run.
+///
+/// A scene that cannot be opened costs 0 and is tried last. Its training says what is wrong.
+fn cost(path: &Path, settings: &Settings, stage: Stage) -> u128 {
+    let Ok(scene) = Scene::open(path, &settings.scene_options()) else { return 0 };
+    let cameras = scene.split.train.iter().filter_map(|view| scene.views.get(*view)).map(|view| &view.camera);
+    let pixels: u128 = cameras.map(|c| u128::from(c.width as u64) * u128::from(c.height as u64)).sum();
+    pixels * u128::from(stage.steps(settings))
+}
+
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
@@ -229,6 +246,7 @@ pub(crate) mod tests {
             config: PathBuf::new(),
             identity: format!("{scene}{seed}"),
             plan_identity: scene.into(),
+            cost: 1,
         }
     }
 
@@ -275,11 +293,10 @@ pub(crate) mod tests {
 
     #[test]
     fn runs_are_expanded_in_order_and_split_without_gaps() {
-        let batch = batch((0..7).map(|seed| run("a", seed)).collect());
-        let mut order = batch.indices(None);
-        sort_by_cost(&mut order, |i| (i != 1).then_some((i % 3) as f64));
-        assert_eq!(order, [2, 5, 4, 0, 3, 6, 1]);
-        let shards = ["1/3", "2/3", "3/3"].map(|s| batch.indices(Some(Shard::parse(s).unwrap())));
+        let runs: Vec<Run> = (0..7).map(|seed| Run { cost: u128::from(seed % 3), ..run("a", seed) }).collect();
+        let batch = batch(runs);
+        assert_eq!(batch.order(None), [2, 5, 1, 4, 0, 3, 6]);
+        let shards = ["1/3", "2/3", "3/3"].map(|s| batch.order(Some(Shard::parse(s).unwrap())));
         assert_eq!(shards[0], [0, 3, 6]);
         let mut all = shards.concat();
         all.sort_unstable();

@@ -30,6 +30,17 @@ impl Stage {
             Stage::All => "all",
         }
     }
+
+    /// Returns the number of steps of its stages.
+    pub fn steps(self, settings: &Settings) -> u64 {
+        let (geometry, intrinsic) = (u64::from(settings.geometry.steps), u64::from(settings.intrinsic.steps));
+        let transport = if settings.transport.enabled() { u64::from(settings.transport.steps) + 1 } else { 0 };
+        match self {
+            Stage::Geometry => geometry,
+            Stage::Transport => geometry + transport,
+            Stage::All => geometry + intrinsic + transport,
+        }
+    }
 }
 
 /// Settings under a name.
@@ -340,6 +351,7 @@ mod tests {
         assert_eq!((settings.geometry.steps, settings.memory.budget), (20, 1 << 30));
         assert_eq!(settings.intrinsic, draft.intrinsic);
         assert_eq!(m.limits.timeout, Some(Duration::from_secs(3)));
+        assert!(m.stage.steps(settings) > 20);
     }
 
     #[test]

@@ -94,6 +94,10 @@ pub struct Queue<'a> {
     pub jobs: usize,
     /// Whether to train failed runs again.
     pub retry_failed: bool,
+    /// Whether to train runs again whose failure was temporary.
+    pub retry_temporary: bool,
+    /// Whether to write the summary. A queue of selected runs does not know the results of the others.
+    pub summarize: bool,
     /// Part of the runs; all if `None`.
     pub shard: Option<Shard>,
     /// Intervals.
@@ -167,14 +171,15 @@ impl Queue<'_> {
     /// # Errors
     /// If the directory cannot be read or written. Failures of runs are results.
     pub fn work(&self) -> Result<Report> {
-        let order = self.batch.indices(self.shard);
+        let order = self.batch.order(self.shard);
         let mut slots = vec![Slot::Open; self.batch.runs.len()];
         let mut again = vec![None; slots.len()];
         let mut skipped = 0;
         for &i in &order {
             let run = &self.batch.runs[i];
             let Some(result) = self.store.result(run).filter(|r| r.answers(run, self.batch.evaluate)) else { continue };
-            if result.state == State::Failed && self.retry_failed {
+            let retry = self.retry_failed || self.retry_temporary && result.is_temporary();
+            if result.state == State::Failed && retry {
                 again[i] = Some(result);
             } else {
                 skipped += usize::from(result.state == State::Done);
@@ -196,6 +201,7 @@ impl Queue<'_> {
         };
         shared.forecasts = shared.forecasts()?;
         let forecasts = &shared.forecasts;
+        // Without any forecast, the order by the estimate stays.
         sort_by_cost(&mut shared.order, |i| forecasts[i].as_ref().map(|forecast| forecast.operations));
         let errors: Vec<_> = std::thread::scope(|scope| {
             let shared = &shared;
@@ -326,6 +332,9 @@ impl Shared<'_> {
     }
 
     fn summarize(&self) -> Result<()> {
+        if !self.queue.summarize {
+            return Ok(());
+        }
         let _one = lock(&self.summary);
         Summary::update(self.queue.store, self.queue.batch)
     }

@@ -98,6 +98,17 @@ impl RunResult {
         self.identity == run.identity && (self.state == State::Failed || self.evaluated || !evaluate)
     }
 
+    /// Returns whether another attempt may succeed: the last process ended with status 75 or by a signal.
+    pub fn is_temporary(&self) -> bool {
+        let killed = self.status.is_none() && self.kind.as_deref() == Some("killed");
+        self.state == State::Failed && (killed || self.status == Some(75))
+    }
+
+    /// Returns whether each attempt fails: the scene, the settings or the limits of the device are wrong.
+    pub fn is_permanent(&self) -> bool {
+        self.state == State::Failed && matches!(self.status, Some(2 | 42))
+    }
+
     /// Reads device, memory, speed and measures from a run directory. What is absent stays absent.
     pub(crate) fn read_run(&mut self, directory: &Path) {
         let training = json(&directory.join("training.json"));
@@ -155,6 +166,19 @@ mod tests {
         assert_eq!(measures, [("depth_rel", 0.5), ("nvs.psnr", 30.5)]);
         assert_eq!((result.peak_device_bytes, result.gaussians, result.steps_per_second), (Some(9), Some(7), None));
         assert_eq!(result.device.as_deref(), Some("d"));
+    }
+
+    #[test]
+    fn failures_are_temporary_permanent_or_neither() {
+        let of = |status: Option<i32>, kind: &str| {
+            let result = RunResult { status, kind: Some(kind.into()), ..RunResult::of(&run("a", 0)) };
+            (result.is_temporary(), result.is_permanent())
+        };
+        assert_eq!([of(Some(75), "device_lost"), of(None, "killed")], [(true, false); 2]);
+        assert_eq!([of(Some(42), "input"), of(Some(2), "usage")], [(false, true); 2]);
+        assert_eq!([of(Some(1), "diverged"), of(None, "timeout")], [(false, false); 2]);
+        let done = RunResult { state: State::Done, status: Some(75), ..RunResult::of(&run("a", 0)) };
+        assert!(!done.is_temporary() && !done.is_permanent());
     }
 
     #[test]

@@ -48,12 +48,17 @@ impl Store {
     /// # Errors
     /// If the directory cannot be written.
     pub fn open(root: &Path, expiry: Duration) -> Result<Store> {
-        let store = Store { root: root.to_owned(), expiry, seen: Mutex::default() };
+        let store = Store::at(root, expiry);
         for folder in [store.leases(), store.results(), root.join("runs"), root.join("variants"), root.join("plans")] {
             std::fs::create_dir_all(&folder).map_err(failed("made", &folder))?;
         }
         store.sweep();
         Ok(store)
+    }
+
+    /// Names the directory of a batch, which may be missing. Writes nothing.
+    pub fn at(root: &Path, expiry: Duration) -> Store {
+        Store { root: root.to_owned(), expiry, seen: Mutex::default() }
     }
 
     /// Returns the directory.

@@ -58,7 +58,7 @@ impl Summary {
     ///
     /// # Errors
     /// If a file cannot be written.
-    pub(crate) fn update(store: &Store, batch: &Batch) -> Result<()> {
+    pub fn update(store: &Store, batch: &Batch) -> Result<()> {
         let mut summary = Summary::read(store, batch);
         // Another worker may have written a result meanwhile, and its summary before this one.
         loop {

@@ -138,15 +138,19 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Raises the flag on Ctrl-C and on signals that end a process. The second signal exits at once.
+    /// Raises the flag on Ctrl-C and on signals that end a process. Ctrl-C exits at once if the flag is up.
+    ///
+    /// Schedulers send SIGTERM several times and to several processes, so that it arrives again from a supervisor. It
+    /// must not interrupt the writing of a checkpoint.
     pub fn on_signals() -> anyhow::Result<Stop> {
         let stop = Stop { raised: Arc::default(), terminated: Arc::default() };
         for (signal, terminates) in SIGNALS {
-            // The shutdown handler runs first, so that the first signal finds the flag down.
-            let status = if *terminates { 128 + signal } else { Kind::Interrupted.status() };
-            flag::register_conditional_shutdown(*signal, status, stop.raised.clone())?;
             if *terminates {
                 flag::register(*signal, stop.terminated.clone())?;
+            } else {
+                // This handler runs first, so that the first signal finds the flag down.
+                let status = Kind::Interrupted.status();
+                flag::register_conditional_shutdown(*signal, status, stop.raised.clone())?;
             }
             flag::register(*signal, stop.raised.clone())?;
         }

@@ -180,6 +180,8 @@ impl Setup {
             progress: &|_| {},
             jobs: self.jobs,
             retry_failed: self.retry_failed,
+            retry_temporary: false,
+            summarize: true,
             shard: None,
             timing: QUICK,
         };

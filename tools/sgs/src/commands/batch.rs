@@ -1,16 +1,16 @@
 //! Training of many scenes by a manifest: `sgs batch`.
 
 use crate::common::Common;
-use crate::failure::{Kind, failure};
+use crate::failure::{Kind, failure, usage};
 use crate::output;
 use crate::ui::{SUPERVISED, Stop};
 use sgs_batch::{
-    Baseline, Batch, DeviceMemory, Exit, Launch, Launcher, Manifest, Phase, Process, Progress, Queue, Shard, State,
-    Store, Summary, Timing, Verdict,
+    ArrayScript, Baseline, Batch, DeviceMemory, Exit, Launch, Launcher, Manifest, Phase, Process, Progress, Queue,
+    Report, RunResult, Shard, State, Store, Summary, Timing, Verdict, list, quote,
 };
 use sgs_engine::find_device;
 use std::io::{Read, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::Ordering;
 use std::thread::JoinHandle;
@@ -33,6 +33,9 @@ pub struct Args {
     /// Train only part I of N parts of the runs. I is 1 to N.
     #[arg(long, value_name = "I/N", value_parser = Shard::parse)]
     shard: Option<Shard>,
+    /// Train only the run of this name, as --list prints it. May be repeated. Writes no summary.
+    #[arg(long, value_name = "SCENE/VARIANT/seedN", conflicts_with_all = ["shard", "baseline"])]
+    only: Vec<String>,
     /// Train failed runs again.
     #[arg(long)]
     retry_failed: bool,
@@ -42,6 +45,15 @@ pub struct Args {
     /// Largest loss of PSNR against the baseline, in dB.
     #[arg(long, value_name = "DB", default_value = "0.1", requires = "baseline", value_parser = tolerance)]
     tolerance: f64,
+    /// Print the runs and their states as lines of JSON, and train nothing. With --json, one document.
+    #[arg(long, conflicts_with_all = ["only", "shard", "retry_failed", "baseline", "summary", "slurm"])]
+    list: bool,
+    /// Write the summary of the existing results, and train nothing.
+    #[arg(long, conflicts_with_all = ["only", "shard", "retry_failed", "slurm"])]
+    summary: bool,
+    /// Write a script for sbatch, a job array with a task per run, and train nothing.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["only", "shard", "jobs", "devices", "baseline"])]
+    slurm: Option<PathBuf>,
 }
 
 /// Number of runs side by side.
@@ -64,26 +76,41 @@ fn tolerance(text: &str) -> Result<f64, String> {
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let begun = Instant::now();
-    let manifest = Manifest::read(&a.manifest)?;
+    let mut manifest = Manifest::read(&a.manifest)?;
+    if !a.only.is_empty() {
+        manifest.select(&a.only).map_err(usage)?;
+    }
     for folder in &manifest.ignored {
         tracing::warn!("\"{}\" is left out: it holds no scene.", folder.display());
     }
     let baseline = a.baseline.as_deref().map(Baseline::read).transpose()?;
     output::check_batch(&a.output)?;
     let stop = Stop::on_signals()?;
-    let batch = Batch::new(&manifest, env!("CARGO_PKG_VERSION"), &stop)?;
+    let mut batch = Batch::new(&manifest, env!("CARGO_PKG_VERSION"), &stop)?;
     let stopped = || stop.failure(format!("stopped in {}; the same command goes on from there", a.output.display()));
     // Then scenes may be without their hashes.
     if stop.load(Ordering::SeqCst) {
         return Err(stopped());
     }
+    if !a.only.is_empty() {
+        batch.select(&a.only);
+    }
+    if a.list {
+        return print_list(common, a, &batch);
+    }
+    if let Some(file) = &a.slurm {
+        return write_array(common, a, &batch, file);
+    }
+    let store = Store::open(&a.output, Timing::EXPIRY)?;
+    if a.summary {
+        return finish(common, a, &store, &batch, &summarize(&store, &batch)?, baseline.as_ref(), begun);
+    }
+    batch.write_configs(store.root())?;
     let devices = devices(common, &a.devices)?;
     let jobs = match a.jobs {
         Jobs::Auto => devices.len(),
         Jobs::Exactly(n) => usize::from(n),
     };
-    let store = Store::open(&a.output, Timing::EXPIRY)?;
-    batch.write_configs(store.root())?;
     let queue = Queue {
         store: &store,
         batch: &batch,
@@ -92,6 +119,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         progress: &|progress| show(common, progress),
         jobs,
         retry_failed: a.retry_failed,
+        // A scheduler repeats the command of a run, perhaps on another machine, after status 75.
+        retry_temporary: !a.only.is_empty(),
+        summarize: a.only.is_empty(),
         shard: a.shard,
         timing: Timing::default(),
     };
@@ -99,30 +129,112 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if report.stopped {
         return Err(stopped());
     }
+    finish(common, a, &store, &batch, &report, baseline.as_ref(), begun)
+}
+
+/// Reports failures, compares with the baseline and prints the numbers of runs.
+fn finish(
+    common: &Common,
+    a: &Args,
+    store: &Store,
+    batch: &Batch,
+    report: &Report,
+    baseline: Option<&Baseline>,
+    begun: Instant,
+) -> anyhow::Result<()> {
     let runs = report.runs;
     if let Some(first) = report.failed.first() {
         let failed = report.failed.len();
         let (name, error) = (first.name(), first.error.as_deref().unwrap_or("no reason is known"));
-        return Err(failure(Kind::Failed, format!("{failed} of {runs} runs failed; the first, {name}: {error}")));
+        let kind = if a.only.is_empty() { Kind::Failed } else { kind_of(&report.failed) };
+        return Err(failure(kind, format!("{failed} of {runs} runs failed; the first, {name}: {error}")));
     }
-    if let Some(baseline) = &baseline {
-        match baseline.compare(&Summary::read(&store, &batch).results, a.tolerance) {
+    if report.stopped {
+        let open = runs - report.skipped - report.done;
+        return Err(failure(Kind::Terminated, format!("{open} of {runs} runs have no result; train them first")));
+    }
+    if let Some(baseline) = baseline {
+        match baseline.compare(&Summary::read(store, batch).results, a.tolerance) {
             Verdict::Worse(text) => return Err(failure(Kind::Failed, format!("{text}."))),
             Verdict::Passed(count) if !common.quiet => eprintln!("{count} values are within {} dB", a.tolerance),
             Verdict::Passed(_) => {}
         }
     }
-    let summary = a.output.join("summary.jsonl");
     let (done, skipped) = (report.done, report.skipped);
-    let answer = serde_json::json!({
+    let mut answer = serde_json::json!({
         "runs": runs,
         "done": done,
         "skipped": skipped,
         "seconds": begun.elapsed().as_secs_f64(),
-        "summary": summary.display().to_string(),
     });
+    let mut text = format!("{runs} runs: {done} done, {skipped} skipped");
+    if a.only.is_empty() {
+        let summary = a.output.join("summary.jsonl").display().to_string();
+        text += &format!("; wrote {summary}");
+        answer["summary"] = summary.into();
+    }
     if !common.answer(&answer)? {
-        println!("{runs} runs: {done} done, {skipped} skipped; wrote {}", summary.display());
+        println!("{text}");
+    }
+    Ok(())
+}
+
+/// Returns the kind of failures of selected runs. A scheduler acts on its status.
+fn kind_of(failed: &[RunResult]) -> Kind {
+    match failed.iter().find(|result| result.is_temporary()).map(|result| result.kind.as_deref()) {
+        Some(Some("out_of_memory")) => Kind::OutOfMemory,
+        Some(Some("device_lost")) => Kind::DeviceLost,
+        Some(_) => Kind::Terminated,
+        None if failed.iter().all(RunResult::is_permanent) => Kind::Input,
+        None => Kind::Failed,
+    }
+}
+
+/// Writes the summary of the existing results. Returns the state of the runs.
+fn summarize(store: &Store, batch: &Batch) -> anyhow::Result<Report> {
+    Summary::update(store, batch)?;
+    let results = Summary::read(store, batch).results;
+    let mut report = Report { runs: batch.runs.len(), stopped: results.len() < batch.runs.len(), ..Report::default() };
+    for result in results {
+        match result.state {
+            State::Done => report.skipped += 1,
+            State::Failed => report.failed.push(result),
+        }
+    }
+    Ok(report)
+}
+
+/// Prints the runs as one document, or one a line.
+fn print_list(common: &Common, a: &Args, batch: &Batch) -> anyhow::Result<()> {
+    let runs = list(&Store::at(&a.output, Timing::EXPIRY), batch);
+    if !common.answer(&serde_json::json!({ "runs": runs }))? {
+        for run in &runs {
+            println!("{}", serde_json::to_string(run)?);
+        }
+    }
+    Ok(())
+}
+
+/// Writes the script of a job array.
+fn write_array(common: &Common, a: &Args, batch: &Batch, file: &Path) -> anyhow::Result<()> {
+    let path = |path: &Path| anyhow::Ok(std::path::absolute(path)?.display().to_string());
+    let mut command = vec![path(&std::env::current_exe()?)?, "batch".into(), path(&a.manifest)?, "-o".into()];
+    command.push(path(&a.output)?);
+    command.extend(common.device.iter().flat_map(|device| ["--device".into(), device.clone()]));
+    if let Some(limit) = common.timeout {
+        command.extend(["--timeout".into(), limit.as_secs_f64().to_string()]);
+    }
+    if common.validate {
+        command.push("--validate".into());
+    }
+    if a.retry_failed {
+        command.push("--retry-failed".into());
+    }
+    let script = ArrayScript::new(batch, &command);
+    sgs_scene::atomic_write(file, |f| f.write_all(script.text.as_bytes()))?;
+    let (runs, tasks, file) = (batch.runs.len(), script.tasks, file.display());
+    if !common.answer(&serde_json::json!({ "runs": runs, "tasks": tasks, "script": file.to_string() }))? {
+        println!("{runs} runs in {tasks} tasks; submit them by: sbatch {}", quote(&file.to_string()));
     }
     Ok(())
 }
@@ -244,15 +356,7 @@ impl Launcher for Programs<'_> {
 /// Formats a command as a line of a shell, for the log.
 fn line(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
-    let quoted = words.map(|word| {
-        let word = word.to_string_lossy();
-        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+".contains(c);
-        if !word.is_empty() && word.chars().all(plain) {
-            word.into_owned()
-        } else {
-            format!("'{}'", word.replace('\'', "'\\''"))
-        }
-    });
+    let quoted = words.map(|word| quote(&word.to_string_lossy()));
     quoted.collect::<Vec<_>>().join(" ")
 }
 
