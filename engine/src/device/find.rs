@@ -26,7 +26,9 @@ pub fn devices() -> Result<Vec<DeviceInfo>> {
     Ok(select::candidates(&instance, &gate)?.into_iter().map(|c| c.info).collect())
 }
 
-/// Finds the device that [`Device::open`](super::Device::open) would open, without opening it.
+/// Finds the device that a request names, without opening it.
+///
+/// It is the one that [`Device::open`](super::Device::open) would open.
 ///
 /// # Errors
 /// As for opening: if the loader is missing, no device matches, or the device lacks a required feature.

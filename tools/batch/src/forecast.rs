@@ -35,7 +35,7 @@ impl Forecast {
         Some(Forecast { identity: run.plan_identity.clone(), operations, bytes })
     }
 
-    /// Reads the forecast of a run below the directory of a batch, if it is there and still holds.
+    /// Reads the forecast of a run, if it is there and still holds.
     pub(crate) fn read(root: &Path, run: &Run) -> Option<Forecast> {
         let forecast: Forecast = serde_json::from_slice(&std::fs::read(path(root, run, "json")).ok()?).ok()?;
         (forecast.identity == run.plan_identity).then_some(forecast)
