@@ -6,6 +6,7 @@
 pub mod cameras;
 mod channels;
 mod classes;
+mod device;
 mod evaluation;
 mod failure;
 pub mod output;
@@ -16,6 +17,7 @@ mod training;
 
 pub use channels::{Part, check_materials, light_of_source};
 pub use classes::head_of;
+pub use device::cache_folder;
 pub use evaluation::{EvaluatedImages, MeasureOptions, Split, measure};
 pub use failure::{Failure, Kind, failure, usage};
 pub use relighting::{Relighting, RelitScene, Shadows};
