@@ -6,6 +6,7 @@
 mod arrays;
 mod camera;
 mod device;
+mod differentiable;
 mod error;
 mod log;
 mod relit;
@@ -27,6 +28,8 @@ fn _sgs(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<scene::Scene>()?;
     module.add_class::<run::Run>()?;
     module.add_class::<relit::Relit>()?;
+    module.add_class::<differentiable::Splatter>()?;
+    module.add_class::<differentiable::LightShader>()?;
     module.add_function(wrap_pyfunction!(device::devices, module)?)?;
     module.add_function(wrap_pyfunction!(settings::check_settings, module)?)?;
     module.add_function(wrap_pyfunction!(synth::synthesize, module)?)?;
