@@ -182,7 +182,8 @@ pub struct Rendered {
 }
 
 impl Rendered {
-    fn from_image(p: &RenderedImage, channels: Channels) -> Rendered {
+    /// Extracts the images from a render with colors. Depth is zero if not selected.
+    pub fn from_image(p: &RenderedImage, channels: Channels) -> Rendered {
         let [w, h] = p.size;
         let c = p.channels as usize;
         let pixel = |i: usize| &p.image[i * c..(i + 1) * c];
@@ -197,7 +198,8 @@ impl Rendered {
             };
             image(3, (0..pixels).flat_map(|i| unit(&pixel(i)[3..6])).collect())
         });
-        let depth = (0..pixels).map(|i| if alpha[i] > 1e-4 { pixel(i)[c - 2] / alpha[i] } else { 0.0 }).collect();
+        let depth = |i: usize| if channels.depth && alpha[i] > 1e-4 { pixel(i)[c - 2] / alpha[i] } else { 0.0 };
+        let depth = (0..pixels).map(depth).collect();
         Rendered { rgb: image(3, rgb), alpha: image(1, alpha), normal, depth: image(1, depth), labels: None }
     }
 }

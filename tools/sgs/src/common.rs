@@ -43,7 +43,7 @@ impl Common {
         DeviceOptions {
             select: self.device.clone(),
             validation: self.validate,
-            pipeline_cache: cache_folder(),
+            pipeline_cache: sgs_api::cache_folder(),
             timeout: self.timeout.unwrap_or(defaults.timeout),
             ..defaults
         }
@@ -79,10 +79,4 @@ impl Common {
 fn seconds(text: &str) -> Result<Duration, String> {
     let value = text.parse::<f64>().ok().filter(|s| *s > 0.0);
     value.and_then(|s| Duration::try_from_secs_f64(s).ok()).ok_or_else(|| "a number of seconds above 0".into())
-}
-
-fn cache_folder() -> Option<PathBuf> {
-    let base = std::env::var_os("XDG_CACHE_HOME").map(PathBuf::from);
-    let base = base.or_else(|| std::env::var_os("HOME").map(|h| PathBuf::from(h).join(".cache")))?;
-    Some(base.join("sgs"))
 }

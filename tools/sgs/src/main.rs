@@ -3,21 +3,20 @@
 //! Exit status 0 means success. A failure prints one sentence on standard error and returns the status of its kind
 //! ([`failure::Kind`]).
 
-mod cameras;
 mod classes;
 mod commands;
 mod common;
 mod failure;
 mod images;
 mod lit;
-mod output;
 mod palette;
 mod report;
-mod scenes;
 mod ui;
 mod video;
 mod viewpoints;
 mod watch;
+
+use sgs_api::{cameras, output, scenes};
 
 use clap::{CommandFactory, Parser, Subcommand};
 use std::ffi::OsString;

@@ -1,22 +1,17 @@
 //! Metrics of a run at the views of a split, and their images: `sgs eval`.
 
 use super::train::validated;
-use crate::cameras::{splats_of, upload};
-use crate::classes::{Legend, head_of};
+use crate::cameras::splats_of;
+use crate::classes::Legend;
 use crate::common::Common;
 use crate::output;
 use crate::scenes::open_scene_of_run;
 use anyhow::bail;
-use sgs_config::Settings;
-use sgs_engine::Device;
+use sgs_api::{EvaluatedImages, MeasureOptions, measure};
 use sgs_evaluate::metrics::{Lpips, LpipsRange};
-use sgs_evaluate::{
-    EvaluateOptions, Evaluation, Fps, Nvs, RELIT_MEAN, RelitSet, ShadedMetrics, evaluate_classes, evaluate_shaded,
-    render_fps, shade_fps,
-};
-use sgs_relight::{Emitting, LightOfRun, evaluate_relit, skip_relit};
-use sgs_run::{RunDirectory, Shading, displayed, light_of, shaded_scene};
-use sgs_scene::{Image, Scene, Splats, write_png};
+use sgs_evaluate::{Evaluation, Nvs, RELIT_MEAN, RelitSet, Rendered, ShadedMetrics};
+use sgs_run::{RunDirectory, ShadedView, displayed};
+use sgs_scene::{Image, Scene, write_png};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -47,6 +42,15 @@ pub enum Split {
     Train,
 }
 
+impl From<Split> for sgs_api::Split {
+    fn from(split: Split) -> sgs_api::Split {
+        match split {
+            Split::Test => sgs_api::Split::Test,
+            Split::Train => sgs_api::Split::Train,
+        }
+    }
+}
+
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let run = RunDirectory::open(&a.run)?;
     let (splats, settings) = splats_of(&a.run)?;
@@ -61,52 +65,34 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     let scene = open_scene_of_run(&a.run, &settings)?;
     let device = common.open_device()?;
-    let options = MeasureOptions { split: a.split, lpips: lpips.as_ref(), images: a.images.as_deref() };
-    let result = measure(&device, &scene, &run, &splats, &settings, &options)?;
+    let mut written = a.images.as_deref().map(|dir| Written { dir, legend: None });
+    let images = written.as_mut().map(|images| images as &mut dyn EvaluatedImages);
+    let options = MeasureOptions { split: a.split.into(), lpips: lpips.as_ref(), images };
+    let result = measure(&device, &scene, &run, &splats, &settings, options)?;
     if !common.answer(&result)? {
         print_table(&result);
     }
     validated(&device)
 }
 
-/// Views and measures of [`measure`].
-pub struct MeasureOptions<'a> {
-    /// Views that are measured.
-    pub split: Split,
-    /// Network of LPIPS, if it is measured.
-    pub lpips: Option<&'a Lpips>,
-    /// Directory for images, if they are written.
-    pub images: Option<&'a Path>,
+/// Writer of the images of every view.
+struct Written<'a> {
+    dir: &'a Path,
+    legend: Option<Legend>,
 }
 
-/// Measures a run and records the result in `metrics.json`. Writes images if `images` is set.
-pub fn measure(
-    device: &Device,
-    scene: &Scene,
-    run: &RunDirectory,
-    splats: &Splats,
-    settings: &Settings,
-    &MeasureOptions { split, lpips, images }: &MeasureOptions<'_>,
-) -> anyhow::Result<Evaluation> {
-    let views = if split == Split::Test { &scene.split.test } else { &scene.split.train };
-    if views.is_empty() {
-        bail!("The scene has no views in that split.");
+impl EvaluatedImages for Written<'_> {
+    fn begin(&mut self, classes: Option<&[String]>) -> anyhow::Result<()> {
+        output::make(self.dir)?;
+        self.legend = classes.map(Legend::new);
+        self.legend.as_ref().map(|legend| legend.write(self.dir)).transpose()?;
+        Ok(())
     }
-    let classified = splats.semantic.is_some() && run.semantics().exists();
-    let head = if classified { Some(head_of(run.root(), splats)?) } else { None };
-    let gaussians = upload(device, splats, head.is_some())?;
-    let legend = head.as_ref().map(|head| Legend::new(&head.text.labels));
-    if let Some(dir) = images {
-        output::make(dir)?;
-        legend.as_ref().map(|legend| legend.write(dir)).transpose()?;
-    }
-    let background = settings.geometry.background;
-    let options = EvaluateOptions { views, background, head: head.as_ref(), lpips };
-    let mut result = evaluate_classes(device, scene, &gaussians, &options, |name, rendered| {
-        let Some(dir) = images else { return Ok(()) };
+
+    fn rendered(&mut self, scene: &Scene, name: &str, rendered: &Rendered) -> sgs_evaluate::Result<()> {
+        let dir = self.dir;
         write_png(&dir.join(format!("{name}_rgb.png")), &rendered.rgb)?;
-        let view = scene.views.iter().position(|v| v.camera.name == name);
-        let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
+        let mut row = photograph(scene, name)?;
         row.push(rendered.rgb.clone());
         if let Some(normal) = &rendered.normal {
             let mut shown = normal.clone();
@@ -119,50 +105,36 @@ pub fn measure(
         let far = shown.data.iter().fold(1e-6_f32, |m, v| m.max(*v));
         shown.data.iter_mut().for_each(|v| *v /= far);
         write_png(&dir.join(format!("{name}_depth.png")), &shown)?;
-        if let (Some(legend), Some(labels)) = (&legend, &rendered.labels) {
+        if let (Some(legend), Some(labels)) = (&self.legend, &rendered.labels) {
             let size = [rendered.rgb.width, rendered.rgb.height];
             legend.write_png(&dir.join(format!("{name}_semantic.png")), size, labels)?;
         }
         Ok(())
-    })?;
-    let mut pbr = None;
-    if splats.albedo.is_some() && splats.roughness.is_some() {
-        let light = light_of(run, settings)?;
-        let (lights, environment) = (light.lights.as_ref(), light.environment.as_ref());
-        let emitting = Emitting::open(device, run, scene, splats, settings.seed)?;
-        let shaded = match &emitting {
-            Some(emitting) => emitting.own(device, splats)?,
-            None => shaded_scene(device, splats, lights, environment, &light.visibility)?,
-        };
-        // Mean visibility doubles the cost of shading and appears in images only.
-        let shading = Shading::new(device, shaded)?;
-        let mut shading = if images.is_some() { shading } else { shading.without_visibility() };
-        evaluate_shaded(&mut shading, scene, views, background, lpips, &mut result, |name, shaded| {
-            let Some(dir) = images else { return Ok(()) };
-            let view = scene.views.iter().position(|v| v.camera.name == name);
-            let mut row = view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect::<Vec<_>>();
-            row.push(displayed(&shaded.radiance(background)));
-            row.push(displayed(&shaded.albedo()));
-            row.push(gray(&shaded.roughness()));
-            row.push(displayed(&shaded.direct()));
-            row.push(displayed(&shaded.ambient()));
-            row.extend(shaded.visibility().map(|v| gray(&v)));
-            write_png(&dir.join(format!("{name}_shaded.png")), &beside(&row))?;
-            Ok(())
-        })?;
-        pbr = Some(shade_fps(&mut shading.without_visibility(), scene, views)?);
-        let of_run = match &emitting {
-            Some(emitting) => LightOfRun::Emitting(emitting, settings.seed),
-            None => LightOfRun::Published(&light),
-        };
-        evaluate_relit(device, scene, splats, &of_run, views, &mut result)?;
-    } else {
-        let reason = "The run has no materials; train its intrinsic stage to render the set.";
-        skip_relit(scene, reason, &mut result);
     }
-    result.mean.fps = Some(Fps { nvs: render_fps(device, scene, &gaussians, views, background)?, pbr });
-    record(run, if split == Split::Test { "test" } else { "train" }, &result, splats.len())?;
-    Ok(result)
+
+    fn shaded(
+        &mut self,
+        scene: &Scene,
+        name: &str,
+        shaded: &ShadedView,
+        background: [f32; 3],
+    ) -> sgs_evaluate::Result<()> {
+        let mut row = photograph(scene, name)?;
+        row.push(displayed(&shaded.radiance(background)));
+        row.push(displayed(&shaded.albedo()));
+        row.push(gray(&shaded.roughness()));
+        row.push(displayed(&shaded.direct()));
+        row.push(displayed(&shaded.ambient()));
+        row.extend(shaded.visibility().map(|v| gray(&v)));
+        write_png(&self.dir.join(format!("{name}_shaded.png")), &beside(&row))?;
+        Ok(())
+    }
+}
+
+/// Returns the photograph of a view, if the scene has it.
+fn photograph(scene: &Scene, name: &str) -> sgs_scene::Result<Vec<Image>> {
+    let view = scene.views.iter().position(|v| v.camera.name == name);
+    Ok(view.map(|i| scene.load_image(i)).transpose()?.into_iter().collect())
 }
 
 /// Repeats one channel as three.
@@ -177,26 +149,6 @@ fn beside(images: &[Image]) -> Image {
     let row =
         |y: u32| images.iter().flat_map(move |i| (0..i.width).flat_map(move |x| i.pixel(x, y)[..3].iter().copied()));
     Image { width, height, channels: 3, data: (0..height).flat_map(row).collect() }
-}
-
-/// Inserts the result into `metrics.json` and keeps its other entries.
-fn record(run: &RunDirectory, split: &str, result: &Evaluation, gaussians: usize) -> anyhow::Result<()> {
-    let old = std::fs::read_to_string(run.path("metrics.json")).unwrap_or_default();
-    let mut all: serde_json::Map<String, serde_json::Value> = serde_json::from_str(&old).unwrap_or_default();
-    all.insert(split.to_owned(), serde_json::to_value(result)?);
-    all.insert("gaussians".to_owned(), gaussians.into());
-    if let Some(fps) = &result.mean.fps {
-        all.insert("fps".to_owned(), serde_json::to_value(fps)?);
-    }
-    let training = std::fs::read_to_string(run.path("training.json")).unwrap_or_default();
-    if let Ok(serde_json::Value::Object(t)) = serde_json::from_str(&training) {
-        for key in ["seconds", "steps_per_second", "peak_device_bytes"] {
-            if let Some(v) = t.get(key) {
-                all.insert(key.to_owned(), v.clone());
-            }
-        }
-    }
-    Ok(run.write_json("metrics.json", &all)?)
 }
 
 fn print_table(e: &Evaluation) {

@@ -2,21 +2,18 @@
 
 use super::train::validated;
 use crate::cameras::splats_of;
-use crate::classes::head_of;
 use crate::common::Common;
 use crate::failure::refuse_usage;
-use crate::images::{self, Format, Part, background_of, check_materials, light_of_source};
+use crate::images::{self, Format, Part, background_of, check_materials};
 use crate::output;
 use crate::ui::Bar;
 use crate::video::VideoArgs;
 use crate::viewpoints::ViewpointArgs;
-use sgs_config::Settings;
+use sgs_api::{Relighting, RelitScene, Shadows};
 use sgs_engine::Device;
-use sgs_relight::{
-    BakeOptions, Edit, EmitterEdit, Emitting, Insert, RelightError, Relit, Selector, bake, bake_cameras, baked_psnr,
-};
-use sgs_run::{Rays, RunDirectory, Shading, Visibility};
-use sgs_scene::{Camera, Scene, Splats};
+use sgs_relight::{BakeOptions, Edit, bake, bake_cameras, baked_psnr};
+use sgs_run::Shading;
+use sgs_scene::{Camera, Splats};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -87,6 +84,16 @@ enum Seen {
     None,
 }
 
+impl Seen {
+    fn shadows(self) -> Shadows {
+        match self {
+            Seen::Learned => Shadows::Learned,
+            Seen::Traced => Shadows::Traced,
+            Seen::None => Shadows::None,
+        }
+    }
+}
+
 impl Channel {
     fn part(self) -> Part {
         match self {
@@ -117,14 +124,11 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     if let Some(file) = &a.bake {
         check_bake(a, file, settings.is_some())?;
     }
-    let light = light_of_source(&a.source, settings.as_ref())?;
-    let by_class = edit.materials.iter().any(|m| m.place.class.is_some());
-    let head = match by_class && splats.semantic.is_some() {
-        true => Some(head_of(&a.source, &splats)?),
+    let relighting = Relighting::new(&a.source, &splats, settings.as_ref(), &edit, a.visibility.map(Seen::shadows))?;
+    let scene = match relighting.needs_scene() || a.bake.is_some() && settings.is_some() {
+        true => Some(a.viewpoints.open_scene(&a.source, settings.as_ref())?),
         false => None,
     };
-    let bounces = bounces(a, &edit)?;
-    let scene = scene_of(a, &edit, settings.as_ref(), bounces)?;
     let cameras = match a.output.is_some() || video.is_some() || a.viewpoints.choose_cameras() {
         true => a.viewpoints.cameras(&a.source, settings.as_ref(), &splats, scene.as_ref())?,
         false => Vec::new(),
@@ -134,39 +138,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         _ => cameras.clone(),
     };
     let device = common.open_device()?;
-    let mut selector = Selector { device: &device, head, scene: scene.as_ref() };
-    let size = settings.as_ref().map_or(64, |s| s.intrinsic.environment.edge());
-    let original = light.visibility.clone();
-    let mut relit = Relit { splats, light }.edited(&edit, size, &mut selector, loaded)?;
-    match a.visibility {
-        Some(Seen::Learned) if !matches!(original, Visibility::Learned(_)) => {
-            refuse_usage!("\"{}\" has no learned visibility; use --visibility traced or none.", a.source.display())
-        }
-        Some(Seen::Learned) => relit.light.visibility = original,
-        Some(Seen::Traced) => {
-            let rays = settings.as_ref().map_or_else(Rays::default, |s| Rays::of(&s.intrinsic.visibility));
-            relit.light.visibility = Visibility::Traced(rays);
-        }
-        Some(Seen::None) => relit.light.visibility = Visibility::None,
-        None => {}
-    }
-    if a.channels.contains(&Channel::Metallic) && relit.splats.metallic.is_none() {
+    if a.channels.contains(&Channel::Metallic) && splats.metallic.is_none() {
         refuse_usage!("\"{}\" has no metallic; leave \"metallic\" out of --channels.", a.source.display());
     }
-    let emitting = match (&scene, &settings, bounces) {
-        (Some(scene), Some(settings), true) => {
-            let run = RunDirectory::open(&a.source)?;
-            let emitting = Emitting::open(&device, &run, scene, &relit.splats, settings.seed)?;
-            let emitters = edit.all_emitters()?;
-            emitting.map(|emitting| emitting.edited(&emitters)).transpose()?
-        }
-        _ => None,
-    };
-    let shaded = match &emitting {
-        Some(emitting) => emitting.own(&device, &relit.splats)?,
-        None => relit.upload(&device)?,
-    };
-    let mut shading = Shading::new(&device, shaded)?;
+    let RelitScene { relit, emitting, mut shading } = relighting.apply(&device, splats, scene.as_ref())?;
     let mut written = Vec::new();
     if let Some(output) = &a.output {
         output::make(output)?;
@@ -204,24 +179,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     common.answer(&answer)?;
     validated(&device)
-}
-
-/// Returns whether the emitters of the run light the images, with bounces.
-///
-/// Refuses edits that mix them with the light of the published model.
-fn bounces(a: &Args, edit: &Edit) -> anyhow::Result<bool> {
-    let published = edit.changes_published_light() || a.visibility.is_some();
-    let has = a.source.is_dir() && RunDirectory::open(&a.source)?.emitters().is_file();
-    if edit.emitters == EmitterEdit::default() {
-        return Ok(has && !published);
-    }
-    if !has {
-        refuse_usage!("\"{}\" has no emitters; train them with --stage transport.", a.source.display());
-    }
-    if published {
-        refuse_usage!("An edit of \"emitters\" takes no \"lights\", \"environment\" or --visibility; leave these out.");
-    }
-    Ok(true)
 }
 
 /// Refuses impossible bakes before any work is done.
@@ -283,21 +240,4 @@ fn baked(
         eprintln!("wrote {file}: {psnr:.2} dB from the relit images at the {views} views of the fit{also}");
     }
     Ok(answer)
-}
-
-/// Opens the scene if the edit, the bake or bounces of light need it.
-///
-/// Edits that select regions need its views, bakes of a run and bounces its cameras.
-fn scene_of(a: &Args, edit: &Edit, settings: Option<&Settings>, bounces: bool) -> anyhow::Result<Option<Scene>> {
-    let cameras = a.bake.is_some() && settings.is_some() || bounces;
-    if edit.materials.iter().all(|m| m.place.region.is_none()) && !cameras {
-        return Ok(None);
-    }
-    Ok(Some(a.viewpoints.open_scene(&a.source, settings)?))
-}
-
-/// Loads the splats of an insertion.
-fn loaded(insert: &Insert) -> sgs_relight::Result<Splats> {
-    let (splats, _) = splats_of(&insert.source).map_err(|e| RelightError::Edit(e.to_string()))?;
-    Ok(splats)
 }

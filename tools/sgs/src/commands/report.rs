@@ -2,7 +2,7 @@
 //!
 //! The page has images, metrics, lights, curves, step times and settings.
 
-use super::eval::{MeasureOptions, Split, measure};
+use super::eval::Split;
 use super::train::validated;
 use crate::cameras::splats_of;
 use crate::common::Common;
@@ -13,6 +13,7 @@ use crate::report::views;
 use crate::scenes::open_scene_of_run;
 use anyhow::{Context, bail};
 use serde_json::Value;
+use sgs_api::{MeasureOptions, measure};
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_relight::Emitting;
@@ -206,7 +207,7 @@ fn metrics(
         run,
         splats,
         settings,
-        &MeasureOptions { split, lpips: None, images: None },
+        MeasureOptions { split: split.into(), ..Default::default() },
     )?)?)
 }
 

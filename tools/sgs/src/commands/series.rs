@@ -2,7 +2,6 @@
 //!
 //! Guarantees: finished runs are recognized and not repeated. The table on disk is updated after every run.
 
-use super::eval::{MeasureOptions, Split, measure};
 use super::progress::Progress;
 use super::train::{Options, settings, validated};
 use crate::cameras::splats_of;
@@ -12,6 +11,7 @@ use crate::output;
 use crate::scenes::{check_start, open_scene};
 use crate::ui::Stop;
 use anyhow::bail;
+use sgs_api::{MeasureOptions, Split, measure};
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_evaluate::metrics::Lpips;
@@ -253,7 +253,7 @@ impl Runs<'_> {
         let (splats, _) = splats_of(root)?;
         let run = RunDirectory::open(root)?;
         let options = MeasureOptions { split: Split::Test, lpips: self.lpips, images: None };
-        measure(&device, &scene, &run, &splats, &requested, &options)?;
+        measure(&device, &scene, &run, &splats, &requested, options)?;
         validated(&device)?;
         match Measures::read(&run) {
             Some(measures) => Ok(Came::To(trained_on(root), Box::new(measures))),

@@ -3,21 +3,19 @@
 use super::progress::Progress;
 use crate::common::Common;
 use crate::failure::{refuse_usage, usage};
-use crate::output::{self, Begin, Permission};
-use crate::scenes::{check_start, open_scene, warn_without_priors};
 use crate::ui::Stop;
 use crate::watch::{Port, Watch};
 use anyhow::bail;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Command};
-use sgs_config::{Backward, PRESETS, Preset, Settings, accuracy_named, overlay};
+use sgs_api::{Overrides, Stages, TrainRequest, prepare_training};
+use sgs_config::{PRESETS, Settings};
 use sgs_engine::Device;
-use sgs_run::{KnownEmitters, RunContents, RunDirectory, StageKind};
-use sgs_scene::{Scene, SplitRule};
-use sgs_train::{Outcome, StartGeometry, Trainer, TrainerOptions};
+use sgs_run::RunDirectory;
+use sgs_scene::SplitRule;
+use sgs_train::Outcome;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 /// Names for shell completion. Unknown names are refused later, with a suggestion.
 #[derive(Clone)]
@@ -81,6 +79,51 @@ pub struct Options {
     pub set: Vec<String>,
 }
 
+impl Options {
+    /// Returns the options as overrides of settings. Reads the file of `--config`.
+    pub fn overrides(&self) -> anyhow::Result<Overrides> {
+        let mut set = Vec::new();
+        for pair in &self.set {
+            let Some((key, value)) = pair.split_once('=') else {
+                refuse_usage!("--set takes KEY=VALUE, not \"{pair}\".");
+            };
+            set.push((key.trim().to_owned(), value_of(value.trim())));
+        }
+        Ok(Overrides {
+            preset: self.preset.clone(),
+            accuracy: self.accuracy.clone(),
+            config: self.config.as_deref().map(read_settings).transpose()?,
+            set,
+            geometry_steps: self.geometry_steps,
+            intrinsic_steps: self.intrinsic_steps,
+            split: self.split.clone(),
+            views: self.views,
+            scale: self.scale,
+            no_densify: self.no_densify,
+            seed: self.seed,
+            memory_budget: self.memory_budget,
+        })
+    }
+}
+
+/// Parses a value of `--set`; a word without quotes is a string.
+fn value_of(value: &str) -> toml::Value {
+    let parsed = format!("x = {value}").parse::<toml::Table>().ok().and_then(|mut t| t.remove("x"));
+    parsed.unwrap_or_else(|| toml::Value::String(value.to_owned()))
+}
+
+/// Reads a file of settings.
+fn read_settings(path: &Path) -> anyhow::Result<toml::Table> {
+    let text = std::fs::read_to_string(path).map_err(|e| usage(format!("\"{}\": {e}.", path.display())))?;
+    let wrong = |e: toml::de::Error| e.message().trim().trim_end_matches('.').replace('\n', " ");
+    text.parse().map_err(|e| usage(format!("\"{}\": {}.", path.display(), wrong(e))))
+}
+
+/// Returns the settings of the command line.
+pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
+    sgs_api::settings(scene, &o.overrides()?)
+}
+
 #[derive(clap::Args)]
 pub struct Args {
     /// Scene directory.
@@ -118,23 +161,18 @@ pub enum Stage {
     All,
 }
 
-impl Stage {
-    /// Returns the stages that this trains.
-    ///
-    /// `geometry`: whether the transport stage trains its geometry first.
-    pub fn kinds(self, settings: &Settings, geometry: bool) -> Vec<StageKind> {
-        match self {
-            Stage::Geometry => vec![StageKind::Geometry],
-            Stage::Intrinsic => vec![StageKind::Intrinsic],
-            Stage::Transport if geometry => vec![StageKind::Geometry, StageKind::Transport],
-            Stage::Transport => vec![StageKind::Transport],
-            Stage::All => {
-                let all = StageKind::ALL.into_iter();
-                all.filter(|kind| *kind != StageKind::Transport || settings.transport.enabled()).collect()
-            }
+impl From<Stage> for Stages {
+    fn from(stage: Stage) -> Stages {
+        match stage {
+            Stage::Geometry => Stages::Geometry,
+            Stage::Intrinsic => Stages::Intrinsic,
+            Stage::Transport => Stages::Transport,
+            Stage::All => Stages::All,
         }
     }
+}
 
+impl Stage {
     /// Returns the option of the command line that selects the stage, after a space.
     fn option(self) -> &'static str {
         match self {
@@ -144,248 +182,32 @@ impl Stage {
             Stage::Transport => " --stage transport",
         }
     }
-
-    /// Returns the stage if it starts from the run's Gaussians.
-    fn on_run(self) -> Option<StageKind> {
-        match self {
-            Stage::Geometry | Stage::All => None,
-            Stage::Intrinsic => Some(StageKind::Intrinsic),
-            Stage::Transport => Some(StageKind::Transport),
-        }
-    }
-}
-
-/// Returns the settings of the command line.
-///
-/// Later sources override earlier ones: preset, accuracy level, file, `--set`, dedicated options.
-pub fn settings(scene: &Path, o: &Options) -> anyhow::Result<Settings> {
-    let mut table = preset_of(o)?;
-    overlay(&mut table, accuracy_of(o)?);
-    overlay(&mut table, file_of(o)?);
-    settings_over(table, scene, o)
-}
-
-/// Returns the settings of `--preset`.
-fn preset_of(o: &Options) -> anyhow::Result<toml::Table> {
-    match &o.preset {
-        None => Ok(toml::Table::new()),
-        Some(name) => Ok(Preset::find(name)?.table()?),
-    }
-}
-
-/// Returns the settings of `--accuracy`.
-fn accuracy_of(o: &Options) -> anyhow::Result<toml::Table> {
-    match &o.accuracy {
-        None => Ok(toml::Table::new()),
-        Some(name) => Ok(accuracy_named(name)?),
-    }
-}
-
-/// Returns the settings of `--config`.
-fn file_of(o: &Options) -> anyhow::Result<toml::Table> {
-    let Some(path) = &o.config else { return Ok(toml::Table::new()) };
-    let text = std::fs::read_to_string(path).map_err(|e| usage(format!("\"{}\": {e}.", path.display())))?;
-    let wrong = |e: toml::de::Error| e.message().trim().trim_end_matches('.').replace('\n', " ");
-    text.parse().map_err(|e| usage(format!("\"{}\": {}.", path.display(), wrong(e))))
-}
-
-/// Returns settings of a stage on the Gaussians of a run.
-///
-/// The base is the settings of the run, which produced the Gaussians. Preset, accuracy level and file override
-/// settings of the stage, in this order.
-fn settings_of_stage(stage: StageKind, run: &Settings, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
-    let mut table = run.to_table()?;
-    let of_stage = |mut over: toml::Table| -> anyhow::Result<toml::Table> {
-        // Checks the names of the other settings, too, before dropping them.
-        Settings::from_table(over.clone())?;
-        over.retain(|key, _| key == stage.name());
-        Ok(over)
-    };
-    overlay(&mut table, of_stage(preset_of(o)?)?);
-    if stage == StageKind::Intrinsic {
-        overlay(&mut table, accuracy_of(o)?);
-    }
-    overlay(&mut table, of_stage(file_of(o)?)?);
-    settings_over(table, scene, o)
-}
-
-/// Returns the settings of a table, overridden by `--set` and dedicated options.
-fn settings_over(mut table: toml::Table, scene: &Path, o: &Options) -> anyhow::Result<Settings> {
-    for pair in &o.set {
-        let Some((key, value)) = pair.split_once('=') else {
-            refuse_usage!("--set takes KEY=VALUE, not \"{pair}\".");
-        };
-        set(&mut table, key.trim(), value.trim())?;
-    }
-    let mut s = Settings::from_table(table)?;
-    // The run may be opened from another directory.
-    s.scene = std::path::absolute(scene).unwrap_or_else(|_| scene.to_owned());
-    if let Some(n) = o.geometry_steps {
-        s.geometry.steps = n;
-    }
-    if let Some(n) = o.intrinsic_steps {
-        s.intrinsic.steps = n;
-    }
-    if let Some(rule) = &o.split {
-        s.split = rule.clone();
-    }
-    if let SplitRule::File(path) = &mut s.split {
-        *path = std::path::absolute(&path).unwrap_or_else(|_| path.clone());
-    }
-    if let Some(n) = o.views {
-        s.views = n;
-    }
-    if let Some(f) = o.scale {
-        s.scale = f;
-    }
-    if o.no_densify {
-        s.geometry.densify.until = 0.0;
-    }
-    if let Some(seed) = o.seed {
-        s.seed = seed;
-    }
-    if let Some(bytes) = o.memory_budget {
-        s.memory.budget = bytes;
-    }
-    s.check()?;
-    if o.views == Some(0) {
-        refuse_usage!("--views is 0, but there must be at least one training view.");
-    }
-    Ok(s)
-}
-
-fn set(table: &mut toml::Table, key: &str, value: &str) -> anyhow::Result<()> {
-    let parsed = format!("x = {value}")
-        .parse::<toml::Table>()
-        .ok()
-        .and_then(|mut t| t.remove("x"))
-        .unwrap_or_else(|| toml::Value::String(value.to_owned()));
-    let mut parts: Vec<&str> = key.split('.').collect();
-    let Some(last) = parts.pop().filter(|l| !l.is_empty()) else {
-        refuse_usage!("--set has no key before \"={value}\".");
-    };
-    let mut at = table;
-    for part in parts {
-        let entry = at.entry(part).or_insert_with(|| toml::Value::Table(toml::Table::new()));
-        let toml::Value::Table(inner) = entry else {
-            refuse_usage!("\"{key}\" is not a setting: \"{part}\" is a value.");
-        };
-        at = inner;
-    }
-    at.insert(last.to_owned(), parsed);
-    Ok(())
-}
-
-/// Returns the settings with which a run began. Refuses differing options.
-///
-/// Changed settings would produce neither the old run nor a new one.
-fn resumed(a: &Args) -> anyhow::Result<Settings> {
-    let began = RunDirectory::open(&a.output)?.settings()?;
-    let mut requested = match (&a.options.config, &a.options.preset, a.stage.on_run()) {
-        (None, None, _) => {
-            let mut table = began.to_table()?;
-            overlay(&mut table, accuracy_of(&a.options)?);
-            settings_over(table, &a.scene, &a.options)?
-        }
-        (_, _, Some(stage)) => settings_of_stage(stage, &began, &a.scene, &a.options)?,
-        _ => settings(&a.scene, &a.options)?,
-    };
-    // Automatic values were decided when the run began.
-    if requested.geometry.backward == Backward::Auto {
-        requested.geometry.backward = began.geometry.backward;
-    }
-    if requested.exposure == 0.0 {
-        requested.exposure = began.exposure;
-    }
-    // The scene may have moved, and the memory budget may have changed.
-    let mut began = Settings { scene: requested.scene.clone(), memory: requested.memory, ..began };
-    // A diverged run may continue with lower rates.
-    if RunDirectory::open(&a.output)?.has_diverged() {
-        began.train = requested.train;
-        began.geometry.rates = requested.geometry.rates;
-        began.intrinsic.rates = requested.intrinsic.rates;
-    }
-    if let Some((name, was, is)) = difference("", &began.to_table()?, &requested.to_table()?) {
-        refuse_usage!(
-            "\"{}\" was begun with {name} = {was}, not {is}; resume it as it was begun, or train into another directory.",
-            a.output.display()
-        );
-    }
-    Ok(began)
-}
-
-/// Returns the first setting that differs: its name and both values.
-fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String, String, String)> {
-    a.iter().find_map(|(key, x)| match (x, b.get(key)) {
-        (toml::Value::Table(x), Some(toml::Value::Table(y))) => difference(&format!("{prefix}{key}."), x, y),
-        (x, Some(y)) if x != y => Some((format!("{prefix}{key}"), x.to_string(), y.to_string())),
-        _ => None,
-    })
-}
-
-/// Returns whether the transport stage trains its geometry first: the run has none, or it is unfinished and resumed.
-fn trains_geometry(a: &Args, settings: &Settings) -> bool {
-    let run = RunContents::of(&a.output).unwrap_or_default();
-    let unfinished = || {
-        let root = RunDirectory::open(&a.output).ok();
-        let complete = root.map(|run| run.complete(settings)).unwrap_or_default();
-        run.geometry && !run.materials && !run.transport && !complete.contains(&StageKind::Geometry)
-    };
-    a.stage == Stage::Transport && (!run.is_trained() || a.resume && unfinished())
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    if a.start.is_some() && a.stage != Stage::Intrinsic {
-        refuse_usage!("--start gives geometry to the intrinsic stage; add --stage intrinsic.");
-    }
-    let begin = match (a.stage, &a.start) {
-        (Stage::Intrinsic, None) => Begin::Materials,
-        (Stage::Intrinsic, Some(_)) => Begin::MaterialsFrom,
-        (Stage::Transport, _) => Begin::Emitters,
-        _ => Begin::Geometry,
-    };
-    let permission = Permission { force: a.force, resume: a.resume };
-    output::check_run(&a.output, begin, permission)?;
     let port = a.watch.map(Port::take).transpose()?;
-    let there = a.output.join("config.toml").is_file();
-    let resuming = a.resume && there;
-    if resuming && a.stage == Stage::Geometry {
-        RunDirectory::open(&a.output)?.check_without_materials()?;
-    }
-    let settings = match a.stage.on_run().filter(|_| there && begin != Begin::MaterialsFrom) {
-        _ if resuming => resumed(a)?,
-        // The Gaussians and their settings belong to the run.
-        Some(stage) => settings_of_stage(stage, &RunDirectory::open(&a.output)?.settings()?, &a.scene, &a.options)?,
-        None => settings(&a.scene, &a.options)?,
+    let request = TrainRequest {
+        scene: a.scene.clone(),
+        output: a.output.clone(),
+        stages: a.stage.into(),
+        start: a.start.clone(),
+        overrides: a.options.overrides()?,
+        resume: a.resume,
+        force: a.force,
     };
-    if a.stage == Stage::Transport && !settings.transport.enabled() {
-        refuse_usage!("transport.surfels is 0, which leaves the transport stage out; set it to 64 or more.");
-    }
-    let kinds = a.stage.kinds(&settings, trains_geometry(a, &settings));
-    if resuming {
-        let run = RunDirectory::open(&a.output)?;
-        let complete = run.complete(&settings);
-        if kinds.iter().all(|kind| complete.contains(kind)) {
-            if !common.quiet {
-                eprintln!("nothing to do: \"{}\" has all of its steps", a.output.display());
-            }
-            common.answer(&run.training_summary()?)?;
+    let say = |text: &str| {
+        if !common.quiet {
+            eprintln!("{text}");
+        }
+    };
+    let training = match prepare_training(&request, say)? {
+        Some(training) => training,
+        None => {
+            say(&format!("nothing to do: \"{}\" has all of its steps", a.output.display()));
+            common.answer(&RunDirectory::open(&a.output)?.training_summary()?)?;
             return Ok(());
         }
-    }
-    let scene = open_scene(&settings)?;
-    if kinds.contains(&StageKind::Geometry) && !resuming {
-        check_start(&scene)?;
-    }
-    if kinds.contains(&StageKind::Transport) && !resuming {
-        check_emitters(common, &scene)?;
-    }
-    if a.stage != Stage::Geometry && !resuming {
-        warn_without_priors(&scene)?;
-    }
-    let _lock = output::lock(&a.output)?;
-    // Another training may have ended before the lock was acquired.
-    output::check_run(&a.output, begin, permission)?;
+    };
     let device = common.open_device()?;
     let stop = Stop::on_signals()?;
     let stopped = |step: u32| {
@@ -394,20 +216,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let mut watch = match port {
         Some(port) => {
-            if !common.quiet {
-                eprintln!("watch it at {}", port.address());
-            }
-            Some(Watch::begin(port, &scene, &a.output, &device)?)
+            say(&format!("watch it at {}", port.address()));
+            Some(Watch::begin(port, training.scene(), &a.output, &device)?)
         }
         None => None,
     };
-    let options = TrainerOptions {
-        stages: kinds,
-        run: Some(a.output.clone()),
-        resume: a.resume,
-        start: a.start.clone().map(StartGeometry::File),
-    };
-    let mut trainer = Trainer::new(&device, Arc::new(scene), &settings, options)?;
+    let mut trainer = training.trainer(&device)?;
     let outcome = trainer.run(&mut Progress::of_run(common, &stop, a.output.clone(), watch.as_mut()))?;
     if let Outcome::Stopped { step, .. } = outcome {
         end_watch(&mut watch, &format!("stopped after step {step}"));
@@ -417,17 +231,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     common.answer(&RunDirectory::open(&a.output)?.training_summary()?)?;
     drop(trainer);
     validated(&device)
-}
-
-/// Checks the emitters that the scene names, and says that they are used.
-fn check_emitters(common: &Common, scene: &Scene) -> anyhow::Result<()> {
-    if let Some(known) = KnownEmitters::of_scene(scene)?
-        && !common.quiet
-    {
-        let count = known.emitters.len();
-        eprintln!("the lights are the {count} emitters of \"{}\"", KnownEmitters::path(scene).display());
-    }
-    Ok(())
 }
 
 /// Reports on the page of a training how it ended.

@@ -1,6 +1,6 @@
 //! Checks of output directories. A wrong `-o` overwrites no result, no scene and no file of another program.
 
-use crate::failure::refuse_usage;
+use crate::refuse_usage;
 use sgs_run::{Contents, DirectoryLock, RunContents, entries};
 use std::path::Path;
 
