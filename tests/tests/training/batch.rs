@@ -73,7 +73,7 @@ impl Rooms {
         std::fs::read(self.path(&format!("out/runs/{run}/scene.ply"))).unwrap()
     }
 
-    fn leases(&self) -> usize {
+    pub fn leases(&self) -> usize {
         std::fs::read_dir(self.path("out/leases")).unwrap().count()
     }
 }

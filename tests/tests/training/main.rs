@@ -4,6 +4,7 @@ mod ablate;
 mod ablate_materials;
 mod bands;
 mod batch;
+mod batch_faults;
 mod datasets;
 mod decided;
 mod divergence;

@@ -28,6 +28,8 @@ pub enum Kind {
     DeviceLost,
     /// Device memory or the memory budget was too small.
     OutOfMemory,
+    /// The disk is full or read-only.
+    Storage,
     /// SIGTERM or SIGHUP stopped the command.
     Terminated,
     /// The user stopped the command, for example with Ctrl-C.
@@ -38,7 +40,7 @@ impl Kind {
     /// Returns the exit status.
     pub fn status(self) -> i32 {
         match self {
-            Kind::Failed | Kind::Diverged | Kind::Locked => 1,
+            Kind::Failed | Kind::Diverged | Kind::Locked | Kind::Storage => 1,
             Kind::Usage => 2,
             Kind::Input => 42,
             Kind::DeviceLost | Kind::OutOfMemory | Kind::Terminated => 75,
@@ -56,6 +58,7 @@ impl Kind {
             Kind::Locked => "locked",
             Kind::DeviceLost => "device_lost",
             Kind::OutOfMemory => "out_of_memory",
+            Kind::Storage => "storage",
             Kind::Terminated => "terminated",
             Kind::Interrupted => "interrupted",
         }
@@ -109,6 +112,7 @@ fn of_run(error: &RunError) -> Option<Kind> {
         RunError::Config(_) | RunError::Refused(_) => Some(Kind::Usage),
         RunError::Locked { .. } => Some(Kind::Locked),
         RunError::File { .. } => None,
+        RunError::Io { .. } => error.is_storage_error().then_some(Kind::Storage),
     }
 }
 
@@ -146,13 +150,14 @@ fn of_batch(error: &BatchError) -> Option<Kind> {
         BatchError::Wrong { .. } | BatchError::Config(_) => Some(Kind::Usage),
         BatchError::Scene(error) => of_scene(error),
         BatchError::Run(error) => of_run(error),
-        BatchError::File { .. } => None,
+        BatchError::File { storage, .. } => storage.then_some(Kind::Storage),
     }
 }
 
 fn of_scene(error: &SceneError) -> Option<Kind> {
     match error {
-        SceneError::Io { .. } | SceneError::Data { .. } => None,
+        SceneError::Io { .. } => error.is_storage_error().then_some(Kind::Storage),
+        SceneError::Data { .. } => None,
         SceneError::Option { .. } => Some(Kind::Usage),
         _ => Some(Kind::Input),
     }

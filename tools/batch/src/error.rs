@@ -20,6 +20,8 @@ pub enum BatchError {
         path: PathBuf,
         /// Reason.
         problem: String,
+        /// Whether the disk is full or read-only.
+        storage: bool,
     },
     /// Error of settings.
     #[error(transparent)]
@@ -42,5 +44,8 @@ pub(crate) fn wrong(path: &Path, problem: impl Into<String>) -> BatchError {
 
 /// Returns a function that creates the error of a failed action on a file.
 pub(crate) fn failed(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> BatchError {
-    move |e| BatchError::File { path: path.to_owned(), problem: format!("cannot be {action}: {e}") }
+    move |e| {
+        let storage = sgs_scene::is_storage_error(&e);
+        BatchError::File { path: path.to_owned(), problem: format!("cannot be {action}: {e}"), storage }
+    }
 }

@@ -117,6 +117,8 @@ pub struct Report {
     pub failed: Vec<RunResult>,
     /// Whether the queue was stopped before all runs had a result.
     pub stopped: bool,
+    /// Why the queue stopped itself: the disk is full or read-only.
+    pub storage: Option<String>,
 }
 
 /// Progress of a run within a queue.
@@ -136,6 +138,8 @@ struct Shared<'a> {
     again: Vec<Option<RunResult>>,
     /// Ends all jobs: after an error, or after a user stopped a process.
     halt: AtomicBool,
+    /// Error of the first process that found the disk full or read-only. All other runs would fail as well.
+    storage: Mutex<Option<String>>,
     summary: Mutex<()>,
     /// Forecasts by index of the run.
     forecasts: Vec<Option<Forecast>>,
@@ -194,6 +198,7 @@ impl Queue<'_> {
             slots,
             again,
             halt,
+            storage: Mutex::new(None),
             summary: Mutex::new(()),
             forecasts: Vec::new(),
             devices: (0..jobs).map(|worker| self.launcher.device(worker)).collect(),
@@ -211,9 +216,14 @@ impl Queue<'_> {
         if let Some(error) = errors.into_iter().next() {
             return Err(error);
         }
-        shared.summarize()?;
+        let storage = lock(&shared.storage).take();
+        match shared.summarize() {
+            // The first error is the one to report.
+            Err(_) if storage.is_some() => {}
+            written => written?,
+        }
         let slots = lock(&shared.slots);
-        let mut report = Report { runs: shared.order.len(), skipped, ..Report::default() };
+        let mut report = Report { runs: shared.order.len(), skipped, storage, ..Report::default() };
         let mut done = 0;
         let mut order = shared.order.clone();
         order.sort_unstable();
@@ -351,6 +361,8 @@ impl Shared<'_> {
             Ok(Outcome::Result(result)) if !lost => {
                 Ok(store.finish(lease, run, batch.evaluate, &result)?.then_some(*result))
             }
+            // Without a release, others wait for the lease to expire.
+            Ok(Outcome::Stopped) if lock(&self.storage).is_some() => Ok(lease.release().ok().and(None)),
             Ok(Outcome::Stopped) => lease.release().map(|()| None),
             Ok(Outcome::Result(_) | Outcome::Lost) => Ok(None),
             Err(error) => {

@@ -1,6 +1,6 @@
 //! Layout and files of a run directory.
 
-use crate::error::{Result, RunError, error, remove};
+use crate::error::{Result, RunError, error, io_error, remove};
 use crate::rollback::RollbackFiles;
 use crate::stage::StageKind;
 use serde::Serialize;
@@ -31,7 +31,7 @@ impl RunDirectory {
     /// # Errors
     /// If the directory cannot be created.
     pub fn create(root: &Path) -> Result<RunDirectory> {
-        std::fs::create_dir_all(root.join("checkpoint")).map_err(|e| error(root, format!("cannot be made: {e}")))?;
+        std::fs::create_dir_all(root.join("checkpoint")).map_err(io_error("made", root))?;
         let run = RunDirectory { root: root.to_owned() };
         run.sweep();
         Ok(run)
@@ -317,6 +317,6 @@ impl RunDirectory {
             .map(|l| format!("{l}\n"))
             .collect();
         self.write(&path, lines.as_bytes())?;
-        File::options().append(true).open(&path).map_err(|e| error(&path, format!("cannot be written: {e}")))
+        File::options().append(true).open(&path).map_err(io_error("written", &path))
     }
 }

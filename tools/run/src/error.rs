@@ -23,6 +23,16 @@ pub enum RunError {
         /// What is wrong with the file.
         reason: String,
     },
+    /// File or directory that cannot be written or removed.
+    #[error("\"{path}\" cannot be {action}: {cause}.", path = path.display())]
+    Io {
+        /// Attempted action as a participle: "written", "made", "removed".
+        action: &'static str,
+        /// Path of the file or directory.
+        path: PathBuf,
+        /// Error of the operating system.
+        cause: std::io::Error,
+    },
     /// Directory that another process writes into.
     #[error("\"{path}\" is locked: {reason}.", path = path.display())]
     Locked {
@@ -42,6 +52,15 @@ impl RunError {
         RunError::File { path: path.to_owned(), reason }
     }
 
+    /// Returns whether the disk is full or read-only.
+    pub fn is_storage_error(&self) -> bool {
+        match self {
+            RunError::Scene(error) => error.is_storage_error(),
+            RunError::Io { cause, .. } => sgs_scene::is_storage_error(cause),
+            _ => false,
+        }
+    }
+
     /// Returns whether device memory ran out.
     pub fn is_out_of_memory(&self) -> bool {
         matches!(self, RunError::Engine(error) if error.is_out_of_memory())
@@ -57,9 +76,15 @@ pub type Result<T> = std::result::Result<T, RunError>;
 /// If the file cannot be removed.
 pub fn remove(path: &Path) -> Result<()> {
     match std::fs::remove_file(path) {
-        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(error(path, format!("cannot be removed: {e}"))),
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(io_error("removed", path)(e)),
         _ => Ok(()),
     }
+}
+
+/// Returns a function that creates the error of a failed action on a file.
+pub fn io_error(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> RunError {
+    let path = path.to_owned();
+    move |cause| RunError::Io { action, path, cause }
 }
 
 pub(crate) fn error(path: &Path, reason: String) -> RunError {

@@ -35,7 +35,7 @@ pub use emitters::{
     EmitterFile, EmitterRow, EnclosureRow, MOST_OPENINGS, OpeningRow, SKY, check_openings, read_emitters, read_sky,
     write_emitters,
 };
-pub use error::{Result, RunError, remove};
+pub use error::{Result, RunError, io_error, remove};
 pub use exchange::{Exchange, is_gltf, read_exchange, read_light, read_splats, write_exchange};
 pub use gltf_lights::{gltf_leaves_out, read_light_source};
 pub use head::SemanticHead;

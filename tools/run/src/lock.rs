@@ -4,7 +4,7 @@
 //! system. A killed holder leaves the file behind. The next holder on the same machine takes it over if it is
 //! unlocked and its process is gone.
 
-use crate::error::{Result, RunError, error};
+use crate::error::{Result, RunError, io_error};
 use serde::{Deserialize, Serialize};
 use std::fs::{File, TryLockError};
 use std::io::{Read, Seek, Write};
@@ -78,11 +78,11 @@ impl DirectoryLock {
     /// Locks a directory; creates it if it is missing.
     ///
     /// # Errors
-    /// [`RunError::Locked`] if another process holds the lock; [`RunError::File`] if the directory or the lock file
+    /// [`RunError::Locked`] if another process holds the lock; [`RunError::Io`] if the directory or the lock file
     /// cannot be written.
     pub fn acquire(root: &Path) -> Result<DirectoryLock> {
         let made = missing_folders(root);
-        std::fs::create_dir_all(root).map_err(|e| error(root, format!("cannot be made: {e}")))?;
+        std::fs::create_dir_all(root).map_err(io_error("made", root))?;
         let path = root.join(LOCK_FILE);
         let locked = lock(root, &path);
         if locked.is_err() {
@@ -104,7 +104,7 @@ impl DirectoryLock {
         if holder.is_none_or(|holder| holder.is_here()) {
             return Ok(false);
         }
-        std::fs::remove_file(&path).map_err(|e| error(&path, format!("cannot be removed: {e}")))?;
+        std::fs::remove_file(&path).map_err(io_error("removed", &path))?;
         Ok(true)
     }
 
@@ -140,7 +140,7 @@ fn remove_empty(folders: &[PathBuf]) {
 
 /// Opens, locks and signs the lock file. Also returns the dead holder that left it behind.
 fn lock(root: &Path, path: &Path) -> Result<(File, Option<LockHolder>)> {
-    let failed = |e: std::io::Error| error(path, format!("cannot be written: {e}"));
+    let failed = |e| io_error("written", path)(e);
     // A holder that ends between opening and locking removes the file; then a new file is opened.
     for _ in 0..100 {
         let options = || File::options().read(true).write(true).create(true).truncate(false).to_owned();

@@ -130,7 +130,18 @@ pub(crate) fn io_error(action: &'static str, path: &Path) -> impl FnOnce(io::Err
     move |cause| SceneError::Io { action, path, cause }
 }
 
+/// Returns whether a disk cannot take any file: it is full, a quota is used up, or it is read-only.
+pub fn is_storage_error(error: &io::Error) -> bool {
+    use io::ErrorKind as K;
+    matches!(error.kind(), K::StorageFull | K::QuotaExceeded | K::ReadOnlyFilesystem)
+}
+
 impl SceneError {
+    /// Returns whether the disk is full or read-only.
+    pub fn is_storage_error(&self) -> bool {
+        matches!(self, SceneError::Io { cause, .. } if is_storage_error(cause))
+    }
+
     pub(crate) fn image(path: &Path, problem: impl Into<String>) -> Self {
         Self::Image { path: path.to_path_buf(), problem: problem.into() }
     }

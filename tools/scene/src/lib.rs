@@ -37,7 +37,7 @@ pub use atomic::atomic_write;
 pub use beside::GroundTruthKind;
 pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR};
 pub use depth::DepthDefinition;
-pub use error::{Result, SceneError};
+pub use error::{Result, SceneError, is_storage_error};
 pub use gltf::{GltfScene, Placement, PunctualKind, PunctualLight, write_gltf};
 pub use ground_truth::GroundTruth;
 pub use image::{

@@ -1,6 +1,7 @@
 //! Output of failures: one sentence on standard error, and JSON.
 
 use crate::common::Common;
+use crate::ui::say;
 pub use sgs_api::{Kind, failure, refuse_usage, usage};
 
 /// Replaces control characters by spaces. The content of a file cannot move a terminal's cursor.
@@ -12,14 +13,14 @@ fn one_line(sentence: &str) -> String {
 pub fn report(common: &Common, error: &anyhow::Error) -> i32 {
     let kind = Kind::of(error);
     let sentence = one_line(&format!("{error:#}"));
-    eprintln!("sgs: {sentence}");
+    say(format_args!("sgs: {sentence}"));
     report_json(common, &sentence, kind);
     kind.status()
 }
 
 fn report_json(common: &Common, sentence: &str, kind: Kind) {
     if let Err(error) = common.answer(&serde_json::json!({"error": sentence, "kind": kind.name()})) {
-        eprintln!("sgs: {}", one_line(&format!("{error:#}")));
+        say(format_args!("sgs: {}", one_line(&format!("{error:#}"))));
     }
 }
 

@@ -4,7 +4,7 @@ use crate::common::Common;
 use crate::failure::{Kind, failure};
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::{consts, flag};
-use std::io::{IsTerminal, Read};
+use std::io::{IsTerminal, Read, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -74,6 +74,11 @@ pub fn heed_supervisor() {
     });
 }
 
+/// Prints a line on standard error. A line that cannot be written is left out: a full disk must not end a training.
+pub fn say(text: impl std::fmt::Display) {
+    let _ = writeln!(std::io::stderr(), "{text}");
+}
+
 /// Progress bar on a terminal; elsewhere a line for every tenth of the total.
 pub struct Bar {
     bar: Option<ProgressBar>,
@@ -109,7 +114,7 @@ impl Bar {
             }
         } else if !self.quiet && (done >= self.next_line || done == self.total) {
             let seconds = self.started.elapsed().as_secs_f64();
-            eprintln!("{} {done}/{} {} ({seconds:.0} s)", self.what, self.total, message());
+            say(format_args!("{} {done}/{} {} ({seconds:.0} s)", self.what, self.total, message()));
             self.next_line = done + (self.total / 10).max(1);
         }
     }
@@ -118,7 +123,7 @@ impl Bar {
     pub fn say(&self, text: &str) {
         match &self.bar {
             Some(bar) => bar.println(text),
-            None if !self.quiet => eprintln!("{text}"),
+            None if !self.quiet => say(text),
             None => {}
         }
     }

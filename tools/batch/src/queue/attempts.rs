@@ -1,6 +1,6 @@
 //! Attempts of a run: its processes, their supervision, and retries.
 
-use super::{Ended, Outcome, Progress, Queue, Shared, Timing};
+use super::{Ended, Outcome, Progress, Queue, Shared, Timing, lock};
 use crate::admission::Permit;
 use crate::batch::Run;
 use crate::error::{Result, failed};
@@ -78,6 +78,11 @@ impl Shared<'_> {
             if exit.status == Some(130) {
                 // A user stopped the process; the whole batch stops.
                 self.halt.store(true, Ordering::SeqCst);
+                return Ok(Outcome::Stopped);
+            }
+            if kind == "storage" {
+                self.halt.store(true, Ordering::SeqCst);
+                lock(&self.storage).get_or_insert(error);
                 return Ok(Outcome::Stopped);
             }
             let locked = kind == "locked";

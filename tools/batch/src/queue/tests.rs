@@ -442,3 +442,19 @@ fn run_out_of_memory_is_repeated_alone_and_then_with_less() {
     assert_eq!(lock(&beside)[1..], [0, 0], "another run was on the device");
     assert_eq!(launcher.most_at_once(), 4);
 }
+
+#[test]
+fn full_disk_stops_the_queue_and_fails_no_run() {
+    let mut setup = Setup::new(3);
+    setup.jobs = 2;
+    let launcher = Pretender::new(&|launch, _| match launch.run.seed {
+        0 => Act::End(Some(1), "storage"),
+        _ => Act::Wait(75),
+    });
+    let report = setup.work(&launcher);
+    assert_eq!(report.storage.as_deref(), Some("it was storage"));
+    assert!(report.stopped && report.failed.is_empty() && report.done == 0);
+    assert!((0..3).all(|i| setup.result(i).is_none()) && launcher.starts().len() <= 2);
+    let report = setup.work(&Pretender::new(&|_, _| Act::End(Some(0), "")));
+    assert_eq!((report.done, report.stopped, report.storage), (3, false, None));
+}

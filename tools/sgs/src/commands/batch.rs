@@ -3,7 +3,7 @@
 use crate::common::Common;
 use crate::failure::{Kind, failure, usage};
 use crate::output;
-use crate::ui::{SUPERVISED, Stop};
+use crate::ui::{SUPERVISED, Stop, say};
 use sgs_batch::{
     ArrayScript, Baseline, Batch, DeviceMemory, Exit, Launch, Launcher, Manifest, Phase, Process, Progress, Queue,
     Report, RunResult, Shard, State, Store, Summary, Timing, Verdict, list, quote,
@@ -126,6 +126,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         timing: Timing::default(),
     };
     let report = queue.work()?;
+    if let Some(error) = report.storage {
+        return Err(failure(Kind::Storage, format!("{error}; then the same command goes on")));
+    }
     if report.stopped {
         return Err(stopped());
     }
@@ -156,7 +159,7 @@ fn finish(
     if let Some(baseline) = baseline {
         match baseline.compare(&Summary::read(store, batch).results, a.tolerance) {
             Verdict::Worse(text) => return Err(failure(Kind::Failed, format!("{text}."))),
-            Verdict::Passed(count) if !common.quiet => eprintln!("{count} values are within {} dB", a.tolerance),
+            Verdict::Passed(count) if !common.quiet => say(format_args!("{count} values are within {} dB", a.tolerance)),
             Verdict::Passed(_) => {}
         }
     }
@@ -249,14 +252,14 @@ fn show(common: &Common, progress: &Progress<'_>) {
             let name = result.name();
             if result.state == State::Failed {
                 let error = result.error.as_deref().unwrap_or_default();
-                eprintln!("failed {ended} of {total}: {name}: {error}");
+                say(format_args!("failed {ended} of {total}: {name}: {error}"));
             } else {
                 let psnr = result.measures.get("nvs.psnr").map(|v| format!(", {v:.1} dB")).unwrap_or_default();
-                eprintln!("done {ended} of {total}: {name}{psnr}, {:.0} s", result.seconds);
+                say(format_args!("done {ended} of {total}: {name}{psnr}, {:.0} s", result.seconds));
             }
         }
         Progress::Again { name, reason, delay } => {
-            eprintln!("again in {:.0} s: {name}: {reason}", delay.as_secs_f64());
+            say(format_args!("again in {:.0} s: {name}: {reason}", delay.as_secs_f64()));
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Progress of a training: a bar, log messages, and the page of `--watch`.
 
 use crate::common::Common;
-use crate::ui::Bar;
+use crate::ui::{Bar, say};
 use crate::watch::Watch;
 use sgs_run::StageKind;
 use sgs_train::{Event, IdleLoss, Observer, RollBack, RoomFit, Stage, TrainError};
@@ -87,12 +87,12 @@ impl Observer for Progress<'_> {
                     let (steps, seconds, to) = (summary.steps, summary.seconds, output.display());
                     match (stage, summary.gaussians, summary.room) {
                         (StageKind::Geometry, Some(count), _) => {
-                            eprintln!("{count} Gaussians after {steps} steps in {seconds:.0} s; wrote {to}");
+                            say(format_args!("{count} Gaussians after {steps} steps in {seconds:.0} s; wrote {to}"));
                         }
                         (StageKind::Transport, _, Some(RoomFit { psnr, emitters })) => {
-                            eprintln!("{emitters} emitters, PSNR {psnr:.2} dB, in {seconds:.0} s; wrote {to}");
+                            say(format_args!("{emitters} emitters, PSNR {psnr:.2} dB, in {seconds:.0} s; wrote {to}"));
                         }
-                        _ => eprintln!("materials and lights after {steps} steps in {seconds:.0} s; wrote {to}"),
+                        _ => say(format_args!("materials and lights after {steps} steps in {seconds:.0} s; wrote {to}")),
                     }
                 }
             }

@@ -3,7 +3,7 @@
 use super::progress::Progress;
 use crate::common::Common;
 use crate::failure::{refuse_usage, usage};
-use crate::ui::Stop;
+use crate::ui::{Stop, say};
 use crate::watch::{Port, Watch};
 use anyhow::bail;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
@@ -197,7 +197,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let say = |text: &str| {
         if !common.quiet {
-            eprintln!("{text}");
+            say(text);
         }
     };
     let training = match prepare_training(&request, say)? {
