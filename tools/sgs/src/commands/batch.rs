@@ -159,7 +159,9 @@ fn finish(
     if let Some(baseline) = baseline {
         match baseline.compare(&Summary::read(store, batch).results, a.tolerance) {
             Verdict::Worse(text) => return Err(failure(Kind::Failed, format!("{text}."))),
-            Verdict::Passed(count) if !common.quiet => say(format_args!("{count} values are within {} dB", a.tolerance)),
+            Verdict::Passed(count) if !common.quiet => {
+                say(format_args!("{count} values are within {} dB", a.tolerance))
+            }
             Verdict::Passed(_) => {}
         }
     }

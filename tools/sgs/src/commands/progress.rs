@@ -92,7 +92,9 @@ impl Observer for Progress<'_> {
                         (StageKind::Transport, _, Some(RoomFit { psnr, emitters })) => {
                             say(format_args!("{emitters} emitters, PSNR {psnr:.2} dB, in {seconds:.0} s; wrote {to}"));
                         }
-                        _ => say(format_args!("materials and lights after {steps} steps in {seconds:.0} s; wrote {to}")),
+                        _ => {
+                            say(format_args!("materials and lights after {steps} steps in {seconds:.0} s; wrote {to}"))
+                        }
                     }
                 }
             }
