@@ -10,13 +10,14 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-lanes test-priors bench lint docs book check deny fuzz setup setup-tests install
+.PHONY: help demo test test-lanes test-python test-priors bench lint docs book check deny fuzz setup setup-tests install
 .NOTPARALLEL:
 
 help:
 	@echo "make demo    synthesize a room, train it, write a page with renders and relit images beside the truth to $(OUT)"
 	@echo "make test    formatting, lints and all tests"
 	@echo "make test-lanes    the device tests again where lavapipe has 16 lanes"
+	@echo "make test-python   the Python package, in a virtual environment under target"
 	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"
 	@echo "make bench   time every pass and a whole step on this machine's device"
 	@echo "make fuzz    feed every reader damaged files, in turns, until each has had an hour of the processor; stop it and go on at will"
@@ -46,6 +47,9 @@ test: setup-tests check
 test-lanes: setup-tests
 	$(CARGO) test --locked -p sgs-tests --tests --no-run
 	SGS_TEST_LANES=all $(CARGO) test --locked -p sgs-tests --test lanes -- --nocapture
+
+test-python: setup-tests
+	CARGO="$(CARGO)" tools/python/test
 
 test-priors:
 	$(PYTHON) -c "import numpy, PIL, torch, torchvision, transformers"

@@ -104,7 +104,7 @@ class Run:
         opacity_logits N            opacities before the logistic function
         sh0 … sh3      N × (2d+1) × 3  coefficients of band d; color = 0.5 + 0.28209479 · sh0 + …, display values
         normals        N × 3        normals in world space, of any length
-        albedo         N × 3        before activation: 0.03 + 0.77 · logistic(x), linear
+        albedo         N × 3        before activation: 0.01 + 0.98 · logistic(x), linear
         roughness      N            before activation: 0.09 + 0.9 · logistic(x)
         metallic       N            before activation: logistic(x)
         semantic       N × 32       semantic features

@@ -46,7 +46,7 @@ class Event:
         return json.loads(self._log) if self._log else {}
 
 
-#: Function that receives events. A result of ``False`` stops the training.
+#: Function that receives events. A result of ``False`` stops the training, after steps that are in flight.
 Callback = Callable[[Event], Any]
 
 

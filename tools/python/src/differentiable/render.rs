@@ -200,7 +200,7 @@ impl Backward {
     }
 }
 
-/// Returns the tuning without approximations, so that gradients are those of the image.
+/// Returns the tuning without approximations: gradients are those of the image.
 fn exact(device: &sgs_engine::Device) -> Tuning {
     Tuning::for_device(device.info()).with(Accuracy::EXACT)
 }
@@ -252,7 +252,9 @@ impl Splatter {
         Ok((image.into_pyarray(py), transmittance.into_pyarray(py)))
     }
 
-    /// Returns the gradients of all parameters and of the pose, from those of image and transmittances.
+    /// Returns the gradients of all parameters and of the pose.
+    ///
+    /// `gradients`: those of image and transmittances.
     fn backward<'py>(
         &self,
         py: Python<'py>,
