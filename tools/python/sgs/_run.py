@@ -191,7 +191,7 @@ class Run:
                 raise usage(f'"{file}" cannot be read: {error}.') from error
         device, moved = open_device(self._device)._native, self._moved
         scene = None if moved is None else os.fspath(moved)
-        native = self._native.relight(device, text, os.fspath(beside), shadows, scene, visibility)
+        native = self._native.relight(device, (text, os.fspath(beside)), shadows, scene, visibility)
         return Relit(self, native)
 
     def evaluate(self, split: str = "test", *, lpips: Union[str, os.PathLike[str], None] = None) -> dict[str, Any]:

@@ -43,8 +43,7 @@ class Run:
     def relight(
         self,
         device: Device,
-        edit: str,
-        beside: str,
+        edit: tuple[str, str],
         shadows: Optional[str],
         scene: Optional[str],
         visibility: bool,
@@ -75,21 +74,17 @@ def check_settings(config: ConfigTuple) -> str: ...
 def synthesize(
     out: str,
     scene: Optional[str],
-    views: Optional[int],
-    test_views: Optional[int],
+    views: tuple[Optional[int], Optional[int]],
     size: Optional[tuple[int, int]],
     seed: int,
     replace: bool,
 ) -> None: ...
 def train(
-    scene: str,
-    output: str,
+    paths: tuple[str, str, Optional[str]],
     stage: str,
     config: ConfigTuple,
     device: Device,
-    start: Optional[str],
-    resume: bool,
-    force: bool,
+    permission: tuple[bool, bool],
     callback: Optional[Callable[[dict[str, Any]], Any]],
 ) -> tuple[bool, Optional[str], int]: ...
 def read_cameras(path: str) -> list[CameraTuple]: ...

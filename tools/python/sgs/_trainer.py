@@ -127,14 +127,11 @@ class Trainer:
         """
         native = None if callback is None else lambda event: callback(_event(event))
         finished, stage, step = _sgs.train(
-            os.fspath(self.scene),
-            os.fspath(self.output),
+            (os.fspath(self.scene), os.fspath(self.output), None if self.start is None else os.fspath(self.start)),
             self.stage,
             _native(self.config),
             open_device(self.device)._native,
-            None if self.start is None else os.fspath(self.start),
-            self.resume,
-            self.force,
+            (self.resume, self.force),
             native,
         )
         return Outcome(finished, stage, step, self.output)

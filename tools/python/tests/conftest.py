@@ -11,7 +11,7 @@ import sgs
 
 
 def quick(**more):
-    return sgs.Config(preset="draft", **{"geometry_steps": 40, "intrinsic_steps": 8, **more})
+    return sgs.Config(preset="draft", **{"geometry_steps": 40, "intrinsic_steps": 8, "transport_steps": 20, **more})
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib", reason="the package matplotlib is missing")
 
 NOTEBOOK = Path(__file__).parents[1] / "notebooks/first_room.ipynb"
 #: Sizes of a run in seconds, in place of those of the notebook. The environment can give others.
-QUICK = os.environ.get("SGS_NOTEBOOK", "(48, 36), 120, 10")
+QUICK = os.environ.get("SGS_NOTEBOOK", "5, (48, 36), 120, 8")
 
 
 def test_the_notebook_runs(tmp_path, monkeypatch):
@@ -26,7 +26,7 @@ def test_the_notebook_runs(tmp_path, monkeypatch):
     nbformat.validate(notebook)
     assert not any(cell.get("outputs") for cell in notebook.cells), "the notebook is stored without outputs"
     parameters = next(cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", []))
-    parameters.source = f"size, steps, intrinsic_steps = {QUICK}\ndirectory = 'first_room'"
+    parameters.source = f"views, size, steps, intrinsic_steps = {QUICK}\ndirectory = 'first_room'"
     nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(tmp_path)}}).execute()
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     pictures = [base64.b64decode(o.data["image/png"]) for o in outputs if "image/png" in o.get("data", {})]
