@@ -10,13 +10,14 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
-.PHONY: help demo test test-lanes test-priors test-cluster container bench lint docs book check deny fuzz setup setup-tests install
+.PHONY: help demo test test-lanes test-python test-priors test-cluster container bench lint docs book check deny fuzz setup setup-tests install
 .NOTPARALLEL:
 
 help:
 	@echo "make demo    synthesize a room, train it, write a page with renders and relit images beside the truth to $(OUT)"
 	@echo "make test    formatting, lints and all tests"
 	@echo "make test-lanes    the device tests again where lavapipe has 16 lanes"
+	@echo "make test-python   the Python package, in a virtual environment under target"
 	@echo "make test-priors   the adapters of networks; PYTHON=... must have torch and transformers"
 	@echo "make test-cluster  twelve runs alone, on a Ray cluster and by Slurm on this machine: equal bits, though nodes and tasks die"
 	@echo "make container     the image sgs:latest; needs podman, buildah or docker"
@@ -48,6 +49,10 @@ test: setup-tests check
 test-lanes: setup-tests
 	$(CARGO) test --locked -p sgs-tests --tests --no-run
 	SGS_TEST_LANES=all $(CARGO) test --locked -p sgs-tests --test lanes -- --nocapture
+
+test-python: setup
+	@tools/setup --python
+	CARGO="$(CARGO)" tools/python/test
 
 test-priors:
 	$(PYTHON) -c "import numpy, PIL, torch, torchvision, transformers"

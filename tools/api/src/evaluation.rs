@@ -25,7 +25,9 @@ pub enum Split {
 
 /// Receiver of the images of an evaluation.
 pub trait EvaluatedImages {
-    /// Receives the names of the classes, if pixels are classified, before the first image.
+    /// Receives the names of the classes before the first image.
+    ///
+    /// `None` if pixels are not classified.
     ///
     /// # Errors
     /// If a file cannot be written.

@@ -1,9 +1,8 @@
 //! Settings of a training: presets, files and single overrides.
 
 use crate::refuse_usage;
-use crate::training::TrainRequest;
-use sgs_config::{Backward, Preset, Settings, accuracy_named, overlay};
-use sgs_run::{RunDirectory, StageKind};
+use sgs_config::{Preset, Settings, accuracy_named, overlay};
+use sgs_run::StageKind;
 use sgs_scene::SplitRule;
 use std::path::Path;
 
@@ -58,7 +57,7 @@ fn preset_of(o: &Overrides) -> anyhow::Result<toml::Table> {
 }
 
 /// Returns the settings of the accuracy level.
-fn accuracy_of(o: &Overrides) -> anyhow::Result<toml::Table> {
+pub(crate) fn accuracy_of(o: &Overrides) -> anyhow::Result<toml::Table> {
     match &o.accuracy {
         None => Ok(toml::Table::new()),
         Some(name) => Ok(accuracy_named(name)?),
@@ -90,8 +89,8 @@ pub(crate) fn settings_of_stage(
     settings_over(table, scene, o)
 }
 
-/// Returns the settings of a table, overridden by single settings and the other overrides.
-fn settings_over(mut table: toml::Table, scene: &Path, o: &Overrides) -> anyhow::Result<Settings> {
+/// Returns the settings of a table, overridden by single settings and the rest.
+pub(crate) fn settings_over(mut table: toml::Table, scene: &Path, o: &Overrides) -> anyhow::Result<Settings> {
     for (key, value) in &o.set {
         set(&mut table, key, value.clone())?;
     }
@@ -148,51 +147,4 @@ fn set(table: &mut toml::Table, key: &str, value: toml::Value) -> anyhow::Result
     }
     at.insert(last.to_owned(), value);
     Ok(())
-}
-
-/// Returns the settings with which a run began. Refuses differing options.
-///
-/// Changed settings would produce neither the old run nor a new one.
-pub(crate) fn resumed(a: &TrainRequest) -> anyhow::Result<Settings> {
-    let began = RunDirectory::open(&a.output)?.settings()?;
-    let mut requested = match (&a.overrides.config, &a.overrides.preset, a.stages.on_run()) {
-        (None, None, _) => {
-            let mut table = began.to_table()?;
-            overlay(&mut table, accuracy_of(&a.overrides)?);
-            settings_over(table, &a.scene, &a.overrides)?
-        }
-        (_, _, Some(stage)) => settings_of_stage(stage, &began, &a.scene, &a.overrides)?,
-        _ => settings(&a.scene, &a.overrides)?,
-    };
-    // Automatic values were decided when the run began.
-    if requested.geometry.backward == Backward::Auto {
-        requested.geometry.backward = began.geometry.backward;
-    }
-    if requested.exposure == 0.0 {
-        requested.exposure = began.exposure;
-    }
-    // The scene may have moved, and the memory budget may have changed.
-    let mut began = Settings { scene: requested.scene.clone(), memory: requested.memory, ..began };
-    // A diverged run may continue with lower rates.
-    if RunDirectory::open(&a.output)?.has_diverged() {
-        began.train = requested.train;
-        began.geometry.rates = requested.geometry.rates;
-        began.intrinsic.rates = requested.intrinsic.rates;
-    }
-    if let Some((name, was, is)) = difference("", &began.to_table()?, &requested.to_table()?) {
-        refuse_usage!(
-            "\"{}\" was begun with {name} = {was}, not {is}; resume it as it was begun, or train into another directory.",
-            a.output.display()
-        );
-    }
-    Ok(began)
-}
-
-/// Returns the first setting that differs: its name and both values.
-fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String, String, String)> {
-    a.iter().find_map(|(key, x)| match (x, b.get(key)) {
-        (toml::Value::Table(x), Some(toml::Value::Table(y))) => difference(&format!("{prefix}{key}."), x, y),
-        (x, Some(y)) if x != y => Some((format!("{prefix}{key}"), x.to_string(), y.to_string())),
-        _ => None,
-    })
 }

@@ -3,8 +3,8 @@
 use crate::output::{self, Begin, Permission};
 use crate::refuse_usage;
 use crate::scenes::{check_start, open_scene, warn_without_priors};
-use crate::settings::{Overrides, resumed, settings, settings_of_stage};
-use sgs_config::Settings;
+use crate::settings::{Overrides, accuracy_of, settings, settings_of_stage, settings_over};
+use sgs_config::{Backward, Settings, overlay};
 use sgs_engine::Device;
 use sgs_run::{DirectoryLock, KnownEmitters, RunContents, RunDirectory, StageKind};
 use sgs_scene::Scene;
@@ -18,7 +18,7 @@ pub enum Stages {
     /// Geometry.
     #[default]
     Geometry,
-    /// Materials, lights and shadows of the published model, on the geometry of the run.
+    /// Materials, lights and shadows of the published model, on the run's geometry.
     Intrinsic,
     /// Materials, emitters and bounced light; trains geometry first if the run has none.
     Transport,
@@ -97,6 +97,53 @@ fn trains_geometry(a: &TrainRequest, settings: &Settings) -> bool {
         run.geometry && !run.materials && !run.transport && !complete.contains(&StageKind::Geometry)
     };
     a.stages == Stages::Transport && (!run.is_trained() || a.resume && unfinished())
+}
+
+/// Returns the settings with which a run began. Refuses differing options.
+///
+/// Changed settings would produce neither the old run nor a new one.
+fn resumed(a: &TrainRequest) -> anyhow::Result<Settings> {
+    let began = RunDirectory::open(&a.output)?.settings()?;
+    let mut requested = match (&a.overrides.config, &a.overrides.preset, a.stages.on_run()) {
+        (None, None, _) => {
+            let mut table = began.to_table()?;
+            overlay(&mut table, accuracy_of(&a.overrides)?);
+            settings_over(table, &a.scene, &a.overrides)?
+        }
+        (_, _, Some(stage)) => settings_of_stage(stage, &began, &a.scene, &a.overrides)?,
+        _ => settings(&a.scene, &a.overrides)?,
+    };
+    // Automatic values were decided when the run began.
+    if requested.geometry.backward == Backward::Auto {
+        requested.geometry.backward = began.geometry.backward;
+    }
+    if requested.exposure == 0.0 {
+        requested.exposure = began.exposure;
+    }
+    // The scene may have moved, and the memory budget may have changed.
+    let mut began = Settings { scene: requested.scene.clone(), memory: requested.memory, ..began };
+    // A diverged run may continue with lower rates.
+    if RunDirectory::open(&a.output)?.has_diverged() {
+        began.train = requested.train;
+        began.geometry.rates = requested.geometry.rates;
+        began.intrinsic.rates = requested.intrinsic.rates;
+    }
+    if let Some((name, was, is)) = difference("", &began.to_table()?, &requested.to_table()?) {
+        refuse_usage!(
+            "\"{}\" was begun with {name} = {was}, not {is}; resume it as it was begun, or train into another directory.",
+            a.output.display()
+        );
+    }
+    Ok(began)
+}
+
+/// Returns the first setting that differs: its name and both values.
+fn difference(prefix: &str, a: &toml::Table, b: &toml::Table) -> Option<(String, String, String)> {
+    a.iter().find_map(|(key, x)| match (x, b.get(key)) {
+        (toml::Value::Table(x), Some(toml::Value::Table(y))) => difference(&format!("{prefix}{key}."), x, y),
+        (x, Some(y)) if x != y => Some((format!("{prefix}{key}"), x.to_string(), y.to_string())),
+        _ => None,
+    })
 }
 
 /// Checked training that holds the lock of its directory.

@@ -104,7 +104,7 @@ class Run:
         opacity_logits N            opacities before the logistic function
         sh0 … sh3      N × (2d+1) × 3  coefficients of band d; color = 0.5 + 0.28209479 · sh0 + …, display values
         normals        N × 3        normals in world space, of any length
-        albedo         N × 3        before activation: 0.03 + 0.77 · logistic(x), linear
+        albedo         N × 3        before activation: 0.01 + 0.98 · logistic(x), linear
         roughness      N            before activation: 0.09 + 0.9 · logistic(x)
         metallic       N            before activation: logistic(x)
         semantic       N × 32       semantic features
@@ -191,7 +191,7 @@ class Run:
                 raise usage(f'"{file}" cannot be read: {error}.') from error
         device, moved = open_device(self._device)._native, self._moved
         scene = None if moved is None else os.fspath(moved)
-        native = self._native.relight(device, text, os.fspath(beside), shadows, scene, visibility)
+        native = self._native.relight(device, (text, os.fspath(beside)), shadows, scene, visibility)
         return Relit(self, native)
 
     def evaluate(self, split: str = "test", *, lpips: Union[str, os.PathLike[str], None] = None) -> dict[str, Any]:

@@ -132,5 +132,5 @@ def synthesize(
     Raises:
         sgs.Error: If an option is wrong, or the directory holds other files.
     """
-    _sgs.synthesize(os.fspath(path), name, views, test_views, size, seed, replace)
+    _sgs.synthesize(os.fspath(path), name, (views, test_views), size, seed, replace)
     return Scene.open(path)

@@ -46,7 +46,7 @@ class Event:
         return json.loads(self._log) if self._log else {}
 
 
-#: Function that receives events. A result of ``False`` stops the training.
+#: Function that receives events. A result of ``False`` stops the training, after steps that are in flight.
 Callback = Callable[[Event], Any]
 
 
@@ -127,14 +127,11 @@ class Trainer:
         """
         native = None if callback is None else lambda event: callback(_event(event))
         finished, stage, step = _sgs.train(
-            os.fspath(self.scene),
-            os.fspath(self.output),
+            (os.fspath(self.scene), os.fspath(self.output), None if self.start is None else os.fspath(self.start)),
             self.stage,
             _native(self.config),
             open_device(self.device)._native,
-            None if self.start is None else os.fspath(self.start),
-            self.resume,
-            self.force,
+            (self.resume, self.force),
             native,
         )
         return Outcome(finished, stage, step, self.output)

@@ -16,7 +16,7 @@ pub fn raised(error: &anyhow::Error) -> PyErr {
     })
 }
 
-/// Releases the interpreter's lock and runs a function whose failure becomes an exception.
+/// Runs a function without the interpreter's lock. A failure becomes an exception.
 pub fn computed<T: Send>(py: Python<'_>, run: impl FnOnce() -> anyhow::Result<T> + Send) -> PyResult<T> {
     py.detach(run).map_err(|error| raised(&error))
 }

@@ -77,9 +77,10 @@ impl Run {
         let all = PyDict::new(py);
         let owner = || this.clone().into_any();
         let wrong = |e: numpy::ndarray::ShapeError| raised(&e.into());
-        // SAFETY (for all arrays): this object keeps the Gaussians, which nothing changes.
-        let one =
-            |name: &str, values: &[f32]| all.set_item(name, unsafe { shared(&ArrayView1::from(values), owner()) });
+        let one = |name: &str, values: &[f32]| {
+            // SAFETY: this object keeps the Gaussians, which nothing changes.
+            all.set_item(name, unsafe { shared(&ArrayView1::from(values), owner()) })
+        };
         let rows = |name: &str, values: &[f32], width: usize| {
             let view = ArrayView2::from_shape((values.len() / width, width), values).map_err(wrong)?;
             // SAFETY: as above.
@@ -145,19 +146,19 @@ impl Run {
         computed(py, || Ok(sgs_api::head_of(&self.path, &self.splats)?.text.labels))
     }
 
-    /// Applies an edit, in the JSON of `sgs relight`.
+    /// Applies an edit: JSON of `sgs relight`, and the directory that its paths start at.
     fn relight(
         &self,
         py: Python<'_>,
         device: &Bound<'_, Device>,
-        edit: String,
-        beside: PathBuf,
+        edit: (String, PathBuf),
         shadows: Option<String>,
         scene: Option<PathBuf>,
         visibility: bool,
     ) -> PyResult<Relit> {
         let device = device.get().0.clone();
         computed(py, || {
+            let (edit, beside) = edit;
             let edit = Edit::parse(&edit, &beside).map_err(|e| usage(format!("The edit is wrong: {e}.")))?;
             let shadows = match shadows.as_deref() {
                 None => None,

@@ -5,15 +5,13 @@ use pyo3::prelude::*;
 use sgs_synth::SynthOptions;
 use std::path::PathBuf;
 
-/// Generates a room, as `sgs synth` does.
+/// Generates a room, as `sgs synth` does. `views`: numbers of training and test views.
 #[pyfunction]
-#[pyo3(signature = (out, scene, views, test_views, size, seed, replace))]
 pub fn synthesize(
     py: Python<'_>,
     out: PathBuf,
     scene: Option<String>,
-    views: Option<usize>,
-    test_views: Option<usize>,
+    views: (Option<usize>, Option<usize>),
     size: Option<(usize, usize)>,
     seed: u64,
     replace: bool,
@@ -23,8 +21,8 @@ pub fn synthesize(
         if let Some(name) = scene {
             options.scene = name.parse()?;
         }
-        options.views = views.unwrap_or(options.views);
-        options.test_views = test_views.unwrap_or(options.test_views);
+        options.views = views.0.unwrap_or(options.views);
+        options.test_views = views.1.unwrap_or(options.test_views);
         if let Some((width, height)) = size {
             (options.width, options.height) = (width, height);
         }

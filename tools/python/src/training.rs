@@ -15,22 +15,20 @@ const SIGNAL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Trains a scene. Returns whether all stages are finished, the last stage, and its step.
 ///
+/// `paths`: scene, run, and geometry of the intrinsic stage. `permission`: whether to resume, and to replace a run.
 /// `callback` receives each event as a dictionary; a result of `False` stops the training after a checkpoint.
 #[pyfunction]
-#[pyo3(signature = (scene, output, stage, config, device, start, resume, force, callback))]
 pub fn train(
     py: Python<'_>,
-    scene: PathBuf,
-    output: PathBuf,
+    paths: (PathBuf, PathBuf, Option<PathBuf>),
     stage: String,
     config: ConfigTuple,
     device: &Bound<'_, Device>,
-    start: Option<PathBuf>,
-    resume: bool,
-    force: bool,
+    permission: (bool, bool),
     callback: Option<Py<PyAny>>,
 ) -> PyResult<(bool, Option<&'static str>, u32)> {
     let device = device.get().0.clone();
+    let ((scene, output, start), (resume, force)) = (paths, permission);
     let mut observer = Callback { callback, error: None, stop: false, checked: Instant::now() };
     let outcome = py.detach(|| -> anyhow::Result<Option<Outcome>> {
         let overrides = overrides(config)?;

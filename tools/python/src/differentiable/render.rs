@@ -21,6 +21,9 @@ type View = ([u32; 2], [f32; 4], [f32; 12], f32);
 /// Gradients of the groups, and of the pose: nine numbers of the rotation by rows, three of the translation.
 type Pulled = (Vec<Vec<f32>>, Vec<f32>);
 
+/// Array of one dimension.
+type Flat<'py> = Bound<'py, PyArray1<f32>>;
+
 /// Groups that the functions take, in their order. Absent groups are empty.
 const GROUPS: [Group; 9] = [
     Group::Means,
@@ -200,7 +203,7 @@ impl Backward {
     }
 }
 
-/// Returns the tuning without approximations, so that gradients are those of the image.
+/// Returns the tuning without approximations: gradients are those of the image.
 fn exact(device: &sgs_engine::Device) -> Tuning {
     Tuning::for_device(device.info()).with(Accuracy::EXACT)
 }
@@ -228,7 +231,7 @@ impl Splatter {
         view: View,
         background: [f32; 3],
         depth: bool,
-    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
+    ) -> PyResult<(Flat<'py>, Flat<'py>)> {
         let parameters = vectors(&parameters);
         let RenderedImage { image, transmittance, .. } = computed(py, || {
             let inputs = Inputs::new(parameters, view, background, depth)?;
@@ -252,7 +255,9 @@ impl Splatter {
         Ok((image.into_pyarray(py), transmittance.into_pyarray(py)))
     }
 
-    /// Returns the gradients of all parameters and of the pose, from those of image and transmittances.
+    /// Returns the gradients of all parameters and of the pose.
+    ///
+    /// `gradients`: those of image and transmittances.
     fn backward<'py>(
         &self,
         py: Python<'py>,
@@ -261,7 +266,7 @@ impl Splatter {
         background: [f32; 3],
         depth: bool,
         gradients: Vec<PyReadonlyArrayDyn<'py, f32>>,
-    ) -> PyResult<(Vec<Bound<'py, PyArray1<f32>>>, Bound<'py, PyArray1<f32>>)> {
+    ) -> PyResult<(Vec<Flat<'py>>, Flat<'py>)> {
         let (parameters, gradients) = (vectors(&parameters), vectors(&gradients));
         let (groups, pose) = computed(py, || {
             let inputs = Inputs::new(parameters, view, background, depth)?;

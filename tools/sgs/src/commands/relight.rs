@@ -138,10 +138,10 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         _ => cameras.clone(),
     };
     let device = common.open_device()?;
-    if a.channels.contains(&Channel::Metallic) && splats.metallic.is_none() {
+    let RelitScene { relit, emitting, mut shading } = relighting.apply(&device, splats, scene.as_ref())?;
+    if a.channels.contains(&Channel::Metallic) && relit.splats.metallic.is_none() {
         refuse_usage!("\"{}\" has no metallic; leave \"metallic\" out of --channels.", a.source.display());
     }
-    let RelitScene { relit, emitting, mut shading } = relighting.apply(&device, splats, scene.as_ref())?;
     let mut written = Vec::new();
     if let Some(output) = &a.output {
         output::make(output)?;
