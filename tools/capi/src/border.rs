@@ -85,7 +85,9 @@ impl From<sgs_run::RunError> for Failure {
             E::Scene(error) => error.into(),
             E::Config(error) => error.into(),
             E::Refused(text) => Failure { code: SgsResult::SGS_ERROR_ARGUMENT, text },
-            E::File { .. } | E::Locked { .. } => Failure { code: SgsResult::SGS_ERROR_FILE, text: error.to_string() },
+            E::File { .. } | E::Io { .. } | E::Locked { .. } => {
+                Failure { code: SgsResult::SGS_ERROR_FILE, text: error.to_string() }
+            }
         }
     }
 }
