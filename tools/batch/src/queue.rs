@@ -8,49 +8,14 @@ use crate::process::{Exit, Launch, Launcher, Phase};
 use crate::result::{RunResult, State};
 use crate::store::{Claim, Record, Store};
 use crate::summary::Summary;
+use crate::timing::Timing;
 use sgs_run::{DirectoryLock, RunError};
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-
-/// Intervals of a queue.
-#[derive(Clone, Copy, Debug)]
-pub struct Timing {
-    /// Interval of renewals of a lease.
-    pub heartbeat: Duration,
-    /// Time without a renewal after which the holder lets a run go.
-    pub give_up: Duration,
-    /// Interval at which a process is polled.
-    pub poll: Duration,
-    /// Interval at which runs of other workers are polled.
-    pub idle: Duration,
-    /// Delay of the first retry; each further one doubles it.
-    pub delay: Duration,
-    /// Longest delay of a retry.
-    pub longest_delay: Duration,
-    /// Time from the request to end until a process is killed.
-    pub grace: Duration,
-}
-
-impl Timing {
-    /// Time without a renewal after which other workers take a run over; for [`Store::open`].
-    pub const EXPIRY: Duration = Duration::from_secs(15);
-}
-
-impl Default for Timing {
-    fn default() -> Self {
-        Timing {
-            heartbeat: Duration::from_secs(2),
-            give_up: Duration::from_secs(8),
-            poll: Duration::from_millis(50),
-            idle: Duration::from_millis(500),
-            delay: Duration::from_secs(1),
-            longest_delay: Duration::from_secs(60),
-            grace: Duration::from_secs(30),
-        }
-    }
-}
 
 /// Event of a queue, for people.
 #[derive(Clone, Debug)]
@@ -130,6 +95,8 @@ struct Shared<'a> {
     /// Ends all jobs: after an error, or after a user stopped a process.
     halt: AtomicBool,
     summary: Mutex<()>,
+    /// Position of the next look at leases of others.
+    cursor: AtomicUsize,
 }
 
 /// How the attempts of a run ended.
@@ -163,9 +130,13 @@ impl Queue<'_> {
         let mut slots = vec![Slot::Open; self.batch.runs.len()];
         let mut again = vec![None; slots.len()];
         let mut skipped = 0;
+        let there = self.store.result_keys()?;
         for &i in &order {
             let run = &self.batch.runs[i];
-            let Some(result) = self.store.result(run).filter(|r| r.answers(run, self.batch.evaluate)) else { continue };
+            if !there.contains(&run.key()) {
+                continue;
+            }
+            let Some(result) = self.store.answer(run, self.batch.evaluate) else { continue };
             if result.state == State::Failed && self.retry_failed {
                 again[i] = Some(result);
             } else {
@@ -174,7 +145,9 @@ impl Queue<'_> {
             }
         }
         let (slots, halt) = (Mutex::new(slots), AtomicBool::new(false));
-        let shared = Shared { queue: self, order, slots, again, halt, summary: Mutex::new(()) };
+        // Workers that start together look at different leases first.
+        let cursor = AtomicUsize::new(RandomState::new().build_hasher().finish() as usize);
+        let shared = Shared { queue: self, order, slots, again, halt, summary: Mutex::new(()), cursor };
         let errors: Vec<_> = std::thread::scope(|scope| {
             let shared = &shared;
             let jobs: Vec<_> = (0..self.jobs.max(1)).map(|worker| scope.spawn(move || shared.job(worker))).collect();
@@ -183,7 +156,7 @@ impl Queue<'_> {
         if let Some(error) = errors.into_iter().next() {
             return Err(error);
         }
-        shared.summarize()?;
+        shared.summarize(true)?;
         let slots = lock(&shared.slots);
         let mut report = Report { runs: shared.order.len(), skipped, ..Report::default() };
         let mut done = 0;
@@ -222,38 +195,15 @@ impl Shared<'_> {
                 break;
             }
             drop(all);
-            if !self.work_once(worker)? {
-                std::thread::sleep(self.queue.timing.idle);
+            if let Some(held) = self.work_once(worker)? {
+                let begun = Instant::now();
+                let delay = self.queue.timing.idle_delay(held);
+                while begun.elapsed() < delay && !self.stopping() {
+                    std::thread::sleep(self.queue.timing.idle.min(delay));
+                }
             }
         }
         Ok(())
-    }
-
-    /// Trains the first free run. Returns false if there is none.
-    fn work_once(&self, worker: usize) -> Result<bool> {
-        for &i in &self.order {
-            if self.stopping() {
-                return Ok(true);
-            }
-            {
-                let mut slots = lock(&self.slots);
-                if !matches!(slots[i], Slot::Open) {
-                    continue;
-                }
-                slots[i] = Slot::Working;
-            }
-            let (slot, worked) = self.claim(i, worker)?;
-            let ended = {
-                let mut slots = lock(&self.slots);
-                slots[i] = slot;
-                self.order.iter().filter(|i| matches!(slots[**i], Slot::Ended(_))).count()
-            };
-            if worked {
-                self.ended(i, ended)?;
-                return Ok(true);
-            }
-        }
-        Ok(false)
     }
 
     /// Claims a run and trains it. Returns its new state, and whether this job trained it.
@@ -278,7 +228,10 @@ impl Shared<'_> {
 
     /// Reports the end of a run and updates the summary. `ended`: number of runs that had ended then.
     fn ended(&self, i: usize, ended: usize) -> Result<()> {
-        self.summarize()?;
+        let Queue { store, batch, timing, .. } = self.queue;
+        if !store.has_fresh_summary(&batch.runs[i], timing.summary_interval(batch.runs.len())) {
+            self.summarize(false)?;
+        }
         let slots = lock(&self.slots);
         if let Slot::Ended(result) = &slots[i] {
             (self.queue.progress)(&Progress::Ended { result, ended, total: self.order.len() });
@@ -286,9 +239,9 @@ impl Shared<'_> {
         Ok(())
     }
 
-    fn summarize(&self) -> Result<()> {
+    fn summarize(&self, last: bool) -> Result<()> {
         let _one = lock(&self.summary);
-        Summary::update(self.queue.store, self.queue.batch)
+        Summary::update(self.queue.store, self.queue.batch, last)
     }
 
     /// Trains a held run. Returns its result; `None` if the queue was stopped or the lease was lost.
@@ -383,16 +336,10 @@ impl Shared<'_> {
                 result.read_run(&directory);
                 return Ok(Outcome::Result(Box::new(result)));
             }
-            let delay = self.delay(if locked { waits } else { retries });
+            let delay = self.queue.timing.retry_delay(if locked { waits } else { retries });
             (self.queue.progress)(&Progress::Again { name: run.name(), reason: error, delay });
             self.pause(delay, heart);
         }
-    }
-
-    /// Returns the delay before the `n`-th retry.
-    fn delay(&self, n: u32) -> Duration {
-        let Timing { delay, longest_delay, .. } = self.queue.timing;
-        delay.saturating_mul(1 << n.saturating_sub(1).min(16)).min(longest_delay)
     }
 
     /// Waits, unless the queue is stopped or the lease is lost.
@@ -516,6 +463,8 @@ fn clear(directory: &Path) -> Result<bool> {
     }
     Ok(true)
 }
+
+mod pass;
 
 #[cfg(test)]
 mod tests;

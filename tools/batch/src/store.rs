@@ -3,12 +3,12 @@
 use crate::batch::{Run, write_if_changed};
 use crate::error::{Result, failed};
 use crate::lease::{self, Content, Lease};
-use crate::result::RunResult;
+use crate::result::{RunResult, State};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// Directory of a batch, as one worker sees it.
 #[derive(Debug)]
@@ -17,6 +17,8 @@ pub struct Store {
     expiry: Duration,
     /// Content of each lease and when it was first seen, by run.
     seen: Mutex<HashMap<String, (Vec<u8>, Instant)>>,
+    /// Done results that this worker has read, by run. A done result that answers its run never changes.
+    ended: Mutex<HashMap<String, RunResult>>,
 }
 
 /// Answer to a claim.
@@ -48,7 +50,7 @@ impl Store {
     /// # Errors
     /// If the directory cannot be written.
     pub fn open(root: &Path, expiry: Duration) -> Result<Store> {
-        let store = Store { root: root.to_owned(), expiry, seen: Mutex::default() };
+        let store = Store { root: root.to_owned(), expiry, seen: Mutex::default(), ended: Mutex::default() };
         for folder in [store.leases(), store.results(), root.join("runs"), root.join("variants")] {
             std::fs::create_dir_all(&folder).map_err(failed("made", &folder))?;
         }
@@ -92,6 +94,58 @@ impl Store {
         serde_json::from_slice(&std::fs::read(self.result_path(run)).ok()?).ok()
     }
 
+    /// Returns the result that answers a run, if any. Reads a done one from the disk once.
+    pub(crate) fn answer(&self, run: &Run, evaluate: bool) -> Option<RunResult> {
+        let key = run.key();
+        let ended = || self.ended.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = ended().get(&key).filter(|r| r.answers(run, evaluate)) {
+            return Some(known.clone());
+        }
+        let result = self.result(run).filter(|r| r.answers(run, evaluate))?;
+        if result.state == State::Done {
+            ended().insert(key, result.clone());
+        }
+        Some(result)
+    }
+
+    /// Lists the keys of all runs that have a result, of any identity.
+    ///
+    /// # Errors
+    /// If the directory cannot be read.
+    pub(crate) fn result_keys(&self) -> Result<HashSet<String>> {
+        let folder = self.results();
+        let mut keys = HashSet::new();
+        for entry in std::fs::read_dir(&folder).map_err(failed("read", &folder))? {
+            let name = entry.map_err(failed("read", &folder))?.file_name();
+            keys.extend(name.to_str().and_then(|n| n.strip_suffix(".json")).map(str::to_owned));
+        }
+        Ok(keys)
+    }
+
+    /// Lists the generation of the lease of each run that has one, by the run's key.
+    ///
+    /// # Errors
+    /// If the directory cannot be read.
+    pub(crate) fn leased(&self) -> Result<HashMap<String, u64>> {
+        lease::list(&self.leases())
+    }
+
+    /// Returns whether a listed lease is there and not known to be free.
+    pub(crate) fn is_busy(&self, run: &Run, generation: u64) -> bool {
+        let key = run.key();
+        lease::read(&self.leases(), &key, generation).is_some_and(|bytes| !self.is_free(&key, &bytes))
+    }
+
+    /// Returns whether the summary was written less than an interval before or after the result of a run.
+    ///
+    /// Both times are those of the shared disk: the clocks of several machines differ.
+    pub(crate) fn has_fresh_summary(&self, run: &Run, interval: Duration) -> bool {
+        let written = |path: &Path| std::fs::metadata(path).and_then(|m| m.modified()).ok();
+        let distance = |a: SystemTime, b: SystemTime| a.duration_since(b).unwrap_or_else(|e| e.duration());
+        let times = written(&self.root.join("summary.jsonl")).zip(written(&self.result_path(run)));
+        times.is_some_and(|(summary, result)| distance(summary, result) < interval)
+    }
+
     /// Claims a run for this worker.
     ///
     /// `again`: failed result that the worker may replace by another attempt.
@@ -99,7 +153,7 @@ impl Store {
     /// # Errors
     /// If the directory cannot be read or written.
     pub fn claim(&self, run: &Run, evaluate: bool, again: Option<&RunResult>) -> Result<Claim> {
-        let ended = || self.result(run).filter(|r| r.answers(run, evaluate) && again != Some(r));
+        let ended = || self.answer(run, evaluate).filter(|r| again != Some(r));
         if let Some(result) = ended() {
             return Ok(Claim::Ended(Box::new(result)));
         }

@@ -56,7 +56,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let baseline = a.baseline.as_deref().map(Baseline::read).transpose()?;
     output::check_batch(&a.output)?;
     let stop = Stop::on_signals()?;
-    let batch = Batch::new(&manifest, env!("CARGO_PKG_VERSION"), &stop)?;
+    let batch = Batch::new(&manifest, env!("CARGO_PKG_VERSION"), &a.output, &stop)?;
     let stopped = || stop.failure(format!("stopped in {}; the same command goes on from there", a.output.display()));
     // Then scenes may be without their hashes.
     if stop.load(Ordering::SeqCst) {
@@ -86,7 +86,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         return Err(failure(Kind::Failed, format!("{failed} of {runs} runs failed; the first, {name}: {error}")));
     }
     if let Some(baseline) = &baseline {
-        match baseline.compare(&Summary::read(&store, &batch).results, a.tolerance) {
+        match baseline.compare(&Summary::read(&store, &batch)?.results, a.tolerance) {
             Verdict::Worse(text) => return Err(failure(Kind::Failed, format!("{text}."))),
             Verdict::Passed(count) if !common.quiet => eprintln!("{count} values are within {} dB", a.tolerance),
             Verdict::Passed(_) => {}
