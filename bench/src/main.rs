@@ -43,7 +43,7 @@ enum Command {
     Front(commands::tradeoff::again::Args),
     /// Measure the intrinsic stage with and without each of its optimizations.
     Savings(commands::savings::Args),
-    /// Simulate the queue of `sgs batch` with more rooms and devices than this machine has.
+    /// Simulate the queue of `sgs batch` for many rooms and devices.
     Batch(Box<commands::batch::Args>),
     /// Measure peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
     Ceiling,

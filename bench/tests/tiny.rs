@@ -400,7 +400,7 @@ fn batch_of_ten_thousand_rooms_is_near_the_lower_bound() {
         (vec!["--failures", "temporary=2"], 1, "temporary is 2"),
         (vec!["--failures", "sometimes=0.1"], 1, "unknown rate"),
         (vec!["--failures", "none.toml"], 1, "cannot be read"),
-        (vec!["--mean", "-1"], 2, "above 0"),
+        (vec!["--mean=-1"], 2, "above 0"),
         (vec!["--run", "nowhere"], 1, "nowhere"),
     ] {
         let out = bench(&[&what[..], &wrong].concat());
@@ -410,7 +410,7 @@ fn batch_of_ten_thousand_rooms_is_near_the_lower_bound() {
     }
 }
 
-/// The real queue over processes that sleep trains each run once, about as fast as the simulation says.
+/// The real queue over sleeping processes trains each run once.
 #[test]
 fn rehearsed_queue_is_as_fast_as_simulated() {
     let folder = tempfile::tempdir().unwrap();

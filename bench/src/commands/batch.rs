@@ -33,7 +33,9 @@ pub struct Args {
     /// Rates of failures in place of the measured ones: temporary, permanent, worker (an hour), repair (seconds).
     #[arg(long, value_name = "FILE.toml|NAME=RATE,...")]
     failures: Option<String>,
-    /// Estimate rates by the rule of succession, (failures + 1) / (trials + 2). A few runs without a failure prove little.
+    /// Estimate rates of failures with caution.
+    ///
+    /// By the rule of succession, (failures + 1) / (trials + 2): a few runs without a failure prove little.
     #[arg(long)]
     cautious: bool,
     /// How run times are drawn.
@@ -72,7 +74,9 @@ pub struct Args {
     /// Seed of all draws.
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u32,
-    /// Run the real queue in this new directory, with one thread per device and processes that sleep.
+    /// Run the real queue over sleeping processes in this new directory.
+    ///
+    /// Each device has one thread.
     #[arg(long, value_name = "DIR", conflicts_with = "sweep")]
     rehearse: Option<PathBuf>,
 }

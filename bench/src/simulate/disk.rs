@@ -185,7 +185,7 @@ impl Costs {
         })
     }
 
-    /// Comparing the three files of the summary with their new texts, and writing them if they `differ`.
+    /// Comparing the files of the summary with new texts, and writing them.
     pub fn files(self, differ: bool) -> Ops {
         Ops { summary: 3.0 * (READ + if differ { ATOMIC + 2.0 } else { 0.0 }), ..Ops::NONE }
     }

@@ -57,7 +57,7 @@ impl Load {
         }
     }
 
-    /// Returns the most operations and the most bytes a second, as means over ten seconds.
+    /// Returns the most operations and bytes a second, over ten seconds.
     pub fn peaks(&self) -> (f64, f64) {
         let most = |all: &[f64]| all.iter().copied().fold(0.0, f64::max) / INTERVAL;
         (most(&self.operations), most(&self.transfers))

@@ -1,4 +1,4 @@
-//! Simulation of the queue of `sgs batch` with more runs and devices than a machine has.
+//! Simulation of the queue of `sgs batch` for many runs and devices.
 
 pub mod disk;
 pub mod load;

@@ -13,7 +13,7 @@ use std::path::Path;
 pub enum Distribution {
     /// A measured time, drawn at random.
     Empirical,
-    /// A lognormal time with the mean and the deviation of the logarithms of the measured ones.
+    /// A lognormal time fitted to the measured ones.
     Lognormal,
 }
 
@@ -238,7 +238,7 @@ impl Job {
 }
 
 impl Plan {
-    /// Creates a plan without failures on a disk that costs nothing, for tests and as a start.
+    /// Creates a plan without failures on a disk that costs nothing.
     pub fn ideal(times: Vec<f64>, devices: usize) -> Plan {
         let none = Sizes { checkpoint: 0.0, run: 0.0, result: 0.0, scene: 0.0, files: 0.0, folders: 1.0 };
         Plan {

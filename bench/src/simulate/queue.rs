@@ -44,6 +44,9 @@ enum Event {
     Summary(usize, bool),
 }
 
+/// Planned event: time, number, worker, number of its starts, and what happens.
+type Planned = (Time, u64, usize, u32, Event);
+
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum State {
     Fresh,
@@ -117,7 +120,7 @@ pub struct Outcome {
     pub deaths: usize,
     /// Claims that another worker won.
     pub lost_races: usize,
-    /// Seconds of work that was done twice or in vain, or of loading again, or of delays.
+    /// Seconds of repeated or failed work, of loading again, and of delays.
     pub wasted: f64,
     /// Seconds in which workers waited for the disk between runs.
     pub blocked: f64,
@@ -145,7 +148,7 @@ struct Simulation<'a> {
     order: Vec<usize>,
     costs: Costs,
     now: Time,
-    events: BinaryHeap<Reverse<(Time, u64, usize, u32, Event)>>,
+    events: BinaryHeap<Reverse<Planned>>,
     sequence: u64,
     runs: Vec<Run>,
     workers: Vec<Worker>,

@@ -61,7 +61,7 @@ impl Records {
         Ok(records)
     }
 
-    /// Reads the scene, or believes a record that another worker made since this one started.
+    /// Reads a scene, or believes a record made since this worker started.
     ///
     /// `costs`: estimates the cost of each variant.
     ///
@@ -122,7 +122,7 @@ mod tests {
         put("one");
         // Times of some disks are coarse.
         let pause = || std::thread::sleep(Duration::from_millis(30));
-        let open = || Records::open(&folder.path().join("scenes")).unwrap();
+        let open = || Records::open(&folder.path().join("hashes")).unwrap();
         let reads = Cell::new(0);
         let record = |records: &Records| {
             let costs = || {
@@ -150,11 +150,11 @@ mod tests {
         let other = folder.path().join("other");
         std::fs::create_dir(&other).unwrap();
         assert_ne!(last.record("room", &other, BTreeMap::new).unwrap().digest(), second.digest());
-        std::fs::write(folder.path().join("scenes/room.json"), "{").unwrap();
+        std::fs::write(folder.path().join("hashes/room.json"), "{").unwrap();
         assert_eq!(record(&last).digest(), second.digest());
         assert_eq!(reads.get(), 3);
         assert!(last.record("none", &folder.path().join("none"), BTreeMap::new).is_err());
-        let names = std::fs::read_dir(folder.path().join("scenes")).unwrap().map(|e| e.unwrap().file_name());
+        let names = std::fs::read_dir(folder.path().join("hashes")).unwrap().map(|e| e.unwrap().file_name());
         assert_eq!(names.collect::<Vec<_>>(), ["room.json"]);
     }
 }

@@ -136,7 +136,7 @@ impl Store {
         lease::read(&self.leases(), &key, generation).is_some_and(|bytes| !self.is_free(&key, &bytes))
     }
 
-    /// Returns whether the summary was written less than an interval before or after the result of a run.
+    /// Returns whether the summary is about as new as the result of a run.
     ///
     /// Both times are those of the shared disk: the clocks of several machines differ.
     pub(crate) fn has_fresh_summary(&self, run: &Run, interval: Duration) -> bool {
@@ -345,6 +345,46 @@ mod tests {
         // A damaged file names no process and expires.
         std::fs::write(folder.path().join("leases").join(format!("{}.3.json", run.key())), "{").unwrap();
         assert!(matches!(store.claim(&run, false, None).unwrap(), Claim::Busy));
+    }
+
+    #[test]
+    fn done_answers_are_read_once_and_failed_ones_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path(), LONG).unwrap();
+        let (done_run, failed_run) = (run("a", 0), run("b", 0));
+        let put = |run: &Run, result: &RunResult| {
+            std::fs::write(store.result_path(run), serde_json::to_string(result).unwrap()).unwrap();
+        };
+        assert_eq!(store.answer(&done_run, false), None);
+        put(&done_run, &done(&done_run));
+        put(&failed_run, &RunResult::of(&failed_run));
+        assert_eq!(store.answer(&done_run, false), Some(done(&done_run)));
+        assert_eq!(store.answer(&failed_run, false).unwrap().state, State::Failed);
+        // Another worker trained the failed run again.
+        put(&failed_run, &done(&failed_run));
+        assert_eq!(store.answer(&failed_run, false), Some(done(&failed_run)));
+        std::fs::write(store.result_path(&done_run), "{").unwrap();
+        assert_eq!(store.answer(&done_run, false), Some(done(&done_run)));
+        // A known result answers neither another identity nor a request for an evaluation.
+        assert_eq!(store.answer(&Run { identity: "changed".into(), ..done_run.clone() }, false), None);
+        assert_eq!(store.answer(&done_run, true), None);
+        let keys = store.result_keys().unwrap();
+        assert!(keys.len() == 2 && keys.contains(&done_run.key()));
+    }
+
+    #[test]
+    fn leases_are_listed_by_run_with_their_highest_generation() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path(), LONG).unwrap();
+        for (scene, generation) in [("a.1", 1), ("a.1", 2), ("a", 10)] {
+            Lease::create(&store.leases(), &run(scene, 0).key(), generation).unwrap().unwrap();
+        }
+        for other in [".x.fast.seed0.3.token.tmp", "note.txt", "a.fast.seed0.x.json"] {
+            std::fs::write(store.leases().join(other), "").unwrap();
+        }
+        let expected = [(run("a.1", 0).key(), 2), (run("a", 0).key(), 10)];
+        assert_eq!(store.leased().unwrap(), HashMap::from(expected));
+        assert!(store.is_busy(&run("a", 0), 10) && !store.is_busy(&run("a", 0), 9));
     }
 
     #[test]

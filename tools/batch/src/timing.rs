@@ -28,7 +28,7 @@ impl Timing {
     /// Largest number of leases of other workers that one pass over the runs reads.
     pub const LOOKS: usize = 64;
 
-    /// Returns the number of free runs among which a worker chooses at random after lost claims in one pass.
+    /// Returns how many free runs a worker chooses among after lost claims.
     pub fn spread(losses: u32) -> usize {
         1 << losses.saturating_sub(1).min(12)
     }
@@ -64,5 +64,20 @@ impl Default for Timing {
             longest_delay: Duration::from_secs(60),
             grace: Duration::from_secs(30),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn delays_grow_to_their_limits() {
+        let timing = Timing::default();
+        let seconds = |d: Duration| d.as_secs_f64();
+        assert_eq!([1, 2, 3, 6, 7, 99].map(|n| seconds(timing.retry_delay(n))), [1.0, 2.0, 4.0, 32.0, 60.0, 60.0]);
+        assert_eq!([0, 8, 15, 16, 128, 4096].map(|n| seconds(timing.idle_delay(n))), [0.5, 0.5, 0.5, 1.0, 8.0, 8.0]);
+        assert_eq!([1, 100, 10_000].map(|n| seconds(timing.summary_interval(n))), [0.01, 1.0, 100.0]);
+        assert_eq!([0, 1, 2, 9, 99].map(Timing::spread), [1, 1, 2, 256, 4096]);
     }
 }

@@ -65,7 +65,7 @@ impl Shared<'_> {
         Ok((losses == 0).then_some(held))
     }
 
-    /// Returns the leased runs whose leases this pass reads, and the number of all runs that others hold.
+    /// Returns the runs whose leases this pass reads, and the number of held runs.
     ///
     /// Few leases are all read. Many are read in turn: each worker would read those of all others otherwise.
     fn due(&self, leased: &HashMap<String, u64>) -> (HashSet<usize>, usize) {
