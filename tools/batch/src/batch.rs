@@ -196,7 +196,7 @@ fn cost_key(version: &str, stage: Stage, settings: &str) -> String {
 /// Reads scenes, several at once. Those that a stop left out have no record.
 fn records(manifest: &Manifest, keys: &[String], root: &Path, stop: &AtomicBool) -> Result<Vec<Option<Record>>> {
     let scenes = &manifest.scenes;
-    let shared = Records::open(&root.join("hashes"))?;
+    let shared = Records::open(root)?;
     let next = AtomicUsize::new(0);
     let found: Mutex<Vec<Option<Result<Record>>>> = Mutex::new(scenes.iter().map(|_| None).collect());
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(scenes.len());

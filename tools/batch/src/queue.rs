@@ -5,6 +5,7 @@ use crate::error::{Result, failed};
 use crate::heart::Heart;
 use crate::lease::Lease;
 use crate::process::{Exit, Launch, Launcher, Phase};
+use crate::records::Records;
 use crate::result::{RunResult, State};
 use crate::store::{Claim, Record, Store};
 use crate::summary::Summary;
@@ -170,6 +171,9 @@ impl Queue<'_> {
             }
         }
         report.done = done - skipped;
+        if !report.stopped {
+            Records::remove(self.store.root());
+        }
         Ok(report)
     }
 }

@@ -12,6 +12,9 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
+/// Name of the folder below the directory of a batch.
+const FOLDER: &str = "hashes";
+
 /// What is known about a scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Record {
@@ -46,16 +49,18 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// Opens the folder; creates it if it is missing.
+    /// Opens the folder of a batch's directory; creates it if it is missing.
     ///
     /// # Errors
-    /// If the folder cannot be written.
-    pub fn open(folder: &Path) -> Result<Records> {
-        std::fs::create_dir_all(folder).map_err(failed("made", folder))?;
+    /// If the folder cannot be made.
+    pub fn open(root: &Path) -> Result<Records> {
+        let folder = root.join(FOLDER);
+        std::fs::create_dir_all(&folder).map_err(failed("made", &folder))?;
         let token = Holder::this_process().token;
-        let mut records = Records { folder: folder.to_owned(), started: 0, token };
+        let mut records = Records { folder, started: 0, token };
         let mark = records.temporary("start");
-        records.started = write_new(&mark, b"").map_err(failed("written", &mark))?;
+        // A batch that ends may have removed the folder. Then this worker believes no record.
+        records.started = write_new(&mark, b"").unwrap_or(u64::MAX);
         // A file that stays is ignored.
         let _ = std::fs::remove_file(&mark);
         Ok(records)
@@ -94,6 +99,16 @@ impl Records {
         made
     }
 
+    /// Removes the records of a batch's directory. A worker that still starts only loses time.
+    pub fn remove(root: &Path) {
+        // After the rename no other worker removes the same files.
+        let unique = root.join(format!(".{FOLDER}.{}", Holder::this_process().token));
+        if std::fs::rename(root.join(FOLDER), &unique).is_ok() {
+            // Files that stay have no effect.
+            let _ = std::fs::remove_dir_all(&unique);
+        }
+    }
+
     fn temporary(&self, name: &str) -> PathBuf {
         self.folder.join(format!(".{name}.{}.tmp", self.token))
     }
@@ -122,7 +137,7 @@ mod tests {
         put("one");
         // Times of some disks are coarse.
         let pause = || std::thread::sleep(Duration::from_millis(30));
-        let open = || Records::open(&folder.path().join("hashes")).unwrap();
+        let open = || Records::open(folder.path()).unwrap();
         let reads = Cell::new(0);
         let record = |records: &Records| {
             let costs = || {
@@ -156,5 +171,11 @@ mod tests {
         assert!(last.record("none", &folder.path().join("none"), BTreeMap::new).is_err());
         let names = std::fs::read_dir(folder.path().join("hashes")).unwrap().map(|e| e.unwrap().file_name());
         assert_eq!(names.collect::<Vec<_>>(), ["room.json"]);
+        // A worker that has started goes on without the folder.
+        Records::remove(folder.path());
+        Records::remove(folder.path());
+        assert_eq!(record(&last).digest(), second.digest());
+        let names = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name());
+        assert_eq!(names.filter(|n| n != "room" && n != "other").count(), 0);
     }
 }
