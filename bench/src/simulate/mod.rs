@@ -2,14 +2,16 @@
 
 pub mod disk;
 pub mod load;
+pub mod outcome;
 pub mod plan;
 pub mod queue;
 pub mod rehearse;
 pub mod sizes;
 
 use disk::Protocol;
+use outcome::Outcome;
 use plan::Plan;
-use queue::{Outcome, simulate};
+use queue::simulate;
 use serde::Serialize;
 
 /// Largest ratio of makespan and lower bound that counts as good.
