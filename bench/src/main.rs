@@ -12,6 +12,7 @@ mod harness;
 mod micro;
 mod process;
 mod report;
+mod simulate;
 mod stats;
 mod trainer;
 mod workload;
@@ -42,6 +43,8 @@ enum Command {
     Front(commands::tradeoff::again::Args),
     /// Measure the intrinsic stage with and without each of its optimizations.
     Savings(commands::savings::Args),
+    /// Simulate the queue of `sgs batch` for many rooms and devices.
+    Batch(Box<commands::batch::Args>),
     /// Measure peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
     Ceiling,
     /// Join reports of one device into one file.
@@ -74,6 +77,7 @@ fn main() {
         Command::Tradeoff(a) => commands::tradeoff::run(&cli.common, a),
         Command::Front(a) => commands::tradeoff::again::run(a),
         Command::Savings(a) => commands::savings::run(&cli.common, a),
+        Command::Batch(a) => commands::batch::run(&cli.common, a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
         Command::Join(a) => commands::results::join(a),
         Command::Table(a) => commands::results::print(a),

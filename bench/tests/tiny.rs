@@ -372,3 +372,58 @@ fn statistics_of_kernels_are_reported_or_refused() {
     assert!(error.ends_with(" reports no statistics of kernels; leave --kernels out.\n"), "{error}");
     assert!(out.stdout.is_empty());
 }
+
+/// Path of a file of the repository.
+fn repository(path: &str) -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join(path).display().to_string()
+}
+
+#[test]
+fn batch_of_ten_thousand_rooms_is_near_the_lower_bound() {
+    let times = repository("bench/results/batch/summary.jsonl");
+    let what = ["batch", "--simulate", "10000", "--devices", "256", "--times", &times, "--seed", "3"];
+    let figures = |more: &[&str]| succeeds(&[&what[..], more].concat())["figures"][0].clone();
+    let number = |f: &Value, key: &str| f[key].as_f64().unwrap();
+    // Measured times and rates; then runs of half an hour with cautious rates.
+    for more in [&[][..], &["--cautious", "--mean", "1800"]] {
+        let f = figures(more);
+        assert_eq!(number(&f, "done") + number(&f, "failed"), 10_000.0, "{f}");
+        assert!((1.0..1.1).contains(&number(&f, "ratio")), "{f}");
+        assert!(number(&f["loss"], "ratio") < 1.1 && f["loss"]["workers"] == 26, "{f}");
+        assert_eq!(f, figures(more), "one seed gave two results");
+        assert_ne!(f, figures(&[more, &["--distribution", "lognormal"]].concat()));
+    }
+    // The first version overloads the disk and stops training for its summaries.
+    let first = figures(&["--protocol", "first"]);
+    assert!(number(&first, "ratio") > 2.0 && first["broken"].is_string(), "{first}");
+    for (wrong, code, word) in [
+        (vec!["--failures", "temporary=2"], 1, "temporary is 2"),
+        (vec!["--failures", "sometimes=0.1"], 1, "unknown rate"),
+        (vec!["--failures", "none.toml"], 1, "cannot be read"),
+        (vec!["--mean=-1"], 2, "above 0"),
+        (vec!["--run", "nowhere"], 1, "nowhere"),
+    ] {
+        let out = bench(&[&what[..], &wrong].concat());
+        let message = String::from_utf8_lossy(&out.stderr);
+        assert!(out.status.code() == Some(code) && message.contains(word), "{wrong:?}: {message}");
+        assert!(out.stdout.is_empty() && !message.contains("panicked"), "{message}");
+    }
+}
+
+/// The real queue over sleeping processes trains each run once.
+#[test]
+fn rehearsed_queue_is_as_fast_as_simulated() {
+    let folder = tempfile::tempdir().unwrap();
+    let (times, root) = (repository("bench/results/batch/summary.jsonl"), folder.path().join("rehearsal"));
+    let root = root.to_str().unwrap();
+    let what = ["batch", "--simulate", "24", "--devices", "4", "--times", &times, "--mean", "0.5"];
+    let answer = succeeds(&[&what[..], &["--failures", "temporary=0.1", "--rehearse", root]].concat());
+    let (real, simulated) = (&answer["rehearsal"], &answer["figures"][0]);
+    assert_eq!(real["ended"], 24);
+    let bound = simulated["lower_bound"].as_f64().unwrap();
+    let end = real["end"].as_f64().unwrap();
+    assert!(end > bound && end < 10.0 * bound + 10.0, "{answer}");
+    let again = bench(&[&what[..], &["--rehearse", root]].concat());
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("name a new directory"));
+}

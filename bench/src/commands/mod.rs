@@ -1,5 +1,6 @@
 //! Commands, one file each.
 
+pub mod batch;
 pub mod ceiling;
 pub mod compile;
 pub mod intrinsic;

@@ -223,7 +223,7 @@ fn lost_device_is_tried_again() {
     let mut manifest = Manifest::read(&rooms.path("rooms.toml")).unwrap();
     manifest.evaluate = false;
     let stop = AtomicBool::new(false);
-    let batch = Batch::new(&manifest, "test", &stop).unwrap();
+    let batch = Batch::new(&manifest, "test", None, &stop).unwrap();
     let store = Store::open(&rooms.path("out"), Timing::EXPIRY).unwrap();
     batch.write_configs(store.root()).unwrap();
     let launcher = Losing { starts: Mutex::default(), losses: Arc::default() };

@@ -103,6 +103,11 @@ pub fn check_batch(root: &Path) -> anyhow::Result<()> {
     if root.join("results").is_dir() && root.join("leases").is_dir() {
         return Ok(());
     }
+    // Another command over the directory may be hashing the scenes, or was stopped while it did.
+    let own = ["hashes", "leases", "results", "runs", "variants"];
+    if root.join("hashes").is_dir() && entries(root).iter().all(|entry| own.contains(&entry.as_str())) {
+        return Ok(());
+    }
     if let Contents::Run(_) = check_kind(root, "a batch")? {
         refuse_usage!("\"{}\" is a run: name another directory for a batch.", root.display());
     }

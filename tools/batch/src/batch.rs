@@ -1,10 +1,13 @@
 //! Runs of a batch: each scene with each variant and each seed.
 
 use crate::error::{Result, failed, wrong};
-use crate::identity::{Digest, scene_digest};
-use crate::manifest::{Limits, Manifest, Stage, name_of};
+use crate::identity::Digest;
+use crate::manifest::{Limits, Manifest, Stage, Variant, name_of};
+use crate::records::{Record, Records};
 use sgs_config::Settings;
 use sgs_scene::Scene;
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -100,10 +103,12 @@ pub struct Batch {
 impl Batch {
     /// Expands a manifest. Reads all scenes to hash them. `version`: that of the program.
     ///
+    /// `root`: directory of the batch. Workers that start together over it share the reading. Without it nothing is
+    /// written.
+    ///
     /// # Errors
-    /// If a scene cannot be read, or settings cannot be written as TOML.
-    pub fn new(manifest: &Manifest, version: &str, stop: &AtomicBool) -> Result<Batch> {
-        let digests = digests(&manifest.scenes, stop)?;
+    /// If a scene cannot be read, the directory cannot be written, or settings cannot be written as TOML.
+    pub fn new(manifest: &Manifest, version: &str, root: Option<&Path>, stop: &AtomicBool) -> Result<Batch> {
         let mut configs = Vec::new();
         for variant in &manifest.variants {
             let text = config_text(&variant.settings)?;
@@ -114,12 +119,17 @@ impl Batch {
             let settings = variant.settings.clone();
             configs.push(Config { path: Path::new("variants").join(file), text, settings });
         }
+        let keys: Vec<String> = configs.iter().map(|config| cost_key(version, manifest.stage, &config.text)).collect();
+        let records = records(manifest, &keys, root, stop)?;
         let mut runs = Vec::new();
-        for (path, digest) in manifest.scenes.iter().zip(&digests) {
+        for (path, record) in manifest.scenes.iter().zip(&records) {
             let Some(scene) = name_of(path) else { return Err(wrong(path, "it has no name")) };
-            for (variant, config) in manifest.variants.iter().zip(&configs) {
-                let cost = cost(path, &config.settings, manifest.stage);
-                let plan_identity = identity(version, &config.text, manifest.stage, None, digest);
+            // A scene without a record was left out by the stop. The queue then starts nothing.
+            let digest = record.as_ref().and_then(Record::digest).unwrap_or_default();
+            for ((variant, config), key) in manifest.variants.iter().zip(&configs).zip(&keys) {
+                let known = record.as_ref().and_then(|r| r.cost(key));
+                let cost = known.unwrap_or_else(|| cost(path, &variant.settings, manifest.stage));
+                let plan_identity = identity(version, &config.text, manifest.stage, None, &digest);
                 for seed in &manifest.seeds {
                     runs.push(Run {
                         scene: scene.to_owned(),
@@ -127,7 +137,7 @@ impl Batch {
                         variant: variant.name.clone(),
                         seed: *seed,
                         config: config.path.clone(),
-                        identity: identity(version, &config.text, manifest.stage, Some(*seed), digest),
+                        identity: identity(version, &config.text, manifest.stage, Some(*seed), &digest),
                         plan_identity: plan_identity.clone(),
                         cost,
                     });
@@ -158,16 +168,16 @@ impl Batch {
     pub fn order(&self, shard: Option<Shard>) -> Vec<usize> {
         let Shard { index, count } = shard.unwrap_or(Shard { index: 0, count: 1 });
         let mut order: Vec<usize> = (0..self.runs.len()).filter(|i| i % count == index).collect();
-        order.sort_by_key(|i| std::cmp::Reverse(self.runs[*i].cost));
+        most_expensive_first(&mut order, |i| self.runs[i].cost);
         order
     }
 }
 
-/// Sorts indices of runs by their costs, most expensive first. Runs without a cost come last.
+/// Sorts indices of runs by descending cost. Equal costs keep their order.
 ///
 /// Long runs at the end would leave other devices idle.
-pub fn sort_by_cost(indices: &mut [usize], cost: impl Fn(usize) -> Option<f64>) {
-    indices.sort_by(|a, b| cost(*b).unwrap_or(-1.0).total_cmp(&cost(*a).unwrap_or(-1.0)));
+pub fn most_expensive_first(order: &mut [usize], cost: impl Fn(usize) -> u128) {
+    order.sort_by_key(|i| std::cmp::Reverse(cost(*i)));
 }
 
 /// Writes a text atomically, unless the file holds it.
@@ -197,28 +207,70 @@ fn identity(version: &str, settings: &str, stage: Stage, seed: Option<u64>, scen
     digest.to_string()
 }
 
-/// Hashes scenes, several at once.
-fn digests(scenes: &[PathBuf], stop: &AtomicBool) -> Result<Vec<Digest>> {
+/// Returns the name under which the record of a scene has the cost of a variant.
+fn cost_key(version: &str, stage: Stage, settings: &str) -> String {
+    let mut digest = Digest::new();
+    for field in [version, stage.name(), settings] {
+        digest.field(field.as_bytes());
+    }
+    digest.to_string()
+}
+
+/// Reads scenes, several at once. Those that a stop left out have no record.
+fn records(
+    manifest: &Manifest,
+    keys: &[String],
+    root: Option<&Path>,
+    stop: &AtomicBool,
+) -> Result<Vec<Option<Record>>> {
+    let scenes = &manifest.scenes;
+    let shared = root.map(Records::open).transpose()?;
     let next = AtomicUsize::new(0);
-    let found: Mutex<Vec<Option<Result<Digest>>>> = Mutex::new(scenes.iter().map(|_| None).collect());
+    let found: Mutex<Vec<Option<Result<Record>>>> = Mutex::new(scenes.iter().map(|_| None).collect());
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(scenes.len());
+    let random = RandomState::new().build_hasher().finish() as usize;
+    let read = |path: &Path| {
+        let of = |(variant, key): (&Variant, &String)| (key.clone(), cost(path, &variant.settings, manifest.stage));
+        let costs = || manifest.variants.iter().zip(keys).map(of).collect();
+        let name = name_of(path).ok_or_else(|| wrong(path, "it has no name"))?;
+        match &shared {
+            Some(shared) => shared.record(name, path, costs),
+            None => Record::read(path, costs),
+        }
+    };
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {
                 while !stop.load(Ordering::SeqCst) {
                     let i = next.fetch_add(1, Ordering::SeqCst);
-                    let Some(path) = scenes.get(i) else { break };
-                    let digest = scene_digest(path);
+                    if i >= scenes.len() {
+                        break;
+                    }
+                    // Workers that start together read in different orders, so that each reads a part.
+                    let i = scattered(i, random, scenes.len());
+                    let record = read(&scenes[i]);
                     if let Ok(mut found) = found.lock() {
-                        found[i] = Some(digest);
+                        found[i] = Some(record);
                     }
                 }
             });
         }
     });
-    // A scene without a hash was left out by the stop. The queue then starts nothing.
-    let found = found.into_inner().unwrap_or_default();
-    found.into_iter().map(|digest| digest.unwrap_or_else(|| Ok(Digest::new()))).collect()
+    found.into_inner().unwrap_or_default().into_iter().map(Option::transpose).collect()
+}
+
+/// Returns the `i`-th of `count` indices in an order that a random number selects.
+fn scattered(i: usize, random: usize, count: usize) -> usize {
+    let common = |mut a: usize, mut b: usize| {
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    };
+    // A step without a common factor visits each index once.
+    let first = 1 + random % count;
+    let step = (first..first + count).find(|step| common(*step, count) == 1).unwrap_or(1);
+    (random / count % count + i * (step % count.max(2))) % count
 }
 
 /// Estimates the cost of a run.
@@ -234,7 +286,6 @@ fn cost(path: &Path, settings: &Settings, stage: Stage) -> u128 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::manifest::Variant;
 
     /// Returns a run without a scene.
     pub(crate) fn run(scene: &str, seed: u64) -> Run {
@@ -277,7 +328,10 @@ pub(crate) mod tests {
             manifest
         };
         let of = |version: &str, change: &dyn Fn(&mut Manifest)| {
-            Batch::new(&manifest(change), version, &AtomicBool::new(false)).unwrap().runs[0].identity.clone()
+            let out = folder.path().join("out");
+            Batch::new(&manifest(change), version, Some(&out), &AtomicBool::new(false)).unwrap().runs[0]
+                .identity
+                .clone()
         };
         let base = of("1", &|_| {});
         assert_eq!(base.len(), 32);
@@ -289,6 +343,22 @@ pub(crate) mod tests {
         assert_ne!(of("1", &|m| m.variants[0].settings.geometry.steps += 1), base);
         std::fs::write(scene.join("cameras.txt"), "onf").unwrap();
         assert_ne!(of("1", &|_| {}), base);
+    }
+
+    #[test]
+    fn scattered_order_visits_each_index_once() {
+        for count in [1, 2, 3, 4, 12, 97, 1000] {
+            let orders: Vec<Vec<usize>> = [0, 1, 7, 12_345, usize::MAX]
+                .iter()
+                .map(|r| (0..count).map(|i| scattered(i, *r, count)).collect())
+                .collect();
+            for order in &orders {
+                let mut sorted = order.clone();
+                sorted.sort_unstable();
+                assert!(sorted.into_iter().eq(0..count), "{count}: {order:?}");
+            }
+            assert!(count < 12 || orders[2] != orders[3]);
+        }
     }
 
     #[test]

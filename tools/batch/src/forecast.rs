@@ -41,6 +41,11 @@ impl Forecast {
         (forecast.identity == run.plan_identity).then_some(forecast)
     }
 
+    /// Returns the cost that runs are ordered by.
+    pub fn cost(&self) -> u128 {
+        self.operations as u128
+    }
+
     pub(crate) fn write(&self, root: &Path, run: &Run) -> Result<()> {
         write_if_changed(&path(root, run, "json"), &serde_json::to_string(self).unwrap_or_default())
     }

@@ -24,6 +24,11 @@ impl Digest {
         Digest(BASIS)
     }
 
+    /// Parses the text of a hash.
+    pub(crate) fn parse(text: &str) -> Option<Digest> {
+        (text.len() == 32).then(|| u128::from_str_radix(text, 16).ok().map(Digest)).flatten()
+    }
+
     /// Adds bytes.
     pub fn add(&mut self, bytes: &[u8]) {
         for byte in bytes {

@@ -7,6 +7,7 @@
 use crate::error::{Result, failed};
 use crate::holder::Holder;
 use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -66,8 +67,12 @@ impl Lease {
     }
 
     /// Returns whether this lease is still the valid one.
+    ///
+    /// Each generation follows the one before, so that asking for the next one is enough. A listing would grow with the
+    /// number of workers.
     pub fn is_valid(&self) -> bool {
-        self.is_own() && highest(&self.folder, &self.key).is_ok_and(|found| found <= Some(self.generation))
+        let next = path(&self.folder, &self.key, self.generation + 1);
+        self.is_own() && matches!(next.try_exists(), Ok(false))
     }
 
     /// Renews the lease. Returns false if it is no longer valid.
@@ -93,8 +98,12 @@ impl Lease {
     }
 
     /// Removes the files of this generation and earlier ones.
+    ///
+    /// Earlier ones first: while a file exists, the file of the next generation also does.
     pub(crate) fn remove(self) {
-        for generation in generations(&self.folder, &self.key).unwrap_or_default() {
+        let mut all = generations(&self.folder, &self.key).unwrap_or_default();
+        all.sort_unstable();
+        for generation in all {
             if generation <= self.generation {
                 // A file that stays is ignored: the run has a result.
                 let _ = std::fs::remove_file(path(&self.folder, &self.key, generation));
@@ -151,14 +160,28 @@ fn generations(folder: &Path, key: &str) -> Result<Vec<u64>> {
     Ok(found)
 }
 
-fn highest(folder: &Path, key: &str) -> Result<Option<u64>> {
-    Ok(generations(folder, key)?.into_iter().max())
+/// Lists the highest generation of each run that has a lease, by the run's key.
+pub(crate) fn list(folder: &Path) -> Result<HashMap<String, u64>> {
+    let mut found = HashMap::new();
+    for entry in std::fs::read_dir(folder).map_err(failed("read", folder))? {
+        let name = entry.map_err(failed("read", folder))?.file_name();
+        let parts = name.to_str().and_then(|n| n.strip_suffix(".json")?.rsplit_once('.'));
+        let Some((key, generation)) = parts.and_then(|(key, g)| Some((key, g.parse::<u64>().ok()?))) else { continue };
+        let highest = found.entry(key.to_owned()).or_insert(generation);
+        *highest = generation.max(*highest);
+    }
+    Ok(found)
+}
+
+/// Reads the lease of a generation; `None` if it is absent.
+pub(crate) fn read(folder: &Path, key: &str, generation: u64) -> Option<Vec<u8>> {
+    std::fs::read(path(folder, key, generation)).ok()
 }
 
 /// Reads the lease of the highest generation, if any.
 pub(crate) fn latest(folder: &Path, key: &str) -> Result<Option<Found>> {
-    let Some(generation) = highest(folder, key)? else { return Ok(None) };
+    let Some(generation) = generations(folder, key)?.into_iter().max() else { return Ok(None) };
     // The holder may have removed the file since; then its bytes are empty, and the next look finds none.
-    let bytes = std::fs::read(path(folder, key, generation)).unwrap_or_default();
+    let bytes = read(folder, key, generation).unwrap_or_default();
     Ok(Some(Found { generation, bytes }))
 }

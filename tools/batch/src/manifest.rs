@@ -82,6 +82,12 @@ pub struct Manifest {
     pub limits: Limits,
 }
 
+impl Default for Limits {
+    fn default() -> Self {
+        Limits { retries: 2, timeout: None, memory_budget: None }
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -117,7 +123,7 @@ struct LimitTable {
 
 impl Default for LimitTable {
     fn default() -> Self {
-        LimitTable { retries: 2, timeout: None, memory_budget: None }
+        LimitTable { retries: Limits::default().retries, timeout: None, memory_budget: None }
     }
 }
 

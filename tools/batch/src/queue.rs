@@ -1,59 +1,26 @@
 //! Workers of a batch: claim runs, supervise the processes that train them, write results.
 
 mod attempts;
+mod pass;
 mod planning;
 
 use crate::admission::{Admission, Demand, DeviceMemory, Permit};
-use crate::batch::{Batch, Run, Shard, sort_by_cost};
+use crate::batch::{Batch, Run, Shard, most_expensive_first};
 use crate::error::Result;
 use crate::forecast::Forecast;
 use crate::heart::Heart;
 use crate::lease::Lease;
 use crate::process::{Exit, Launcher};
+use crate::records::Records;
 use crate::result::{RunResult, State};
 use crate::store::{Claim, Store};
 use crate::summary::Summary;
-use std::sync::atomic::{AtomicBool, Ordering};
+use crate::timing::Timing;
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
-
-/// Intervals of a queue.
-#[derive(Clone, Copy, Debug)]
-pub struct Timing {
-    /// Interval of renewals of a lease.
-    pub heartbeat: Duration,
-    /// Time without a renewal after which the holder lets a run go.
-    pub give_up: Duration,
-    /// Interval at which a process is polled.
-    pub poll: Duration,
-    /// Interval at which runs of other workers are polled.
-    pub idle: Duration,
-    /// Delay of the first retry; each further one doubles it.
-    pub delay: Duration,
-    /// Longest delay of a retry.
-    pub longest_delay: Duration,
-    /// Time from the request to end until a process is killed.
-    pub grace: Duration,
-}
-
-impl Timing {
-    /// Time without a renewal after which other workers take a run over; for [`Store::open`].
-    pub const EXPIRY: Duration = Duration::from_secs(15);
-}
-
-impl Default for Timing {
-    fn default() -> Self {
-        Timing {
-            heartbeat: Duration::from_secs(2),
-            give_up: Duration::from_secs(8),
-            poll: Duration::from_millis(50),
-            idle: Duration::from_millis(500),
-            delay: Duration::from_secs(1),
-            longest_delay: Duration::from_secs(60),
-            grace: Duration::from_secs(30),
-        }
-    }
-}
+use std::time::{Duration, Instant};
 
 /// Event of a queue, for people.
 #[derive(Clone, Debug)]
@@ -146,6 +113,8 @@ struct Shared<'a> {
     /// Memory of each worker's device, if known.
     devices: Vec<Option<DeviceMemory>>,
     admission: Admission,
+    /// Position of the next look at leases of others.
+    cursor: AtomicUsize,
 }
 
 /// How the attempts of a run ended.
@@ -179,9 +148,13 @@ impl Queue<'_> {
         let mut slots = vec![Slot::Open; self.batch.runs.len()];
         let mut again = vec![None; slots.len()];
         let mut skipped = 0;
+        let there = self.store.result_keys()?;
         for &i in &order {
             let run = &self.batch.runs[i];
-            let Some(result) = self.store.result(run).filter(|r| r.answers(run, self.batch.evaluate)) else { continue };
+            if !there.contains(&run.key()) {
+                continue;
+            }
+            let Some(result) = self.store.answer(run, self.batch.evaluate) else { continue };
             let retry = self.retry_failed || self.retry_temporary && result.is_temporary();
             if result.state == State::Failed && retry {
                 again[i] = Some(result);
@@ -203,11 +176,13 @@ impl Queue<'_> {
             forecasts: Vec::new(),
             devices: (0..jobs).map(|worker| self.launcher.device(worker)).collect(),
             admission: Admission::default(),
+            // Workers that start together look at different leases first.
+            cursor: AtomicUsize::new(RandomState::new().build_hasher().finish() as usize),
         };
         shared.forecasts = shared.forecasts()?;
         let forecasts = &shared.forecasts;
         // Without any forecast, the order by the estimate stays.
-        sort_by_cost(&mut shared.order, |i| forecasts[i].as_ref().map(|forecast| forecast.operations));
+        most_expensive_first(&mut shared.order, |i| forecasts[i].as_ref().map_or(0, Forecast::cost));
         let errors: Vec<_> = std::thread::scope(|scope| {
             let shared = &shared;
             let jobs: Vec<_> = (0..jobs).map(|worker| scope.spawn(move || shared.job(worker))).collect();
@@ -217,7 +192,7 @@ impl Queue<'_> {
             return Err(error);
         }
         let storage = lock(&shared.storage).take();
-        match shared.summarize() {
+        match shared.summarize(true) {
             // The first error is the one to report.
             Err(_) if storage.is_some() => {}
             written => written?,
@@ -235,6 +210,9 @@ impl Queue<'_> {
             }
         }
         report.done = done - skipped;
+        if !report.stopped {
+            Records::remove(self.store.root());
+        }
         Ok(report)
     }
 }
@@ -260,8 +238,12 @@ impl Shared<'_> {
                 break;
             }
             drop(all);
-            if !self.work_once(worker)? {
-                std::thread::sleep(self.queue.timing.idle);
+            if let Some(held) = self.work_once(worker)? {
+                let begun = Instant::now();
+                let delay = self.queue.timing.idle_delay(held);
+                while begun.elapsed() < delay && !self.stopping() {
+                    std::thread::sleep(self.queue.timing.idle.min(delay));
+                }
             }
         }
         Ok(())
@@ -274,41 +256,9 @@ impl Shared<'_> {
                 let limit = self.queue.batch.limits.memory_budget.unwrap_or(u64::MAX);
                 Demand::Bytes(forecast.bytes.min(limit))
             }
+            // Where no run has a forecast, no device is shared.
             None => Demand::Alone,
         }
-    }
-
-    /// Trains the first free run that the worker's device admits. Returns false if there is none.
-    fn work_once(&self, worker: usize) -> Result<bool> {
-        for &i in &self.order {
-            if self.stopping() {
-                return Ok(true);
-            }
-            let permit = {
-                let mut slots = lock(&self.slots);
-                if !matches!(slots[i], Slot::Open) {
-                    continue;
-                }
-                let device = self.devices[worker].as_ref();
-                let permit = device.map(|device| self.admission.admit(device, self.demand(i)));
-                if matches!(permit, Some(None)) {
-                    continue;
-                }
-                slots[i] = Slot::Working;
-                permit.flatten()
-            };
-            let (slot, worked) = self.claim(i, worker, permit)?;
-            let ended = {
-                let mut slots = lock(&self.slots);
-                slots[i] = slot;
-                self.order.iter().filter(|i| matches!(slots[**i], Slot::Ended(_))).count()
-            };
-            if worked {
-                self.ended(i, ended)?;
-                return Ok(true);
-            }
-        }
-        Ok(false)
     }
 
     /// Claims a run and trains it. Returns its new state, and whether this job trained it.
@@ -333,7 +283,10 @@ impl Shared<'_> {
 
     /// Reports the end of a run and updates the summary. `ended`: number of runs that had ended then.
     fn ended(&self, i: usize, ended: usize) -> Result<()> {
-        self.summarize()?;
+        let Queue { store, batch, timing, .. } = self.queue;
+        if !store.has_fresh_summary(&batch.runs[i], timing.summary_interval(batch.runs.len())) {
+            self.summarize(false)?;
+        }
         let slots = lock(&self.slots);
         if let Slot::Ended(result) = &slots[i] {
             (self.queue.progress)(&Progress::Ended { result, ended, total: self.order.len() });
@@ -341,12 +294,12 @@ impl Shared<'_> {
         Ok(())
     }
 
-    fn summarize(&self) -> Result<()> {
+    fn summarize(&self, last: bool) -> Result<()> {
         if !self.queue.summarize {
             return Ok(());
         }
         let _one = lock(&self.summary);
-        Summary::update(self.queue.store, self.queue.batch)
+        Summary::update(self.queue.store, self.queue.batch, last)
     }
 
     /// Trains a held run. Returns its result; `None` if the queue was stopped or the lease was lost.

@@ -3,12 +3,12 @@
 use crate::batch::{Run, write_if_changed};
 use crate::error::{Result, failed};
 use crate::lease::{self, Content, Lease};
-use crate::result::RunResult;
+use crate::result::{RunResult, State};
 use serde::{Deserialize, Serialize};
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 /// Directory of a batch, as one worker sees it.
 #[derive(Debug)]
@@ -17,6 +17,8 @@ pub struct Store {
     expiry: Duration,
     /// Content of each lease and when it was first seen, by run.
     seen: Mutex<HashMap<String, (Vec<u8>, Instant)>>,
+    /// Done results that this worker has read, by run. A done result that answers its run never changes.
+    ended: Mutex<HashMap<String, RunResult>>,
 }
 
 /// Answer to a claim.
@@ -58,7 +60,7 @@ impl Store {
 
     /// Names the directory of a batch, which may be missing. Writes nothing.
     pub fn at(root: &Path, expiry: Duration) -> Store {
-        Store { root: root.to_owned(), expiry, seen: Mutex::default() }
+        Store { root: root.to_owned(), expiry, seen: Mutex::default(), ended: Mutex::default() }
     }
 
     /// Returns the directory.
@@ -97,6 +99,58 @@ impl Store {
         serde_json::from_slice(&std::fs::read(self.result_path(run)).ok()?).ok()
     }
 
+    /// Returns the result that answers a run, if any. Reads a done one from the disk once.
+    pub(crate) fn answer(&self, run: &Run, evaluate: bool) -> Option<RunResult> {
+        let key = run.key();
+        let ended = || self.ended.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(known) = ended().get(&key).filter(|r| r.answers(run, evaluate)) {
+            return Some(known.clone());
+        }
+        let result = self.result(run).filter(|r| r.answers(run, evaluate))?;
+        if result.state == State::Done {
+            ended().insert(key, result.clone());
+        }
+        Some(result)
+    }
+
+    /// Lists the keys of all runs that have a result, of any identity.
+    ///
+    /// # Errors
+    /// If the directory cannot be read.
+    pub(crate) fn result_keys(&self) -> Result<HashSet<String>> {
+        let folder = self.results();
+        let mut keys = HashSet::new();
+        for entry in std::fs::read_dir(&folder).map_err(failed("read", &folder))? {
+            let name = entry.map_err(failed("read", &folder))?.file_name();
+            keys.extend(name.to_str().and_then(|n| n.strip_suffix(".json")).map(str::to_owned));
+        }
+        Ok(keys)
+    }
+
+    /// Lists the generation of the lease of each run that has one, by the run's key.
+    ///
+    /// # Errors
+    /// If the directory cannot be read.
+    pub(crate) fn leased(&self) -> Result<HashMap<String, u64>> {
+        lease::list(&self.leases())
+    }
+
+    /// Returns whether a listed lease is there and not known to be free.
+    pub(crate) fn is_busy(&self, run: &Run, generation: u64) -> bool {
+        let key = run.key();
+        lease::read(&self.leases(), &key, generation).is_some_and(|bytes| !self.is_free(&key, &bytes))
+    }
+
+    /// Returns whether the summary is about as new as the result of a run.
+    ///
+    /// Both times are those of the shared disk: the clocks of several machines differ.
+    pub(crate) fn has_fresh_summary(&self, run: &Run, interval: Duration) -> bool {
+        let written = |path: &Path| std::fs::metadata(path).and_then(|m| m.modified()).ok();
+        let distance = |a: SystemTime, b: SystemTime| a.duration_since(b).unwrap_or_else(|e| e.duration());
+        let times = written(&self.root.join("summary.jsonl")).zip(written(&self.result_path(run)));
+        times.is_some_and(|(summary, result)| distance(summary, result) < interval)
+    }
+
     /// Claims a run for this worker.
     ///
     /// `again`: failed result that the worker may replace by another attempt.
@@ -104,7 +158,7 @@ impl Store {
     /// # Errors
     /// If the directory cannot be read or written.
     pub fn claim(&self, run: &Run, evaluate: bool, again: Option<&RunResult>) -> Result<Claim> {
-        let ended = || self.result(run).filter(|r| r.answers(run, evaluate) && again != Some(r));
+        let ended = || self.answer(run, evaluate).filter(|r| again != Some(r));
         if let Some(result) = ended() {
             return Ok(Claim::Ended(Box::new(result)));
         }
@@ -296,6 +350,46 @@ mod tests {
         // A damaged file names no process and expires.
         std::fs::write(folder.path().join("leases").join(format!("{}.3.json", run.key())), "{").unwrap();
         assert!(matches!(store.claim(&run, false, None).unwrap(), Claim::Busy));
+    }
+
+    #[test]
+    fn done_answers_are_read_once_and_failed_ones_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path(), LONG).unwrap();
+        let (done_run, failed_run) = (run("a", 0), run("b", 0));
+        let put = |run: &Run, result: &RunResult| {
+            std::fs::write(store.result_path(run), serde_json::to_string(result).unwrap()).unwrap();
+        };
+        assert_eq!(store.answer(&done_run, false), None);
+        put(&done_run, &done(&done_run));
+        put(&failed_run, &RunResult::of(&failed_run));
+        assert_eq!(store.answer(&done_run, false), Some(done(&done_run)));
+        assert_eq!(store.answer(&failed_run, false).unwrap().state, State::Failed);
+        // Another worker trained the failed run again.
+        put(&failed_run, &done(&failed_run));
+        assert_eq!(store.answer(&failed_run, false), Some(done(&failed_run)));
+        std::fs::write(store.result_path(&done_run), "{").unwrap();
+        assert_eq!(store.answer(&done_run, false), Some(done(&done_run)));
+        // A known result answers neither another identity nor a request for an evaluation.
+        assert_eq!(store.answer(&Run { identity: "changed".into(), ..done_run.clone() }, false), None);
+        assert_eq!(store.answer(&done_run, true), None);
+        let keys = store.result_keys().unwrap();
+        assert!(keys.len() == 2 && keys.contains(&done_run.key()));
+    }
+
+    #[test]
+    fn leases_are_listed_by_run_with_their_highest_generation() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path(), LONG).unwrap();
+        for (scene, generation) in [("a.1", 1), ("a.1", 2), ("a", 10)] {
+            Lease::create(&store.leases(), &run(scene, 0).key(), generation).unwrap().unwrap();
+        }
+        for other in [".x.fast.seed0.3.token.tmp", "note.txt", "a.fast.seed0.x.json"] {
+            std::fs::write(store.leases().join(other), "").unwrap();
+        }
+        let expected = [(run("a.1", 0).key(), 2), (run("a", 0).key(), 10)];
+        assert_eq!(store.leased().unwrap(), HashMap::from(expected));
+        assert!(store.is_busy(&run("a", 0), 10) && !store.is_busy(&run("a", 0), 9));
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! Summary of a batch, rebuilt from its results: `summary.jsonl`, `summary.md`, `summary.html`.
 
-use crate::batch::{Batch, write_if_changed};
+use crate::batch::{Batch, Run, write_if_changed};
 use crate::error::Result;
 use crate::result::{RunResult, State};
 use crate::store::Store;
 use sgs_report::escape;
+use std::collections::HashMap;
 use std::fmt::Write as _;
 
 /// Column of the tables.
@@ -49,21 +50,32 @@ struct Table {
 
 impl Summary {
     /// Reads the results of a batch.
-    pub fn read(store: &Store, batch: &Batch) -> Summary {
-        let of = |run| store.result(run).filter(|r| r.answers(run, batch.evaluate));
-        Summary { results: batch.runs.iter().filter_map(of).collect(), total: batch.runs.len() }
+    ///
+    /// Lists the results and reads those that the store has not read before.
+    ///
+    /// # Errors
+    /// If the results cannot be listed.
+    pub fn read(store: &Store, batch: &Batch) -> Result<Summary> {
+        let there = store.result_keys()?;
+        let of = |run: &Run| there.contains(&run.key()).then(|| store.answer(run, batch.evaluate)).flatten();
+        Ok(Summary { results: batch.runs.iter().filter_map(of).collect(), total: batch.runs.len() })
     }
 
     /// Writes the summary of all results. Leaves equal files as they are.
     ///
+    /// `last`: whether the worker writes no further summary. Only then the files are complete for certain.
+    ///
     /// # Errors
-    /// If a file cannot be written.
-    pub fn update(store: &Store, batch: &Batch) -> Result<()> {
-        let mut summary = Summary::read(store, batch);
+    /// If the results cannot be listed, or a file cannot be written.
+    pub fn update(store: &Store, batch: &Batch, last: bool) -> Result<()> {
+        let mut summary = Summary::read(store, batch)?;
         // Another worker may have written a result meanwhile, and its summary before this one.
         loop {
             summary.write(store)?;
-            let now = Summary::read(store, batch);
+            if !last {
+                return Ok(());
+            }
+            let now = Summary::read(store, batch)?;
             if now == summary {
                 return Ok(());
             }
@@ -119,16 +131,16 @@ impl Summary {
             head: words(&["scene", "variant", "seed", "state"]).into_iter().chain(headings()).collect(),
             rows: rows.collect(),
         };
-        let mut groups: Vec<(&str, &str)> = Vec::new();
+        let mut groups: Vec<Vec<&RunResult>> = Vec::new();
+        let mut places: HashMap<(&str, &str), usize> = HashMap::new();
         for result in &done {
-            let group = (result.scene.as_str(), result.variant.as_str());
-            if !groups.contains(&group) {
-                groups.push(group);
+            let place = *places.entry((&result.scene, &result.variant)).or_insert(groups.len());
+            if place == groups.len() {
+                groups.push(Vec::new());
             }
+            groups[place].push(result);
         }
-        let spread = |(scene, variant): (&str, &str)| {
-            let of: Vec<&&RunResult> =
-                done.iter().filter(|r| (r.scene.as_str(), r.variant.as_str()) == (scene, variant)).collect();
+        let spread = |of: Vec<&RunResult>| {
             let cells = columns.iter().map(|c| {
                 let values = sorted(of.iter().filter_map(|r| (c.value)(r)).collect());
                 let digits = c.digits;
@@ -140,7 +152,7 @@ impl Summary {
                     _ => cell(median(&values), digits),
                 }
             });
-            let start = [scene.to_owned(), variant.to_owned(), of.len().to_string()];
+            let start = [of[0].scene.clone(), of[0].variant.clone(), of.len().to_string()];
             start.into_iter().chain(cells).collect()
         };
         let medians = Table {

@@ -108,7 +108,7 @@ impl Shared<'_> {
                 result.read_run(&directory);
                 return Ok(Outcome::Result(Box::new(result)));
             }
-            let delay = self.delay(if locked { waits } else { retries });
+            let delay = self.queue.timing.retry_delay(if locked { waits } else { retries });
             (self.queue.progress)(&Progress::Again { name: run.name(), reason: error, delay });
             self.pause(delay, heart);
         }
@@ -126,12 +126,6 @@ impl Shared<'_> {
             std::thread::sleep(self.queue.timing.poll);
         }
         None
-    }
-
-    /// Returns the delay before the `n`-th retry.
-    fn delay(&self, n: u32) -> Duration {
-        let Timing { delay, longest_delay, .. } = self.queue.timing;
-        delay.saturating_mul(1 << n.saturating_sub(1).min(16)).min(longest_delay)
     }
 
     /// Waits, unless the queue is stopped or the lease is lost.

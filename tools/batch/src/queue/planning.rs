@@ -5,6 +5,7 @@ use crate::batch::Run;
 use crate::error::{Result, failed};
 use crate::forecast::{self, Forecast};
 use crate::process::{Launch, Phase};
+use std::collections::HashSet;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
@@ -12,8 +13,9 @@ use std::time::Instant;
 impl Shared<'_> {
     /// Forecasts the open runs; one process for all seeds of a scene and variant, several side by side.
     ///
-    /// Returns the forecasts by index of the run. None are made if a single worker has runs of one kind only: there is
-    /// nothing to order or to admit. A run that cannot be planned has none; its training says why.
+    /// Returns the forecasts by index of the run. None are made where no two workers share a device: then nothing is
+    /// admitted by memory, and the estimated cost is enough for the order. A run that cannot be planned has none; its
+    /// training says why.
     pub(super) fn forecasts(&self) -> Result<Vec<Option<Forecast>>> {
         let (batch, root) = (self.queue.batch, self.queue.store.root());
         let open: Vec<usize> = {
@@ -26,7 +28,9 @@ impl Shared<'_> {
         kinds.dedup_by_key(|i| (&batch.runs[*i].scene, &batch.runs[*i].variant));
         kinds.sort_unstable();
         let mut forecasts = vec![None; batch.runs.len()];
-        if kinds.len() <= 1 && self.queue.jobs <= 1 {
+        let known = self.devices.iter().flatten();
+        let distinct: HashSet<&str> = known.clone().map(|device| device.uuid.as_str()).collect();
+        if known.count() == distinct.len() {
             return Ok(forecasts);
         }
         let (next, errors) = (AtomicUsize::new(0), Mutex::new(Vec::new()));

@@ -357,7 +357,8 @@ fn queues_over_one_directory_train_each_run_once() {
 
 /// Returns a batch of runs in scenes of these names.
 fn scenes(names: &[&str]) -> Batch {
-    batch(names.iter().map(|name| run(name, 0)).collect())
+    let costs = (0..).zip(names).map(|(i, name)| Run { cost: [1, 3, 2, 0][i], ..run(name, 0) });
+    batch(costs.collect())
 }
 
 const WHILE: Duration = Duration::from_millis(30);
@@ -380,7 +381,7 @@ fn expensive_runs_start_first_and_share_the_device_while_they_fit() {
         assert_eq!(setup.work(&launcher).done, 4);
         assert_eq!(launcher.most_at_once(), most, "{memory} bytes, {jobs} jobs");
         if jobs == 1 {
-            // A run without a forecast comes last.
+            // By the estimate: nothing is planned for a single job.
             let names: Vec<_> = launcher.starts().into_iter().map(|s| s.0).collect();
             assert_eq!(names, ["large", "middle", "small", "broken"].map(|scene| format!("{scene}/fast/seed0")));
         }
@@ -457,4 +458,60 @@ fn full_disk_stops_the_queue_and_fails_no_run() {
     assert!((0..3).all(|i| setup.result(i).is_none()) && launcher.starts().len() <= 2);
     let report = setup.work(&Pretender::new(&|_, _| Act::End(Some(0), "")));
     assert_eq!((report.done, report.stopped, report.storage), (3, false, None));
+}
+
+#[test]
+fn many_dead_leases_are_all_taken_over() {
+    let setup = Setup::new(Timing::LOOKS as u64 + 40);
+    let expiry = Duration::from_millis(150);
+    let other = Store::open(setup.folder.path(), expiry).unwrap();
+    // Another worker holds all runs and never renews its leases.
+    for run in &setup.batch.runs {
+        assert!(matches!(other.claim(run, false, None).unwrap(), Claim::Held(_)));
+    }
+    let begun = Instant::now();
+    let script = |_: &Launch<'_>, _: usize| {
+        assert!(begun.elapsed() >= expiry, "taken over after {:?}", begun.elapsed());
+        Act::End(Some(0), "")
+    };
+    let launcher = Pretender::new(&script);
+    let store = Store::open(setup.folder.path(), expiry).unwrap();
+    let queue = Queue {
+        store: &store,
+        batch: &setup.batch,
+        launcher: &launcher,
+        stop: &setup.stop,
+        progress: &|_| {},
+        jobs: 2,
+        retry_failed: false,
+        retry_temporary: false,
+        summarize: true,
+        shard: None,
+        timing: QUICK,
+    };
+    let report = queue.work().unwrap();
+    assert_eq!((report.done, setup.leases()), (Timing::LOOKS + 40, 0));
+    let mut names: Vec<_> = launcher.starts().into_iter().map(|s| s.0).collect();
+    names.sort();
+    names.dedup();
+    assert_eq!((names.len(), launcher.starts().len()), (Timing::LOOKS + 40, Timing::LOOKS + 40));
+}
+
+#[test]
+fn summaries_are_written_at_intervals_and_at_the_end() {
+    // The interval of 400 runs is 4 s, longer than the test.
+    let mut setup = Setup::new(400);
+    setup.jobs = 4;
+    let path = setup.folder.path().join("summary.jsonl");
+    let lines = || std::fs::read_to_string(&path).unwrap_or_default().lines().count();
+    let seen = Mutex::new(std::collections::BTreeSet::new());
+    let script = |_: &Launch<'_>, _: usize| {
+        lock(&seen).insert(lines());
+        Act::End(Some(0), "")
+    };
+    let begun = Instant::now();
+    let report = setup.work(&Pretender::new(&script));
+    assert_eq!((report.done, lines()), (400, 400));
+    let written = lock(&seen).iter().filter(|n| **n > 0).count() as u64;
+    assert!((1..=1 + 2 * (1 + begun.elapsed().as_secs() / 4) + 4).contains(&written), "{seen:?}");
 }

@@ -86,7 +86,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let baseline = a.baseline.as_deref().map(Baseline::read).transpose()?;
     output::check_batch(&a.output)?;
     let stop = Stop::on_signals()?;
-    let mut batch = Batch::new(&manifest, env!("CARGO_PKG_VERSION"), &stop)?;
+    let shown = a.list || a.slurm.is_some();
+    let root = (!shown).then_some(a.output.as_path());
+    let mut batch = Batch::new(&manifest, env!("CARGO_PKG_VERSION"), root, &stop)?;
     let stopped = || stop.failure(format!("stopped in {}; the same command goes on from there", a.output.display()));
     // Then scenes may be without their hashes.
     if stop.load(Ordering::SeqCst) {
@@ -157,7 +159,7 @@ fn finish(
         return Err(failure(Kind::Terminated, format!("{open} of {runs} runs have no result; train them first")));
     }
     if let Some(baseline) = baseline {
-        match baseline.compare(&Summary::read(store, batch).results, a.tolerance) {
+        match baseline.compare(&Summary::read(store, batch)?.results, a.tolerance) {
             Verdict::Worse(text) => return Err(failure(Kind::Failed, format!("{text}."))),
             Verdict::Passed(count) if !common.quiet => {
                 say(format_args!("{count} values are within {} dB", a.tolerance))
@@ -197,8 +199,8 @@ fn kind_of(failed: &[RunResult]) -> Kind {
 
 /// Writes the summary of the existing results. Returns the state of the runs.
 fn summarize(store: &Store, batch: &Batch) -> anyhow::Result<Report> {
-    Summary::update(store, batch)?;
-    let results = Summary::read(store, batch).results;
+    Summary::update(store, batch, true)?;
+    let results = Summary::read(store, batch)?.results;
     let mut report = Report { runs: batch.runs.len(), stopped: results.len() < batch.runs.len(), ..Report::default() };
     for result in results {
         match result.state {
