@@ -23,7 +23,8 @@ def as_array(value: ArrayLike, shape: tuple[Optional[int], ...], name: str, dtyp
         array = np.ascontiguousarray(value, dtype=dtype).reshape(np.shape(value))
     except (TypeError, ValueError) as error:
         raise usage(f"{name} is not an array of numbers: {error}.") from error
-    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape)):
+    sides = zip(shape, array.shape)
+    if array.ndim != len(shape) or any(want is not None and want != have for want, have in sides):
         text = " × ".join("N" if side is None else str(side) for side in shape)
         raise usage(f"{name} has the shape {array.shape}, but must be {text}.")
     return array
