@@ -20,10 +20,11 @@ def as_array(value: ArrayLike, shape: tuple[Optional[int], ...], name: str, dtyp
         except (BufferError, RuntimeError, TypeError) as error:
             raise usage(f"{name} cannot be read by DLPack: {error}; pass an array in the memory of the processor.") from error
     try:
-        array = np.ascontiguousarray(value, dtype=dtype).reshape(np.shape(value))
+        array: np.ndarray = np.ascontiguousarray(value, dtype=dtype).reshape(np.shape(value))
     except (TypeError, ValueError) as error:
         raise usage(f"{name} is not an array of numbers: {error}.") from error
-    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape)):
+    found: tuple[int, ...] = array.shape
+    if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, found)):
         text = " × ".join("N" if side is None else str(side) for side in shape)
         raise usage(f"{name} has the shape {array.shape}, but must be {text}.")
     return array
