@@ -45,6 +45,8 @@ enum Command {
     Savings(commands::savings::Args),
     /// Simulate the queue of `sgs batch` for many rooms and devices.
     Batch(Box<commands::batch::Args>),
+    /// Train several rooms at a time on one device: as processes and in one process.
+    Rooms(commands::rooms::Args),
     /// Measure peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
     Ceiling,
     /// Join reports of one device into one file.
@@ -78,6 +80,7 @@ fn main() {
         Command::Front(a) => commands::tradeoff::again::run(a),
         Command::Savings(a) => commands::savings::run(&cli.common, a),
         Command::Batch(a) => commands::batch::run(&cli.common, a),
+        Command::Rooms(a) => commands::rooms::run(&cli.common, a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
         Command::Join(a) => commands::results::join(a),
         Command::Table(a) => commands::results::print(a),
