@@ -140,17 +140,17 @@ fn killed_batch_goes_on_with_the_same_bits() {
         let log = rooms.path(&format!("out/runs/kitchen/tiny/seed{seed}/log.jsonl"));
         std::fs::read_to_string(log).unwrap_or_default().lines().count()
     };
-    let mut child = start(&rooms.arguments(&[]));
+    let mut child = start(&rooms.arguments(&["--jobs", "1"]));
     assert!(until(&mut child, || logged(0) > 2), "it ended before it was killed");
     signal(&child, "KILL");
     assert_eq!(wait(child).status, None);
     assert_eq!(rooms.leases(), 1, "the lease of the killed command stays");
     // Interrupts the next one while it trains the second run.
-    let mut child = start(&rooms.arguments(&[]));
+    let mut child = start(&rooms.arguments(&["--jobs", "1"]));
     assert!(until(&mut child, || logged(1) > 2), "it ended before it was interrupted");
     signal(&child, "TERM");
     wait(child).refused_with(75, &["stopped in", "the same command goes on"]);
-    rooms.batch(&[]).ok();
+    rooms.batch(&["--jobs", "1"]).ok();
     let summary = rooms.summary();
     let attempts: Vec<_> = summary.values().map(|l| l["attempts"].as_u64().unwrap()).collect();
     assert!(summary.len() == 2 && attempts.iter().all(|n| *n == 2), "{attempts:?}");

@@ -115,7 +115,7 @@ fn children(of: u32) -> Vec<u32> {
 fn killed_training_is_repeated_by_its_batch() {
     let rooms = Rooms::new(&["kitchen"]);
     rooms.manifest(60);
-    let mut child = start(&rooms.arguments(&[]));
+    let mut child = start(&rooms.arguments(&["--jobs", "1"]));
     assert!(until(&mut child, || logged(&rooms, "kitchen/tiny/seed0") > 2), "it ended before it was killed");
     for id in children(child.id()) {
         assert!(Command::new("kill").args(["-KILL", &id.to_string()]).status().unwrap().success());
@@ -309,7 +309,7 @@ fn two_hundred_tiny_runs_end_once() {
         log.lines().filter(|line| line.starts_with("$ ")).count()
     };
     let repeated = summary.keys().filter(|name| starts(name) > 1).count();
-    assert!(repeated <= 1, "{repeated} runs were started again, but one command was killed");
+    assert!(repeated <= 2, "{repeated} runs were started again, but a command with two jobs was killed");
     for name in ["kitchen/tiny/seed7", "bath/tiny/seed99"] {
         let (scene, seed) = name.split_once("/tiny/seed").unwrap();
         assert!(rooms.gaussians(name) == rooms.alone(scene, seed.parse().unwrap()), "{name} differs from a run alone");

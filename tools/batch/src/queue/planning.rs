@@ -14,7 +14,7 @@ impl Shared<'_> {
     /// Forecasts the open runs; one process for all seeds of a scene and variant, several side by side.
     ///
     /// Returns the forecasts by index of the run. None are made where no two workers share a device: then nothing is
-    /// admitted by memory, and the estimated cost is enough for the order. A run that cannot be planned has none; its
+    /// admitted by memory, and the estimated cost is enough for the order; nor for a single run. A run that cannot be planned has none; its
     /// training says why.
     pub(super) fn forecasts(&self) -> Result<Vec<Option<Forecast>>> {
         let (batch, root) = (self.queue.batch, self.queue.store.root());
@@ -30,7 +30,7 @@ impl Shared<'_> {
         let mut forecasts = vec![None; batch.runs.len()];
         let known = self.devices.iter().flatten();
         let distinct: HashSet<&str> = known.clone().map(|device| device.uuid.as_str()).collect();
-        if known.count() == distinct.len() {
+        if open.len() <= 1 || known.count() == distinct.len() {
             return Ok(forecasts);
         }
         let (next, errors) = (AtomicUsize::new(0), Mutex::new(Vec::new()));

@@ -24,7 +24,7 @@ pub struct Args {
     /// Directory of the batch. Several commands, also on several machines, can share it.
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Number of runs that are trained side by side, or "auto": one per device.
+    /// Number of runs that are trained side by side, or "auto": two per device.
     #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = jobs)]
     jobs: Jobs,
     /// Devices that the jobs take in turn, as --device names them.
@@ -55,6 +55,11 @@ pub struct Args {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["only", "shard", "jobs", "devices", "baseline"])]
     slurm: Option<PathBuf>,
 }
+
+/// Jobs of a device by default: the work of one run on the host overlaps that of another on the device.
+///
+/// Measured in bench/results/batch/README.md.
+const JOBS_PER_DEVICE: usize = 2;
 
 /// Number of runs side by side.
 #[derive(Clone, Copy, Debug)]
@@ -110,7 +115,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     batch.write_configs(store.root())?;
     let devices = devices(common, &a.devices)?;
     let jobs = match a.jobs {
-        Jobs::Auto => devices.len(),
+        Jobs::Auto => devices.len().saturating_mul(JOBS_PER_DEVICE),
         Jobs::Exactly(n) => usize::from(n),
     };
     let queue = Queue {
