@@ -1,7 +1,7 @@
 //! Output of failures: one sentence on standard error, and JSON.
 
 use crate::common::Common;
-use crate::ui::say;
+use crate::message::say;
 pub use sgs_api::{Kind, failure, refuse_usage, usage};
 
 /// Replaces control characters by spaces. The content of a file cannot move a terminal's cursor.

@@ -9,6 +9,7 @@ mod common;
 mod failure;
 mod images;
 mod lit;
+mod message;
 mod palette;
 mod report;
 mod ui;

@@ -2,9 +2,10 @@
 
 use crate::common::Common;
 use crate::failure::{Kind, failure};
+use crate::message::say;
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::{consts, flag};
-use std::io::{IsTerminal, Read, Write};
+use std::io::{IsTerminal, Read};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -72,11 +73,6 @@ pub fn heed_supervisor() {
         std::thread::sleep(LAST_WORK);
         std::process::exit(Kind::Terminated.status());
     });
-}
-
-/// Prints a line on standard error. A line that cannot be written is left out: a full disk must not end a training.
-pub fn say(text: impl std::fmt::Display) {
-    let _ = writeln!(std::io::stderr(), "{text}");
 }
 
 /// Progress bar on a terminal; elsewhere a line for every tenth of the total.

@@ -2,8 +2,9 @@
 
 use crate::common::Common;
 use crate::failure::{Kind, failure, usage};
+use crate::message::say;
 use crate::output;
-use crate::ui::{SUPERVISED, Stop, say};
+use crate::ui::{SUPERVISED, Stop};
 use sgs_batch::{
     ArrayScript, Baseline, Batch, DeviceMemory, Exit, Launch, Launcher, Manifest, Phase, Process, Progress, Queue,
     Report, RunResult, Shard, State, Store, Summary, Timing, Verdict, list, quote,

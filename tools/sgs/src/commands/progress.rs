@@ -1,7 +1,8 @@
 //! Progress of a training: a bar, log messages, and the page of `--watch`.
 
 use crate::common::Common;
-use crate::ui::{Bar, say};
+use crate::message::say;
+use crate::ui::Bar;
 use crate::watch::Watch;
 use sgs_run::StageKind;
 use sgs_train::{Event, IdleLoss, Observer, RollBack, RoomFit, Stage, TrainError};

@@ -3,7 +3,8 @@
 use super::progress::Progress;
 use crate::common::Common;
 use crate::failure::{refuse_usage, usage};
-use crate::ui::{Stop, say};
+use crate::message::say;
+use crate::ui::Stop;
 use crate::watch::{Port, Watch};
 use anyhow::bail;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
