@@ -92,7 +92,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let baseline = a.baseline.as_deref().map(Baseline::read).transpose()?;
     output::check_batch(&a.output)?;
     let stop = Stop::on_signals()?;
-    let shown = a.list || a.slurm.is_some();
+    // Only commands that train share the hashes of scenes, and remove them in the end.
+    let shown = a.list || a.summary || a.slurm.is_some();
     let root = (!shown).then_some(a.output.as_path());
     let mut batch = Batch::new(&manifest, env!("CARGO_PKG_VERSION"), root, &stop)?;
     let stopped = || stop.failure(format!("stopped in {}; the same command goes on from there", a.output.display()));
