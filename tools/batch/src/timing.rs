@@ -22,7 +22,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Time without a renewal after which other workers take a run over; for [`Store::open`].
+    /// Time without a renewal after which other workers take a run over; for [`Store::open`](crate::Store::open).
     pub const EXPIRY: Duration = Duration::from_secs(15);
 
     /// Largest number of leases of other workers that one pass over the runs reads.
