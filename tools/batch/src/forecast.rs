@@ -21,9 +21,13 @@ pub struct Forecast {
 impl Forecast {
     /// Reads the answer of `sgs plan --json`. `None` if it is none.
     ///
-    /// Takes the largest number of Gaussians that the plan expects, four times the initial one.
+    /// Takes the largest number of Gaussians that the plan expects, four times the initial one. A plan of the transport
+    /// stage says nothing of its geometry: then the operations are 0, and the estimated cost orders the runs.
     pub(crate) fn of_answer(answer: &str, run: &Run, settings: &Settings) -> Option<Forecast> {
         let plan: Value = serde_json::from_str(answer).ok()?;
+        if let Some(bytes) = plan["peak_bytes"].as_u64() {
+            return Some(Forecast { identity: run.plan_identity.clone(), operations: 0.0, bytes });
+        }
         let last = plan["expected"].as_array()?.last()?;
         let step = last["pseudo_step_operations"].as_f64().or_else(|| last["step_operations"].as_f64())?;
         let stage = |key: &str, steps: u32| plan[key]["step_operations"].as_f64().unwrap_or(0.0) * f64::from(steps);
@@ -75,6 +79,9 @@ mod tests {
         let geometry = r#"{"expected": [{"bytes": 50, "step_operations": 3.0}]}"#;
         let alone = Forecast::of_answer(geometry, &run, &settings).unwrap();
         assert_eq!((alone.operations, alone.bytes), (30.0, 50));
+        let transport = r#"{"peak_bytes": 80, "step_operations": 3.0}"#;
+        let alone = Forecast::of_answer(transport, &run, &settings).unwrap();
+        assert_eq!((alone.operations, alone.bytes), (0.0, 80));
         for answer in ["", "{}", r#"{"expected": []}"#, r#"{"error": "no", "kind": "input"}"#] {
             assert_eq!(Forecast::of_answer(answer, &run, &settings), None, "{answer}");
         }
