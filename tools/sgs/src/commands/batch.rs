@@ -136,7 +136,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     let report = queue.work()?;
     if let Some(error) = report.storage {
-        return Err(failure(Kind::Storage, format!("{error}; then the same command goes on")));
+        return Err(failure(Kind::Storage, format!("{error}; free space on the disk, and the same command goes on")));
     }
     if report.stopped {
         return Err(stopped());
