@@ -181,3 +181,57 @@ fn invalid_ablations_are_refused() {
     write_json(&place.path("scene/split.json"), &split);
     ablate(&place, &[]).refused(&["no test views", "split.json"]);
 }
+
+/// Returns the number of processes that a run was trained by.
+fn processes(place: &Place, row: &str, seed: u64) -> usize {
+    let log = place.read(&format!("table/batch/runs/scene/{row}/seed{seed}.log"));
+    String::from_utf8(log).unwrap().lines().filter(|line| line.starts_with("$ ")).count()
+}
+
+/// Two commands with two jobs each train a table together: each run once, with the results of one job.
+#[test]
+fn commands_share_a_table() {
+    let place = room();
+    let both = arguments(&place, "3", &["--no-densify", "--jobs", "2"]);
+    let commands = [start(&both), start(&both)];
+    for command in commands {
+        let ended = wait(command);
+        assert_eq!(ended.status, Some(0), "{ended:?}");
+    }
+    for (row, seed) in ["rgb", "depth", "normal"].into_iter().flat_map(|row| [(row, 5), (row, 6)]) {
+        assert_eq!(processes(&place, row, seed), 1, "{row} {seed}");
+    }
+    let shared = json(&place, "table/ablation.json");
+    let splats = RUNS.map(|run| place.read(&format!("table/{run}/scene.ply")));
+    assert_eq!(shared["variants"].as_array().unwrap().len(), 3);
+    assert!(shared["variants"].as_array().unwrap().iter().all(|row| row["runs"].as_array().unwrap().len() == 2));
+    std::fs::remove_dir_all(place.path("table")).unwrap();
+    ablate(&place, &["-q"]).ok();
+    assert!(splats == RUNS.map(|run| place.read(&format!("table/{run}/scene.ply"))), "jobs change the results");
+    // The folder of the batch belongs to the table.
+    sgs(&["batch", "none.toml", "-o", &place.text("table")]).refused(&["none.toml"]);
+    let folder = place.path("table/batch/leases");
+    assert_eq!(std::fs::read_dir(folder).unwrap().count(), 0, "a lease is left");
+}
+
+/// A row that fails does not end the others. It is trained again by the next command.
+#[test]
+fn failed_rows_leave_the_others() {
+    let place = room();
+    let prior = std::fs::read_dir(place.path("scene/priors/normal")).unwrap().next().unwrap().unwrap().path();
+    let before = std::fs::read(&prior).unwrap();
+    std::fs::write(&prior, "no image").unwrap();
+    let failed = ablate(&place, &["--json"]);
+    assert_eq!(failed.status, Some(42), "{failed:?}");
+    assert_eq!(failed.json()["kind"], "input");
+    let error = failed.json()["error"].as_str().unwrap().to_owned();
+    assert!(error.contains("2 of 6 runs failed; the first, normal, seed 5: "), "{error}");
+    assert!(failed.stderr.contains("done 1 of 6: rgb, seed 5"), "{}", failed.stderr);
+    let names =
+        |table: &Value| table["variants"].as_array().unwrap().iter().map(|v| v["name"].clone()).collect::<Vec<_>>();
+    assert_eq!(names(&json(&place, "table/ablation.json")), ["rgb", "depth"]);
+    std::fs::write(&prior, before).unwrap();
+    let log = ablate(&place, &[]).ok().stderr;
+    assert!(log.contains("done 2 of 2: normal, seed 6"), "{log}");
+    assert_eq!(names(&json(&place, "table/ablation.json")), ["rgb", "depth", "normal"]);
+}

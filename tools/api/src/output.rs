@@ -73,15 +73,15 @@ fn check_kind(root: &Path, what: &str) -> anyhow::Result<Contents> {
     }
 }
 
-/// Refuses a directory for a table of runs that holds anything else.
-pub fn check_series(root: &Path, tables: &[&str]) -> anyhow::Result<()> {
+/// Refuses a directory for a table of runs that holds anything else. `batch`: name of the folder of its batch.
+pub fn check_series(root: &Path, tables: &[&str], batch: &str) -> anyhow::Result<()> {
     let name = root.display();
     match Contents::of(root) {
         Contents::Other(_) => {
             let belongs = |entry: &String| {
                 let path = root.join(entry);
                 let table = tables.iter().any(|t| *entry == format!("{t}.json") || *entry == format!("{t}.md"));
-                table || path.is_dir() && matches!(Contents::of(&path), Contents::Run(_) | Contents::Nothing)
+                table || *entry == batch && path.join("leases").is_dir() || path.is_dir() && matches!(Contents::of(&path), Contents::Run(_) | Contents::Nothing)
                     // A run without its settings file.
                     || path.join("checkpoint").is_dir()
             };

@@ -25,6 +25,8 @@ pub struct Run {
     pub seed: u64,
     /// File with the variant's settings, relative to the directory of the batch.
     pub config: PathBuf,
+    /// Run directory, if it is another than that of [`Run::path`]. Relative to the directory of the batch.
+    pub directory: Option<PathBuf>,
     /// Hash of settings, scene and program version.
     pub identity: String,
     /// Hash of what its forecast depends on. All seeds have the same.
@@ -48,6 +50,9 @@ impl Run {
 
     /// Returns a path of the run: the run directory without an extension, the log or the record with one.
     pub fn path(&self, root: &Path, extension: &str) -> PathBuf {
+        if let Some(directory) = self.directory.as_ref().filter(|_| extension.is_empty()) {
+            return root.join(directory);
+        }
         let folder = root.join("runs").join(&self.scene).join(&self.variant);
         let name = format!("seed{}", self.seed);
         folder.join(if extension.is_empty() { name } else { format!("{name}.{extension}") })
@@ -137,6 +142,7 @@ impl Batch {
                         variant: variant.name.clone(),
                         seed: *seed,
                         config: config.path.clone(),
+                        directory: None,
                         identity: identity(version, &config.text, manifest.stage, Some(*seed), &digest),
                         plan_identity: plan_identity.clone(),
                         cost,
@@ -295,6 +301,7 @@ pub(crate) mod tests {
             variant: "fast".into(),
             seed,
             config: PathBuf::new(),
+            directory: None,
             identity: format!("{scene}{seed}"),
             plan_identity: scene.into(),
             cost: 1,

@@ -1,6 +1,6 @@
 //! Manifest of a batch: scenes, variants, seeds, stage and limits.
 
-use crate::error::{Result, wrong};
+use crate::error::{Result, failed, wrong};
 use serde::Deserialize;
 use sgs_config::{Preset, Settings, overlay};
 use sgs_scene::Layout;
@@ -150,6 +150,21 @@ impl Manifest {
         Manifest::parse(&text, folder).map_err(|problem| wrong(path, problem.trim_end_matches('.')))
     }
 
+    /// Creates the manifest of one scene, of runs that their processes evaluate.
+    ///
+    /// # Errors
+    /// If the scene cannot be found.
+    pub fn of_scene(
+        scene: &Path,
+        variants: Vec<Variant>,
+        seeds: Vec<u64>,
+        stage: Stage,
+        limits: Limits,
+    ) -> Result<Manifest> {
+        let scenes = vec![named(scene).map_err(failed("read", scene))?];
+        Ok(Manifest { scenes, ignored: Vec::new(), variants, seeds, stage, evaluate: false, limits })
+    }
+
     fn parse(text: &str, folder: &Path) -> std::result::Result<Manifest, String> {
         let file: File = toml::from_str(text).map_err(|e| sgs_config::one_line(e.message()))?;
         let stage = match file.stage.as_str() {
@@ -259,12 +274,7 @@ fn scenes(patterns: &[String], folder: &Path) -> std::result::Result<(Vec<PathBu
             return Err(format!("\"{pattern}\" is no scene; name a scene directory"));
         };
         for path in matches {
-            // A link keeps its name: machines may keep the data itself in different places.
-            let own = std::path::absolute(&path).ok().filter(|p| p.file_name().is_some());
-            let path = match own {
-                Some(path) => path,
-                None => path.canonicalize().map_err(|e| format!("\"{}\" cannot be read: {e}", path.display()))?,
-            };
+            let path = named(&path).map_err(|e| format!("\"{}\" cannot be read: {e}", path.display()))?;
             if !found.contains(&path) {
                 found.push(path);
             }
@@ -279,6 +289,14 @@ fn scenes(patterns: &[String], folder: &Path) -> std::result::Result<(Vec<PathBu
         }
     }
     Ok((found, ignored))
+}
+
+/// Returns the absolute path of a scene, which has a name.
+///
+/// A link keeps its name: machines may keep the data itself in different places.
+fn named(path: &Path) -> std::io::Result<PathBuf> {
+    let own = std::path::absolute(path).ok().filter(|p| p.file_name().is_some());
+    own.map_or_else(|| path.canonicalize(), Ok)
 }
 
 /// Returns the last component of a scene's path.

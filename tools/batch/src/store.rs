@@ -225,11 +225,17 @@ impl Store {
 
     /// Removes the result of a held run before another attempt.
     pub(crate) fn forget(&self, run: &Run) -> Result<()> {
-        let path = self.result_path(run);
-        match std::fs::remove_file(&path) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(failed("removed", &path)(e)),
-            _ => Ok(()),
-        }
+        remove(&self.result_path(run))
+    }
+
+    /// Forgets result and attempts of a run, so that a queue starts it again on what its directory holds.
+    ///
+    /// # Errors
+    /// If a file cannot be removed.
+    pub fn reopen(&self, run: &Run) -> Result<()> {
+        self.ended.lock().unwrap_or_else(PoisonError::into_inner).remove(&run.key());
+        self.forget(run)?;
+        remove(&run.path(&self.root, "json"))
     }
 
     /// Reads the record beside a run directory.
@@ -240,6 +246,14 @@ impl Store {
     /// Writes the record beside a run directory.
     pub(crate) fn write_record(&self, run: &Run, record: &Record) -> Result<()> {
         write_if_changed(&run.path(&self.root, "json"), &serde_json::to_string(record).unwrap_or_default())
+    }
+}
+
+/// Removes a file that may be missing.
+fn remove(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(failed("removed", path)(e)),
+        _ => Ok(()),
     }
 }
 
@@ -390,6 +404,20 @@ mod tests {
         let expected = [(run("a.1", 0).key(), 2), (run("a", 0).key(), 10)];
         assert_eq!(store.leased().unwrap(), HashMap::from(expected));
         assert!(store.is_busy(&run("a", 0), 10) && !store.is_busy(&run("a", 0), 9));
+    }
+
+    #[test]
+    fn reopened_runs_are_claimed_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let (first, store) = (run("a", 0), Store::open(folder.path(), LONG).unwrap());
+        store.reopen(&first).unwrap();
+        let lease = held(store.claim(&first, false, None).unwrap());
+        store.write_record(&first, &Record { identity: first.identity.clone(), attempts: 3 }).unwrap();
+        assert!(store.finish(lease, &first, false, &done(&first)).unwrap());
+        assert!(matches!(store.claim(&first, false, None).unwrap(), Claim::Ended(_)));
+        store.reopen(&first).unwrap();
+        assert_eq!((store.record(&first), store.result(&first)), (None, None));
+        held(store.claim(&first, false, None).unwrap());
     }
 
     #[test]

@@ -73,6 +73,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         }
     };
     let rows: Vec<Row> = scope.variants().iter().map(row).collect();
-    let about = About { name: "ablation", start: a.start.as_deref() };
+    let about = About { name: "ablation", command: "ablate", stage: a.stage.name(), start: a.start.as_deref() };
     series::run(common, &a.series, &about, &settings, &rows)
 }

@@ -1,20 +1,19 @@
 //! Training of many scenes by a manifest: `sgs batch`.
 
+use super::programs::{Jobs, Programs, devices};
 use crate::common::Common;
 use crate::failure::{Kind, failure, usage};
 use crate::message::say;
 use crate::output;
-use crate::ui::{SUPERVISED, Stop};
+use crate::ui::Stop;
 use sgs_batch::{
-    ArrayScript, Baseline, Batch, DeviceMemory, Exit, Launch, Launcher, Manifest, Phase, Process, Progress, Queue,
-    Report, RunResult, Shard, State, Store, Summary, Timing, Verdict, list, quote,
+    ArrayScript, Baseline, Batch, Launch, Manifest, Phase, Progress, Queue, Report, RunResult, Shard, State, Store,
+    Summary, Timing, Verdict, list, quote,
 };
-use sgs_engine::find_device;
-use std::io::{Read, Write};
+use std::ffi::OsString;
+use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
 use std::sync::atomic::Ordering;
-use std::thread::JoinHandle;
 use std::time::Instant;
 
 #[derive(clap::Args)]
@@ -26,7 +25,7 @@ pub struct Args {
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
     /// Number of runs that are trained side by side, or "auto": two per device.
-    #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = jobs)]
+    #[arg(long, value_name = "N|auto", default_value = "auto", value_parser = Jobs::parse)]
     jobs: Jobs,
     /// Devices that the jobs take in turn, as --device names them.
     #[arg(long, value_name = "A,B", value_delimiter = ',', conflicts_with = "device")]
@@ -61,20 +60,6 @@ pub struct Args {
 ///
 /// Measured in bench/results/batch/README.md.
 const JOBS_PER_DEVICE: usize = 2;
-
-/// Number of runs side by side.
-#[derive(Clone, Copy, Debug)]
-enum Jobs {
-    Auto,
-    Exactly(u16),
-}
-
-fn jobs(text: &str) -> Result<Jobs, String> {
-    match text {
-        "auto" => Ok(Jobs::Auto),
-        _ => text.parse().ok().filter(|n| *n > 0).map(Jobs::Exactly).ok_or_else(|| "a number above 0, or auto".into()),
-    }
-}
 
 fn tolerance(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|v: &f64| *v >= 0.0 && v.is_finite()).ok_or_else(|| "a number of at least 0".into())
@@ -116,14 +101,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     }
     batch.write_configs(store.root())?;
     let devices = devices(common, &a.devices)?;
-    let jobs = match a.jobs {
-        Jobs::Auto => devices.len().saturating_mul(JOBS_PER_DEVICE),
-        Jobs::Exactly(n) => usize::from(n),
-    };
+    let jobs = a.jobs.number(devices.len(), JOBS_PER_DEVICE);
+    let stage = batch.stage.name();
     let queue = Queue {
         store: &store,
         batch: &batch,
-        launcher: &Programs { common, devices: &devices, stage: batch.stage.name() },
+        launcher: &Programs { common, devices: &devices, arguments: &|launch| arguments(launch, stage) },
         stop: &stop,
         progress: &|progress| show(common, progress),
         jobs,
@@ -135,8 +118,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         timing: Timing::default(),
     };
     let report = queue.work()?;
-    if let Some(error) = report.storage {
-        return Err(failure(Kind::Storage, format!("{error}; free space on the disk, and the same command goes on")));
+    if let Some(error) = &report.storage {
+        return Err(storage_failure(error));
     }
     if report.stopped {
         return Err(stopped());
@@ -158,7 +141,7 @@ fn finish(
     if let Some(first) = report.failed.first() {
         let failed = report.failed.len();
         let (name, error) = (first.name(), first.error.as_deref().unwrap_or("no reason is known"));
-        let kind = if a.only.is_empty() { Kind::Failed } else { kind_of(&report.failed) };
+        let kind = if a.only.is_empty() { Kind::Failed } else { failure_of(&report.failed) };
         return Err(failure(kind, format!("{failed} of {runs} runs failed; the first, {name}: {error}")));
     }
     if report.stopped {
@@ -193,8 +176,13 @@ fn finish(
     Ok(())
 }
 
+/// Returns the error of a queue that a full or read-only disk stopped.
+pub fn storage_failure(error: &str) -> anyhow::Error {
+    failure(Kind::Storage, format!("{error}; free space on the disk, and the same command goes on"))
+}
+
 /// Returns the kind of failures of selected runs. A scheduler acts on its status.
-fn kind_of(failed: &[RunResult]) -> Kind {
+pub fn failure_of(failed: &[RunResult]) -> Kind {
     match failed.iter().find(|result| result.is_temporary()).map(|result| result.kind.as_deref()) {
         Some(Some("out_of_memory")) => Kind::OutOfMemory,
         Some(Some("device_lost")) => Kind::DeviceLost,
@@ -275,153 +263,25 @@ fn show(common: &Common, progress: &Progress<'_>) {
     }
 }
 
-/// Starts this program for each run.
-struct Programs<'a> {
-    common: &'a Common,
-    devices: &'a [Device],
-    stage: &'static str,
-}
-
-/// Device of jobs.
-struct Device {
-    /// Option `--device` of the processes; none for the default.
-    option: Option<String>,
-    memory: DeviceMemory,
-}
-
-/// Finds the devices of the jobs. They are not opened: each process opens its own.
-fn devices(common: &Common, named: &[String]) -> anyhow::Result<Vec<Device>> {
-    let mut options: Vec<Option<String>> = named.iter().cloned().map(Some).collect();
-    if options.is_empty() {
-        options.push(common.device.clone());
-    }
-    let find = |option: Option<String>| {
-        let found = find_device(option.as_deref())?;
-        let memory = DeviceMemory { uuid: found.info.uuid, bytes: found.available_bytes };
-        Ok(Device { option, memory })
+/// Returns the arguments of the process of a run.
+fn arguments(launch: &Launch<'_>, stage: &str) -> Vec<OsString> {
+    let (scene, directory, config) = (&launch.run.scene_path, &launch.directory, &launch.config);
+    let mut arguments: Vec<OsString> = match launch.phase {
+        Phase::Plan => vec!["plan".into(), scene.into(), "--stage".into(), stage.into()],
+        Phase::Train => {
+            let seed = launch.run.seed.to_string();
+            let mut train: Vec<OsString> = vec!["train".into(), scene.into(), "-o".into(), directory.into()];
+            train.extend(["--stage", stage, "--seed", &seed].map(OsString::from));
+            train
+        }
+        Phase::Evaluate => return vec!["eval".into(), directory.into(), "--scene".into(), scene.into()],
     };
-    options.into_iter().map(find).collect()
-}
-
-impl Programs<'_> {
-    fn of(&self, worker: usize) -> Option<&Device> {
-        self.devices.get(worker % self.devices.len().max(1))
+    arguments.extend(["--config".into(), config.into()]);
+    if let Some(bytes) = launch.memory_budget {
+        arguments.extend(["--memory-budget".into(), bytes.to_string().into()]);
     }
-}
-
-impl Launcher for Programs<'_> {
-    fn device(&self, worker: usize) -> Option<DeviceMemory> {
-        self.of(worker).map(|device| device.memory.clone())
+    if launch.resume {
+        arguments.push("--resume".into());
     }
-
-    fn start(&self, launch: &Launch<'_>) -> std::io::Result<Box<dyn Process>> {
-        let mut command = Command::new(std::env::current_exe()?);
-        match launch.phase {
-            Phase::Plan => {
-                command.arg("plan").arg(&launch.run.scene_path).args(["--stage", self.stage]);
-                command.arg("--config").arg(&launch.config);
-            }
-            Phase::Train => {
-                command.arg("train").arg(&launch.run.scene_path).arg("-o").arg(&launch.directory);
-                command.args(["--stage", self.stage, "--seed", &launch.run.seed.to_string()]);
-                command.arg("--config").arg(&launch.config);
-                if let Some(bytes) = launch.memory_budget {
-                    command.args(["--memory-budget", &bytes.to_string()]);
-                }
-                if launch.resume {
-                    command.arg("--resume");
-                }
-            }
-            Phase::Evaluate => {
-                command.arg("eval").arg(&launch.directory).arg("--scene").arg(&launch.run.scene_path);
-            }
-        }
-        if let Some(option) = self.of(launch.worker).and_then(|device| device.option.as_ref()) {
-            command.args(["--device", option]);
-        }
-        if let Some(limit) = self.common.timeout {
-            command.args(["--timeout", &limit.as_secs_f64().to_string()]);
-        }
-        if self.common.validate {
-            command.arg("--validate");
-        }
-        command.arg("--json");
-        if let Some(folder) = launch.log.parent() {
-            std::fs::create_dir_all(folder)?;
-        }
-        let mut log = std::fs::File::options().create(true).append(true).open(&launch.log)?;
-        writeln!(log, "$ {}", line(&command))?;
-        command.env(SUPERVISED, "1").stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(log);
-        // Ctrl-C of a terminal reaches the batch alone, which then stops its processes once.
-        #[cfg(unix)]
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        let mut child = command.spawn()?;
-        let stdout = child.stdout.take();
-        let output = std::thread::spawn(move || {
-            let mut text = Vec::new();
-            // A process that is killed leaves an incomplete answer, which counts as none.
-            let _ = stdout.map(|mut pipe| pipe.read_to_end(&mut text));
-            String::from_utf8_lossy(&text).into_owned()
-        });
-        Ok(Box::new(Program { child, output: Some(output) }))
-    }
-}
-
-/// Formats a command as a line of a shell, for the log.
-fn line(command: &Command) -> String {
-    let words = std::iter::once(command.get_program()).chain(command.get_args());
-    let quoted = words.map(|word| quote(&word.to_string_lossy()));
-    quoted.collect::<Vec<_>>().join(" ")
-}
-
-/// Started program.
-struct Program {
-    child: Child,
-    output: Option<JoinHandle<String>>,
-}
-
-impl Process for Program {
-    fn poll(&mut self) -> std::io::Result<Option<Exit>> {
-        let Some(status) = self.child.try_wait()? else { return Ok(None) };
-        let output = self.output.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
-        #[cfg(unix)]
-        let signal = std::os::unix::process::ExitStatusExt::signal(&status);
-        #[cfg(not(unix))]
-        let signal = None;
-        Ok(Some(Exit { status: status.code(), signal, output }))
-    }
-
-    #[cfg(unix)]
-    fn terminate(&mut self) {
-        let pid = i32::try_from(self.child.id()).ok().and_then(rustix::process::Pid::from_raw);
-        if let Some(pid) = pid {
-            // A process that has just ended needs no signal.
-            let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
-        }
-    }
-
-    #[cfg(not(unix))]
-    fn terminate(&mut self) {
-        self.kill();
-    }
-
-    fn kill(&mut self) {
-        // Fails only if the process has ended.
-        let _ = self.child.kill();
-    }
-
-    fn beat(&mut self) {
-        // A process that has just ended reads nothing.
-        let _ = self.child.stdin.as_mut().map(|pipe| pipe.write_all(b"."));
-    }
-}
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        // Only after an error of the supervisor does the process still run.
-        if self.output.is_some() {
-            let _ = self.child.kill();
-            let _ = self.child.wait();
-        }
-    }
+    arguments
 }

@@ -9,6 +9,7 @@ pub mod plan;
 mod plan_intrinsic;
 mod plan_transport;
 pub mod priors;
+mod programs;
 mod progress;
 pub mod pseudo;
 pub mod relight;

@@ -15,8 +15,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Progress<'a> {
     common: &'a Common,
     stop: &'a AtomicBool,
-    /// Name of the run in a series.
-    name: Option<String>,
     /// Output directory, printed at the end of a stage; `None` in a series.
     output: Option<PathBuf>,
     watch: Option<&'a mut Watch>,
@@ -31,12 +29,12 @@ impl<'a> Progress<'a> {
         output: PathBuf,
         watch: Option<&'a mut Watch>,
     ) -> Progress<'a> {
-        Progress { common, stop, name: None, output: Some(output), watch, bar: None }
+        Progress { common, stop, output: Some(output), watch, bar: None }
     }
 
     /// Creates the progress of one run of a series.
-    pub fn of_series(common: &'a Common, stop: &'a AtomicBool, name: String) -> Progress<'a> {
-        Progress { common, stop, name: Some(name), output: None, watch: None, bar: None }
+    pub fn of_series(common: &'a Common, stop: &'a AtomicBool) -> Progress<'a> {
+        Progress { common, stop, output: None, watch: None, bar: None }
     }
 
     fn finish_bar(&mut self) {
@@ -58,8 +56,7 @@ impl Observer for Progress<'_> {
             Event::Started { stage, step, steps, idle } => {
                 IdleLoss::warnings(idle).iter().for_each(|warning| tracing::warn!("{warning}"));
                 self.finish_bar();
-                let what = self.name.as_ref().map_or_else(|| stage.to_string(), |name| format!("{name}, {stage}"));
-                self.bar = Some(Bar::new(self.common, &what, u64::from(*steps), u64::from(*step)));
+                self.bar = Some(Bar::new(self.common, &stage.to_string(), u64::from(*steps), u64::from(*step)));
             }
             Event::Step { stage, steps, figures } => {
                 if let Some(bar) = &mut self.bar {

@@ -44,6 +44,6 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         start: None,
     };
     let rows: Vec<Row> = Case::all().iter().map(row).collect();
-    let about = About { name: "robustness", start: None };
+    let about = About { name: "robustness", command: "robustness", stage: a.stage.name(), start: None };
     series::run(common, &a.series, &about, &settings, &rows)
 }

@@ -174,13 +174,21 @@ impl From<Stage> for Stages {
 }
 
 impl Stage {
-    /// Returns the option of the command line that selects the stage, after a space.
-    fn option(self) -> &'static str {
+    /// Returns the value of `--stage`.
+    pub fn name(self) -> &'static str {
         match self {
-            Stage::Geometry => "",
-            Stage::Intrinsic => " --stage intrinsic",
-            Stage::All => " --stage all",
-            Stage::Transport => " --stage transport",
+            Stage::Geometry => "geometry",
+            Stage::Intrinsic => "intrinsic",
+            Stage::All => "all",
+            Stage::Transport => "transport",
+        }
+    }
+
+    /// Returns the option of the command line that selects the stage, after a space.
+    fn option(self) -> String {
+        match self {
+            Stage::Geometry => String::new(),
+            _ => format!(" --stage {}", self.name()),
         }
     }
 }
