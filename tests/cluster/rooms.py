@@ -11,18 +11,21 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
 SGS = pathlib.Path(os.environ.get("SGS", TARGET / "debug" / "sgs")).absolute()
 
-# Settings that give the same bits on each attempt. The runs are long enough to be stopped in the middle.
+# Three scenes, two presets and two seeds. The settings give the same bits on each attempt, and runs that are long enough to be
+# stopped in the middle.
 MANIFEST = """
 scenes = ["scenes/*"]
 seeds = [0, 1]
 
 [[variants]]
-name = "flat"
-settings = { geometry = { backward = "pixel", steps = 100, sh_degree = 0, densify = { until = 0.0 } }, train = { checkpoint_interval = 10 } }
+name = "draft"
+preset = "draft"
+settings = { geometry = { backward = "pixel", steps = 100, densify = { until = 0.0 } }, train = { checkpoint_interval = 10 } }
 
 [[variants]]
-name = "glossy"
-settings = { geometry = { backward = "pixel", steps = 120, sh_degree = 1, densify = { until = 0.0 } }, train = { checkpoint_interval = 10 } }
+name = "paper"
+preset = "paper"
+settings = { geometry = { backward = "pixel", steps = 120, densify = { until = 0.0 } }, train = { checkpoint_interval = 10 } }
 """
 
 

@@ -14,6 +14,9 @@ from rooms import ROOT, SGS, Batch, Rooms, children, parent, running, until
 
 from ray.cluster_utils import Cluster
 
+sys.path.insert(0, str(ROOT / "tools" / "python"))
+from sgs.ray import gpu_share
+
 
 def command(batch, address, *more):
     words = [sys.executable, "-m", "sgs.ray", str(batch.rooms.manifest), "-o", str(batch.path)]
@@ -127,6 +130,8 @@ class RayTest(unittest.TestCase):
             (["--sgs", "/nowhere/sgs"], 2, "there is no program"),
             (["--cpus-per-run", "-1"], 2, "number of at least 0"),
             (["--retries", "x"], 2, "whole number"),
+            (["--gpus-per-run", "half"], 2, "number of at least 0, or auto"),
+            (["--gpus-per-run", "auto"], 2, "this machine has no GPU"),
         ]:
             ended = self.run_to_end(batch, *words)
             self.assertEqual(ended.returncode, status, ended.stderr)
@@ -149,6 +154,31 @@ class RayTest(unittest.TestCase):
         self.assertIn("4 of 4 runs failed", ended.stderr)
         self.assertNotIn("again:", ended.stderr)
         self.assertEqual([result["attempts"] for result in batch.summary().values()], [1] * 4)
+
+    def test_6_runs_share_a_gpu_by_their_plans(self):
+        """The node has no GPU: Ray counts what it is told."""
+        shares = [gpu_share(peak, 1000) for peak in (None, 450, 451, 2000)]
+        self.assertEqual(shares, [1, 0.5, 1, 1])
+        os.environ["RAY_EXPERIMENTAL_NOSET_CUDA_VISIBLE_DEVICES"] = "1"
+        self.addCleanup(os.environ.pop, "RAY_EXPERIMENTAL_NOSET_CUDA_VISIBLE_DEVICES")
+        self.nodes.append(self.cluster.add_node(num_cpus=2, num_gpus=1))
+        self.cluster.wait_for_nodes()
+        two = Rooms(self.rooms.folder)
+        two.manifest = self.rooms.folder / "two.toml"
+        two.manifest.write_text(rooms.MANIFEST.replace("scenes/*", "scenes/hall").split('[[variants]]\nname = "paper"')[0])
+        for memory, sharing in [("2", 2), ("0.002", 0)]:
+            batch = Batch(two, "ray-gpu-" + memory)
+            words = command(batch, self.cluster.address, "--gpus-per-run", "auto", "--gpu-memory", memory)
+            log = self.rooms.folder / "gpu.log"
+            with open(log, "w") as file:
+                driver = subprocess.Popen(words, env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=file, cwd="/")
+            most = 0
+            while driver.poll() is None:
+                most = max(most, sum(batch.holder(name) is not None for name in two.names))
+                time.sleep(0.01)
+            self.assertEqual(driver.returncode, 0, log.read_text())
+            self.assertIn("{} of 2 runs share a GPU".format(sharing), log.read_text())
+            self.assertEqual(most, 2 if sharing else 1)
 
 
 if __name__ == "__main__":

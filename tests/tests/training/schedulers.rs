@@ -2,7 +2,7 @@
 
 use super::batch::Rooms;
 use serde_json::Value;
-use sgs_tests::cli::{signal, start, until, wait};
+use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::files;
 use std::os::unix::fs::PermissionsExt;
 use std::process::{Command, Stdio};
@@ -57,6 +57,32 @@ fn selected_runs_are_trained_and_listed() {
     {
         assert_eq!(rooms.batch(more).status, Some(2), "{more:?}");
     }
+}
+
+#[test]
+fn listed_runs_have_their_predicted_memory() {
+    let rooms = Rooms::new(&["kitchen", "broken"]);
+    std::fs::write(rooms.path("scenes/broken/transforms.json"), "{}").unwrap();
+    rooms.manifest(5);
+    let peaks = |more: &[&str]| {
+        let list = rooms.batch(&[&["--list", "--json"], more].concat()).ok().json();
+        let peak = |run: &Value| run["peak_bytes"].as_u64();
+        list["runs"].as_array().unwrap().iter().map(peak).collect::<Vec<_>>()
+    };
+    assert_eq!(peaks(&[]), [None; 4]);
+    let planned = peaks(&["--plan"]);
+    assert!(planned[0] > Some(1 << 20) && planned[0] == planned[1], "{planned:?}");
+    assert_eq!(planned[2..], [None; 2], "a broken scene has a plan");
+    assert_eq!(peaks(&[]), planned);
+    // Plans are as those of `sgs plan`: the largest number of Gaussians that it expects.
+    let config = std::fs::read_dir(rooms.path("out/variants")).unwrap().next().unwrap().unwrap().path();
+    let plan =
+        sgs(&["plan", &rooms.text("scenes/kitchen"), "--config", config.to_str().unwrap(), "--json"]).ok().json();
+    assert_eq!(plan["expected"].as_array().unwrap().last().unwrap()["bytes"].as_u64(), planned[0]);
+    rooms.batch(&["--list"]).ok();
+    // A batch goes on in the directory of its forecasts.
+    rooms.batch(&["--only", "kitchen/tiny/seed0"]).ok();
+    assert_eq!(rooms.batch(&["--plan"]).status, Some(2));
 }
 
 #[test]

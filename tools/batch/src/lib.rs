@@ -34,7 +34,7 @@ pub use lease::Lease;
 pub use list::{Listed, list};
 pub use manifest::{Limits, Manifest, Stage, Variant};
 pub use process::{Exit, Launch, Launcher, Phase, Process};
-pub use queue::{Progress, Queue, Report};
+pub use queue::{Planner, Progress, Queue, Report};
 pub use result::{RunResult, State};
 pub use slurm::{ArrayScript, quote};
 pub use store::{Claim, Store};

@@ -1,6 +1,7 @@
 //! List of the runs of a batch, for schedulers.
 
 use crate::batch::Batch;
+use crate::forecast::Forecast;
 use crate::result::State;
 use crate::store::Store;
 use serde::Serialize;
@@ -22,6 +23,9 @@ pub struct Listed {
     pub state: &'static str,
     /// Estimated cost: pixels of the training views times steps.
     pub cost: u64,
+    /// Predicted peak device memory in bytes, if the run was forecast.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub peak_bytes: Option<u64>,
 }
 
 /// Lists the runs in the order in which a queue starts them: most expensive first.
@@ -41,6 +45,7 @@ pub fn list(store: &Store, batch: &Batch) -> Vec<Listed> {
             key: run.key(),
             state,
             cost: u64::try_from(run.cost).unwrap_or(u64::MAX),
+            peak_bytes: Forecast::read(store.root(), run).map(|forecast| forecast.bytes),
         }
     };
     batch.order(None).into_iter().map(listed).collect()

@@ -4,6 +4,8 @@ mod attempts;
 mod pass;
 mod planning;
 
+pub use planning::Planner;
+
 use crate::admission::{Admission, Demand, DeviceMemory, Permit};
 use crate::batch::{Batch, Run, Shard, most_expensive_first};
 use crate::error::Result;

@@ -228,7 +228,9 @@ impl Store {
         remove(&self.result_path(run))
     }
 
-    /// Forgets result and attempts of a run, so that a queue starts it again on what its directory holds.
+    /// Forgets result and attempts of a run.
+    ///
+    /// A queue then starts the run again, on what its directory holds.
     ///
     /// # Errors
     /// If a file cannot be removed.

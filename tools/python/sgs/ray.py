@@ -1,6 +1,6 @@
 """Trains the runs of a batch as tasks of a Ray cluster.
 
-    python -m sgs.ray MANIFEST -o DIR [--address ADDR] [--sgs PATH] [--gpus-per-run F] [--cpus-per-run F]
+    python -m sgs.ray MANIFEST -o DIR [--address ADDR] [--sgs PATH] [--gpus-per-run F|auto] [--cpus-per-run F]
 
 Each run is one task, which starts `sgs batch MANIFEST -o DIR --only NAME`. MANIFEST, its scenes and DIR are on a disk that
 all nodes share. Ray repeats the tasks of lost nodes and workers; the runs go on from their checkpoints. A program whose
@@ -103,11 +103,22 @@ def arguments(words):
     parser.add_argument("-o", "--output", metavar="DIR", required=True, help="directory of the batch, on the shared disk")
     parser.add_argument("--address", metavar="ADDR", help="address of the cluster; otherwise Ray looks for one, or starts one here")
     parser.add_argument("--sgs", metavar="PATH", default="sgs", help="program, at this path on all nodes (default: sgs on the PATH)")
+    def gpus(text):
+        return text if text == "auto" else number(0)(text)
+
+    gpus.__name__ = "number of at least 0, or auto"
     parser.add_argument(
         "--gpus-per-run",
-        metavar="F",
-        type=number(0),
-        help="GPUs of a run, also a fraction, so that runs share a GPU (default: 1 if the cluster has GPUs, otherwise 0)",
+        metavar="F|auto",
+        type=gpus,
+        help="GPUs of a run, also a fraction, so that runs share a GPU; auto: half of one for runs that leave half of its memory "
+        "by their plans, otherwise 1 (default: 1 if the cluster has GPUs, otherwise 0)",
+    )
+    parser.add_argument(
+        "--gpu-memory",
+        metavar="GIB",
+        type=number(0.001),
+        help="memory of the cluster's smallest GPU for --gpus-per-run auto, in GiB (default: that of this machine's GPU)",
     )
     parser.add_argument("--cpus-per-run", metavar="F", type=number(0), default=1.0, help="processor cores of a run (default: 1)")
     parser.add_argument(
@@ -164,24 +175,47 @@ def sgs(command):
         answer = json.loads(ended.stdout)
     except ValueError:
         answer = {}
-    sentence = answer.get("error") or ended.stderr.strip() or "{} ended with status {}".format(command[0], ended.returncode)
+    error = answer.get("error") if isinstance(answer, dict) else None
+    sentence = error or ended.stderr.strip() or "{} ended with status {}".format(command[0], ended.returncode)
     return ended.returncode, answer, sentence
+
+
+# Part of a device's memory that runs may fill together, and runs that share a device: those of `sgs batch`.
+USABLE, SHARING = 0.9, 2
+
+
+def gpu_share(peak, memory):
+    """Returns the GPUs of a run. `peak`: predicted bytes, None if they are unknown. `memory`: bytes of a GPU."""
+    return 1 / SHARING if peak is not None and peak * SHARING <= USABLE * memory else 1
+
+
+def gpu_memory(program):
+    """Returns the memory of this machine's default GPU in bytes."""
+    status, devices, sentence = sgs([program, "devices", "--json", "-q"])
+    if status != DONE:
+        raise Refused(status, sentence)
+    device = next((d for d in devices if "auto" in d), None)
+    if device is None or device["kind"] == "cpu":
+        raise Refused(USAGE, "this machine has no GPU; give --gpus-per-run auto the memory of the cluster's GPUs by --gpu-memory")
+    return device["memory_bytes"]
 
 
 class Cluster:
     """Runs of a batch on a Ray cluster."""
 
-    def __init__(self, ray, options, program, stop):
+    def __init__(self, ray, options, program, stop, shares):
         self.ray, self.options, self.stop = ray, options, stop
         self.command = [program, "batch", os.path.abspath(options.manifest), "-o", os.path.abspath(options.output)]
         resources = ray.cluster_resources()
-        gpus = options.gpus_per_run
-        if gpus is None:
-            gpus = 1 if resources.get("GPU", 0) > 0 else 0
+        self.gpus = options.gpus_per_run
+        if self.gpus is None:
+            self.gpus = 1 if resources.get("GPU", 0) > 0 else 0
         # Ray repeats tasks whose worker or node was lost.
         self.task = ray.remote(
-            num_cpus=options.cpus_per_run, num_gpus=gpus, max_retries=options.retries, retry_exceptions=False
+            num_cpus=options.cpus_per_run, max_retries=options.retries, retry_exceptions=False
         )(train)
+        # GPUs of each run, by its name.
+        self.shares = shares
         self.retries = {}
         # Each pending task and the name of its run.
         self.pending = {}
@@ -190,7 +224,8 @@ class Cluster:
     def submit(self, name):
         more = ["--retry-failed"] if self.options.retry_failed else []
         command = self.command + ["--only", name, "--json", "-q"] + more
-        self.pending[self.task.options(name="sgs " + name).remote(command)] = name
+        task = self.task.options(name="sgs " + name, num_gpus=self.shares.get(name, self.gpus))
+        self.pending[task.remote(command)] = name
 
     def answer(self, task):
         try:
@@ -234,13 +269,20 @@ def run(options, stop):
         raise Refused(USAGE, "there is no program \"{}\"; name it by --sgs".format(options.sgs))
     program = os.path.abspath(program)
     start = [program, "batch", options.manifest, "-o", options.output, "--json", "-q"]
-    status, answer, sentence = sgs(start + ["--list"])
+    memory, shares = None, {}
+    if options.gpus_per_run == "auto":
+        memory = gpu_memory(program) if options.gpu_memory is None else options.gpu_memory * 2**30
+    status, answer, sentence = sgs(start + ["--list"] + (["--plan"] if memory else []))
     if status != DONE:
         raise Refused(status, sentence)
     stop.check()
     # Most expensive first, as the list is. The program decides which failed runs are tried again.
     runs = answer["runs"]
     names = [run["name"] for run in runs if run["state"] != "done"]
+    if memory:
+        shares = {run["name"]: gpu_share(run.get("peak_bytes"), memory) for run in runs}
+        sharing = sum(shares[name] < 1 for name in names)
+        say("{} of {} runs share a GPU with another".format(sharing, len(names)))
     import ray
 
     if not hasattr(ray, "remote"):
@@ -261,7 +303,7 @@ def run(options, stop):
 
             if __name__ != "__main__":
                 cloudpickle.register_pickle_by_value(sys.modules[__name__])
-            Cluster(ray, options, program, stop).work(names)
+            Cluster(ray, options, program, stop, shares).work(names)
         finally:
             # Ends the tasks of this command. Their programs then stop by themselves.
             ray.shutdown()

@@ -7,8 +7,8 @@ use crate::message::say;
 use crate::output;
 use crate::ui::Stop;
 use sgs_batch::{
-    ArrayScript, Baseline, Batch, Launch, Manifest, Phase, Progress, Queue, Report, RunResult, Shard, State, Store,
-    Summary, Timing, Verdict, list, quote,
+    ArrayScript, Baseline, Batch, Launch, Manifest, Phase, Planner, Progress, Queue, Report, RunResult, Shard, State,
+    Store, Summary, Timing, Verdict, list, quote,
 };
 use std::ffi::OsString;
 use std::io::Write;
@@ -48,6 +48,9 @@ pub struct Args {
     /// Print the runs and their states as lines of JSON, and train nothing. With --json, one document.
     #[arg(long, conflicts_with_all = ["only", "shard", "retry_failed", "baseline", "summary", "slurm"])]
     list: bool,
+    /// Forecast the memory of the listed runs first. The directory keeps the forecasts.
+    #[arg(long, requires = "list")]
+    plan: bool,
     /// Write the summary of the existing results, and train nothing.
     #[arg(long, conflicts_with_all = ["only", "shard", "retry_failed", "slurm"])]
     summary: bool,
@@ -90,6 +93,12 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         batch.select(&a.only);
     }
     if a.list {
+        if a.plan {
+            forecast(common, a, &batch, &stop)?;
+        }
+        if stop.load(Ordering::SeqCst) {
+            return Err(stopped());
+        }
         return print_list(common, a, &batch);
     }
     if let Some(file) = &a.slurm {
@@ -204,6 +213,25 @@ fn summarize(store: &Store, batch: &Batch) -> anyhow::Result<Report> {
         }
     }
     Ok(report)
+}
+
+/// Forecasts the runs that are not done.
+fn forecast(common: &Common, a: &Args, batch: &Batch, stop: &Stop) -> anyhow::Result<()> {
+    let store = Store::open(&a.output, Timing::EXPIRY)?;
+    batch.write_configs(store.root())?;
+    let devices = devices(common, &a.devices)?;
+    let stage = batch.stage.name();
+    let planner = Planner {
+        store: &store,
+        batch,
+        launcher: &Programs { common, devices: &devices, arguments: &|launch| arguments(launch, stage) },
+        stop: &|| stop.load(Ordering::SeqCst),
+        jobs: a.jobs.number(devices.len(), JOBS_PER_DEVICE),
+        timing: Timing::default(),
+    };
+    let done = |i: &usize| store.result(&batch.runs[*i]).is_some_and(|r| r.state == State::Done);
+    let open: Vec<usize> = batch.order(None).into_iter().filter(|i| !done(i)).collect();
+    Ok(planner.plan(&open)?)
 }
 
 /// Prints the runs as one document, or one a line.

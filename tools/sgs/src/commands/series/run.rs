@@ -36,7 +36,7 @@ impl<'a> TableRun<'a> {
         Ok((TableRun { row, seed, settings, root, start, measured: OnceLock::new() }, scene))
     }
 
-    /// Returns directory and settings of the shared geometry that this run trains on, if that is trained.
+    /// Returns directory and settings of the shared geometry that the run needs.
     pub fn geometry(&self, output: &Path) -> anyhow::Result<Option<(PathBuf, Settings)>> {
         let Some(Start::Training { entry, settings }) = &self.row.start else { return Ok(None) };
         Ok(Some((output.join(entry.folder(self.seed)), of_seed(settings, self.seed)?.1)))
@@ -57,7 +57,7 @@ impl<'a> TableRun<'a> {
         state
     }
 
-    /// Returns whether materials in the directory began with the same settings, so that they can be continued.
+    /// Returns whether materials in the directory began with the same settings.
     pub fn has_begun_materials(&self, state: &State) -> bool {
         let began = RunDirectory::open(&self.root).and_then(|run| run.settings()).ok();
         // A transport stage that was interrupted begins again.
