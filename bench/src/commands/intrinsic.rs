@@ -58,11 +58,15 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     train(&mut training, common.warmup.max(scene.split.train.len() as u32), false)?;
     let (used, made) = (device.memory_use().0, cpu_seconds());
+    let before = training.host_times();
     let wall = train(&mut training, steps, true)?;
+    let (rest, submitting) = training.host_times().since(&before);
     let cpu = cpu_seconds().zip(made).map(|(after, before)| after - before);
     let after = device.memory_use().0;
     anyhow::ensure!(used == after, "{steps} steps changed the memory in use from {used} to {after} bytes.");
     report.time("step by the host's clock", "ms", Summary::of(&wall));
+    report.fact("host, a replay without its submission, us", rest * 1e6);
+    report.fact("host, the submission of a replay, us", submitting * 1e6);
     if let Some(seconds) = cpu {
         report.fact("processor seconds of a step, all threads", seconds / f64::from(steps));
     }

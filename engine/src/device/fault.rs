@@ -208,6 +208,11 @@ impl Gate {
         Gate { faults, objects, lost: OnceLock::new() }
     }
 
+    /// Returns whether calls are recorded or made to fail. Their order then matters.
+    pub fn is_watched(&self) -> bool {
+        self.faults.0.active.load(Ordering::Relaxed)
+    }
+
     /// Makes a call that can fail, unless the device is lost or a fault is due.
     pub fn call<T>(
         &self,

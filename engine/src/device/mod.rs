@@ -33,7 +33,7 @@ pub use instance::Messages;
 pub use limits::Limits;
 pub use objects::{ObjectKind, Objects};
 pub use pipeline::PipelineInfo;
-pub(crate) use pipeline::{Pipeline, descriptor_type};
+pub(crate) use pipeline::{Pipeline, Wanted, descriptor_type};
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
 pub use select::{DeviceInfo, MatrixShape, OptionalFeatures};
 pub use statistics::{KernelStatistics, Statistic};

@@ -7,9 +7,11 @@ use super::{Device, DeviceInfo, cache};
 use crate::error::{Error, Result};
 use crate::shader::{BindingKind, Shader};
 use ash::vk;
-use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Compute pipeline with its layouts.
 #[derive(Clone, Copy, Debug)]
@@ -66,7 +68,12 @@ pub(crate) struct Pipelines {
     subgroup_size: u32,
     subgroup_sizes: (u32, u32),
     pipelines: Mutex<HashMap<Key, Pipeline>>,
+    /// Whether pipelines were compiled since the on-disk cache was written.
+    unsaved: AtomicBool,
 }
+
+/// Kernel, specialization constants and subgroup size of a pipeline.
+pub(crate) type Wanted<'a> = (&'a Arc<Shader>, &'a [(u32, u32)], Option<u32>);
 
 impl Pipelines {
     pub fn new(device: &ash::Device, gate: &Gate, info: &DeviceInfo, folder: Option<PathBuf>) -> Result<Pipelines> {
@@ -86,6 +93,7 @@ impl Pipelines {
             subgroup_size: info.subgroup_size,
             subgroup_sizes: info.subgroup_sizes,
             pipelines: Mutex::default(),
+            unsaved: AtomicBool::new(false),
         })
     }
 
@@ -103,18 +111,88 @@ impl Pipelines {
             return Err(Error::SubgroupSize { kernel: shader.name.to_string(), size: subgroup_size, low, high });
         }
         let key = Key { shader: shader.clone(), specs: specs.to_vec(), subgroup_size };
-        let mut pipelines = self.pipelines.lock().unwrap_or_else(|e| e.into_inner());
-        if let Some(pipeline) = pipelines.get(&key) {
+        if let Some(pipeline) = self.lock().get(&key) {
             return Ok(*pipeline);
         }
         let workgroup = local_size(&shader.spirv, specs);
         // The flag requires rows of whole subgroups.
         let full = self.full_subgroups && workgroup[0].is_multiple_of(subgroup_size);
         let subgroups = Subgroups { requested: Some(subgroup_size).filter(|_| self.subgroup_size_control), full };
+        // Without the lock, so that several threads compile at once.
         let pipeline = create(device, self.cache, shader, specs, subgroups, workgroup)?;
         device.name(pipeline.raw, &shader.name);
-        pipelines.insert(key, pipeline);
-        Ok(pipeline)
+        match self.lock().entry(key) {
+            Entry::Vacant(place) => {
+                self.unsaved.store(true, Ordering::Relaxed);
+                Ok(*place.insert(pipeline))
+            }
+            Entry::Occupied(first) => {
+                destroy(&device.raw, &device.gate, &pipeline);
+                Ok(*first.get())
+            }
+        }
+    }
+
+    /// Compiles the pipelines that do not exist yet, on all cores, and writes the on-disk cache.
+    ///
+    /// # Errors
+    /// The first error in the order of the kernels.
+    pub fn compile(&self, device: &super::Shared, wanted: &[Wanted<'_>]) -> Result<()> {
+        let missing: Vec<&Wanted<'_>> = {
+            let there = self.lock();
+            let mut keys = HashSet::new();
+            let key = |(shader, specs, size): &Wanted<'_>| Key {
+                shader: (*shader).clone(),
+                specs: specs.to_vec(),
+                subgroup_size: size.unwrap_or(self.subgroup_size),
+            };
+            wanted
+                .iter()
+                .map(|wanted| (wanted, key(wanted)))
+                .filter(|(_, key)| !there.contains_key(key))
+                .filter_map(|(wanted, key)| keys.insert(key).then_some(wanted))
+                .collect()
+        };
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = if device.gate.is_watched() { 1 } else { cores.min(missing.len()) };
+        let (next, first) = (AtomicUsize::new(0), Mutex::new(None));
+        let work = || {
+            while let Some((shader, specs, size)) = missing.get(next.fetch_add(1, Ordering::Relaxed)) {
+                if let Err(error) = self.get(device, shader, specs, *size) {
+                    first.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+                    return;
+                }
+            }
+        };
+        std::thread::scope(|scope| {
+            (1..threads).for_each(|_| drop(scope.spawn(work)));
+            work();
+        });
+        match first.into_inner().unwrap_or_else(PoisonError::into_inner) {
+            Some(error) => Err(error),
+            None => {
+                self.save(&device.raw, &device.gate);
+                Ok(())
+            }
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<Key, Pipeline>> {
+        self.pipelines.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Writes the on-disk cache if pipelines were compiled since the last call.
+    ///
+    /// A process that is killed later has its kernels compiled for the next one.
+    fn save(&self, device: &ash::Device, gate: &Gate) {
+        let Some(path) = self.path.as_ref().filter(|_| self.unsaved.swap(false, Ordering::Relaxed)) else { return };
+        // SAFETY: the cache is alive.
+        let data =
+            gate.call("vkGetPipelineCacheData", "kernels", || unsafe { device.get_pipeline_cache_data(self.cache) });
+        match data {
+            Ok(data) => cache::write(path, &data),
+            Err(_) => self.unsaved.store(true, Ordering::Relaxed),
+        }
     }
 
     fn infos(&self) -> Vec<PipelineInfo> {
@@ -123,7 +201,7 @@ impl Pipelines {
 
     /// Lists all pipelines by kernel name and specialization.
     pub fn compiled(&self) -> Vec<(PipelineInfo, vk::Pipeline)> {
-        let pipelines = self.pipelines.lock().unwrap_or_else(|e| e.into_inner());
+        let pipelines = self.lock();
         let name_of = |shader: &Shader, id: u32| {
             let known = shader.specs.iter().find(|s| s.id == id);
             known.map_or_else(|| id.to_string(), |s| s.name.to_string())
@@ -147,25 +225,9 @@ impl Pipelines {
 
     /// Writes the on-disk cache and destroys every pipeline.
     pub fn destroy(&self, device: &ash::Device, gate: &Gate) {
-        let mut pipelines = self.pipelines.lock().unwrap_or_else(|e| e.into_inner());
-        if let (Some(path), false) = (&self.path, pipelines.is_empty()) {
-            // SAFETY: the cache is alive.
-            let data = gate
-                .call("vkGetPipelineCacheData", "kernels", || unsafe { device.get_pipeline_cache_data(self.cache) });
-            if let Ok(data) = data {
-                cache::write(path, &data);
-            }
-        }
-        for (_, p) in pipelines.drain() {
-            // SAFETY: the caller has waited for all work; these came from this device.
-            unsafe {
-                device.destroy_pipeline(p.raw, None);
-                device.destroy_pipeline_layout(p.layout, None);
-                device.destroy_descriptor_set_layout(p.set_layout, None);
-            }
-            gate.count_destroyed(ObjectKind::Pipeline);
-            gate.count_destroyed(ObjectKind::PipelineLayout);
-            gate.count_destroyed(ObjectKind::SetLayout);
+        self.save(device, gate);
+        for (_, pipeline) in self.lock().drain() {
+            destroy(device, gate, &pipeline);
         }
         // SAFETY: as above; nothing uses the cache any more.
         unsafe { device.destroy_pipeline_cache(self.cache, None) };
@@ -189,6 +251,19 @@ impl Device {
     pub fn pipelines(&self) -> Vec<PipelineInfo> {
         self.0.pipelines.infos()
     }
+}
+
+/// Destroys a pipeline that no work in flight uses.
+fn destroy(device: &ash::Device, gate: &Gate, pipeline: &Pipeline) {
+    // SAFETY: the caller has waited for the work that uses it; it came from this device.
+    unsafe {
+        device.destroy_pipeline(pipeline.raw, None);
+        device.destroy_pipeline_layout(pipeline.layout, None);
+        device.destroy_descriptor_set_layout(pipeline.set_layout, None);
+    }
+    gate.count_destroyed(ObjectKind::Pipeline);
+    gate.count_destroyed(ObjectKind::PipelineLayout);
+    gate.count_destroyed(ObjectKind::SetLayout);
 }
 
 fn create(

@@ -70,17 +70,17 @@ impl Executor {
         }
     }
 
-    /// Allocates and writes the descriptor set of a pass.
+    /// Allocates and writes the descriptor set of a pass, from a pool.
     pub(super) fn descriptor_set(
         &self,
-        slot: &Slot,
+        (slot, pool): (&Slot, vk::DescriptorPool),
         pipeline: &Pipeline,
         shader: &crate::shader::Shader,
         bindings: &[(u32, Slice)],
     ) -> Result<vk::DescriptorSet> {
         let raw = &self.device.0.raw;
         let layouts = [pipeline.set_layout];
-        let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(slot.descriptors).set_layouts(&layouts);
+        let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
         // SAFETY: the pool has one set for every pass and was reset before recording.
         let set = self
             .device

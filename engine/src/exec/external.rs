@@ -5,7 +5,7 @@
 //! command buffer, its submission, and the order against other queues.
 
 use super::{Executor, Slot};
-use crate::device::{Device, Ticket};
+use crate::device::{DeferredObject, Device, Ticket};
 use crate::error::{Error, Result};
 use crate::graph::Buffer;
 use crate::memory::{DeviceBuffer, DeviceImage};
@@ -97,7 +97,8 @@ type Bindings = (Vec<Option<DeviceBuffer>>, Vec<Option<DeviceImage>>);
 /// Resources of one recording.
 pub(super) struct HostSlot {
     /// Has no command pool: the commands are the host's.
-    pub slot: Slot,
+    slot: Slot,
+    descriptors: vk::DescriptorPool,
     state: Arc<Mutex<RecordingState>>,
     /// Bound memory, kept alive if the executor binds other memory.
     _bindings: Bindings,
@@ -164,14 +165,14 @@ impl Executor {
         let index = self.free_host_slot()?;
         let shared = &self.device.0;
         let name = &self.plan.name;
-        let slot = &self.host_slots[index].slot;
+        let HostSlot { slot, descriptors, .. } = &self.host_slots[index];
         self.write_uniforms(slot, uniforms)?;
         // SAFETY: the previous recording of these sets is done.
         shared.gate.call("vkResetDescriptorPool", name, || unsafe {
-            shared.raw.reset_descriptor_pool(slot.descriptors, vk::DescriptorPoolResetFlags::empty())
+            shared.raw.reset_descriptor_pool(*descriptors, vk::DescriptorPoolResetFlags::empty())
         })?;
         self.record_barrier(commands, &entry(), &self.plan.entry)?;
-        self.body(commands, slot)?;
+        self.body(commands, slot, *descriptors)?;
         self.record_barrier(commands, &exit(), &self.plan.exit)?;
         let state = Arc::new(Mutex::new(RecordingState::Pending));
         let bindings = (self.externals.clone(), self.images.clone());
@@ -223,17 +224,10 @@ impl Executor {
             return Err(Error::SlotsInUse { plan: self.plan.name.clone(), slots });
         }
         let uniforms = self.slot_uniforms()?;
-        let slot = Slot {
-            pool: vk::CommandPool::null(),
-            commands: vk::CommandBuffer::null(),
-            descriptors: self.descriptor_pool()?,
-            queries: vk::QueryPool::null(),
-            uniforms,
-            recorded: false,
-            ticket: None,
-        };
+        let slot = Slot { recorded: Vec::new(), queries: vk::QueryPool::null(), uniforms, ticket: None };
         self.host_slots.push(HostSlot {
             slot,
+            descriptors: self.descriptor_pool()?,
             state: Arc::new(Mutex::new(RecordingState::Done)),
             _bindings: Bindings::default(),
         });
@@ -245,7 +239,10 @@ impl Executor {
         let limit = u64::try_from(self.device.timeout().as_nanos()).unwrap_or(u64::MAX);
         let host_slots = std::mem::take(&mut self.host_slots);
         if host_slots.iter().all(|l| l.done(&self.device, &self.plan.name, limit).unwrap_or(false)) {
-            host_slots.iter().for_each(|l| self.destroy_slot(&l.slot, Ticket(0)));
+            for HostSlot { slot, descriptors, .. } in &host_slots {
+                self.destroy_slot(slot, Ticket(0));
+                self.device.0.dispose(Ticket(0), DeferredObject::DescriptorPool(*descriptors));
+            }
             return;
         }
         tracing::error!(

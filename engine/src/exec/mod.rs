@@ -1,15 +1,18 @@
 //! Execution of plans: binds memory, records one command buffer per frame in flight, replays it.
 //!
-//! Promises: once every slot is recorded, a replay waits only for its own slot, copies the uniforms, and submits. It
-//! allocates and records nothing. Executors of one device are ordered by submission. The plan resolves hazards inside
-//! a replay.
+//! Promises: once every slot is recorded with the memory that it replays, a replay waits only for its own slot, copies
+//! the uniforms, and submits. It allocates and records nothing. Executors of one device are ordered by submission. The
+//! plan resolves hazards inside a replay.
 
 mod bind;
 mod external;
 mod record;
+mod recorded;
 mod time;
 
 pub use external::{Completion, Recording, SemaphorePoint};
+
+use recorded::Recorded;
 
 use crate::device::{DeferredObject, Device, ObjectKind, Ticket};
 use crate::error::{Error, Result};
@@ -54,6 +57,8 @@ pub struct Executor {
     /// By buffer: byte offset in a slot's uniform memory.
     uniform_offsets: Vec<u64>,
     slots: Vec<Slot>,
+    /// Indices of the external buffers whose memory alternates ([`Executor::alternate`]).
+    alternating: Vec<usize>,
     next: usize,
     uniform_bytes: u64,
     /// Slots recorded into command buffers of a host.
@@ -79,6 +84,20 @@ pub struct HostTimes {
     pub wait_time: Duration,
 }
 
+impl std::ops::Add for HostTimes {
+    type Output = HostTimes;
+
+    fn add(self, other: HostTimes) -> HostTimes {
+        HostTimes {
+            replays: self.replays + other.replays,
+            recordings: self.recordings + other.recordings,
+            work_time: self.work_time + other.work_time,
+            submit_time: self.submit_time + other.submit_time,
+            wait_time: self.wait_time + other.wait_time,
+        }
+    }
+}
+
 impl HostTimes {
     /// Returns seconds per replay since `earlier`: host work without submission, and submission. Zero without
     /// replays.
@@ -92,12 +111,10 @@ impl HostTimes {
 
 /// Resources of one replay in flight.
 struct Slot {
-    pool: vk::CommandPool,
-    commands: vk::CommandBuffer,
-    descriptors: vk::DescriptorPool,
+    /// Recordings, one for each combination of alternating memory.
+    recorded: Vec<Recorded>,
     queries: vk::QueryPool,
     uniforms: Option<DeviceBuffer>,
-    recorded: bool,
     ticket: Option<Ticket>,
 }
 
@@ -138,6 +155,7 @@ impl Executor {
             arena,
             uniform_offsets,
             slots: Vec::new(),
+            alternating: Vec::new(),
             next: 0,
             uniform_bytes,
             host_slots: Vec::new(),
@@ -178,7 +196,8 @@ impl Executor {
         self.arena.as_ref()
     }
 
-    /// Binds memory to an external buffer of the plan. Rebinding waits for the replays in flight and records again.
+    /// Binds memory to an external buffer of the plan. Rebinding waits for the replays in flight and records again;
+    /// [`Executor::alternate`] does not.
     ///
     /// # Errors
     /// [`Error::OutOfRange`] if the memory is smaller than declared.
@@ -188,13 +207,12 @@ impl Executor {
         if place.as_ref().is_some_and(|old| Arc::ptr_eq(&old.0, &memory.0)) {
             return Ok(());
         }
-        if place.is_some() {
+        // Replays in flight use the memory that recordings keep alive.
+        if place.is_some() || !self.alternating.is_empty() {
             self.finish()?;
         }
         self.externals[buffer.index()] = Some(memory.clone());
-        for slot in &mut self.slots {
-            slot.recorded = false;
-        }
+        self.forget_recordings();
         Ok(())
     }
 
@@ -220,13 +238,11 @@ impl Executor {
         if place.as_ref().is_some_and(|old| Arc::ptr_eq(&old.0, &memory.0)) {
             return Ok(());
         }
-        if place.is_some() {
+        if place.is_some() || !self.alternating.is_empty() {
             self.finish()?;
         }
         self.images[image.index()] = Some(memory.clone());
-        for slot in &mut self.slots {
-            slot.recorded = false;
-        }
+        self.forget_recordings();
         Ok(())
     }
 
@@ -248,12 +264,9 @@ impl Executor {
         let index = self.next;
         let waited = self.retire(index, self.device.timeout())?;
         self.write_uniforms(&self.slots[index], uniforms)?;
-        if !self.slots[index].recorded {
-            self.record(index)?;
-            self.host.recordings += 1;
-        }
+        let commands = self.recorded(index)?;
         let submit_start = Instant::now();
-        let ticket = self.device.0.submit_between(self.slots[index].commands, waits, signals, &self.plan.name)?;
+        let ticket = self.device.0.submit_between(commands, waits, signals, &self.plan.name)?;
         self.host.submit_time += submit_start.elapsed();
         self.slots[index].ticket = Some(ticket);
         self.next = (index + 1) % self.slots.len();
@@ -326,21 +339,10 @@ impl Executor {
     }
 
     fn slot(&self) -> Result<Slot> {
-        let shared = &self.device.0;
-        let name = &self.plan.name;
-        let uniforms = self.slot_uniforms()?;
-        let pool_info = vk::CommandPoolCreateInfo::default().queue_family_index(shared.queue_family);
-        // SAFETY: the device is alive.
-        let pool = shared.gate.make(ObjectKind::CommandPool, "vkCreateCommandPool", name, || unsafe {
-            shared.raw.create_command_pool(&pool_info, None)
-        })?;
         let mut slot = Slot {
-            pool,
-            commands: vk::CommandBuffer::null(),
-            descriptors: vk::DescriptorPool::null(),
+            recorded: Vec::new(),
             queries: vk::QueryPool::null(),
-            uniforms,
-            recorded: false,
+            uniforms: self.slot_uniforms()?,
             ticket: None,
         };
         if let Err(error) = self.fill_slot(&mut slot) {
@@ -351,26 +353,17 @@ impl Executor {
     }
 
     fn fill_slot(&self, slot: &mut Slot) -> Result<()> {
+        slot.recorded.push(self.new_recording()?);
         let shared = &self.device.0;
-        let name = &self.plan.name;
-        let commands = vk::CommandBufferAllocateInfo::default()
-            .command_pool(slot.pool)
-            .level(vk::CommandBufferLevel::PRIMARY)
-            .command_buffer_count(1);
-        // SAFETY: the pool was created from this device.
-        slot.commands = shared
-            .gate
-            .call("vkAllocateCommandBuffers", name, || unsafe { shared.raw.allocate_command_buffers(&commands) })?[0];
-        shared.name(slot.commands, name);
-        slot.descriptors = self.descriptor_pool()?;
         if self.times.enabled() {
             let info = vk::QueryPoolCreateInfo::default()
                 .query_type(vk::QueryType::TIMESTAMP)
                 .query_count(2 * self.plan.passes.len() as u32);
             // SAFETY: the device is alive.
-            slot.queries = shared.gate.make(ObjectKind::QueryPool, "vkCreateQueryPool", name, || unsafe {
-                shared.raw.create_query_pool(&info, None)
-            })?;
+            slot.queries =
+                shared.gate.make(ObjectKind::QueryPool, "vkCreateQueryPool", &self.plan.name, || unsafe {
+                    shared.raw.create_query_pool(&info, None)
+                })?;
             // Queries may be read before the first replay has reset them.
             // SAFETY: the pool was created with that many queries; host query reset is a required feature.
             unsafe { shared.raw.reset_query_pool(slot.queries, 0, 2 * self.plan.passes.len() as u32) };
@@ -384,12 +377,7 @@ impl Executor {
         if slot.queries != vk::QueryPool::null() {
             shared.dispose(until, DeferredObject::QueryPool(slot.queries));
         }
-        if slot.descriptors != vk::DescriptorPool::null() {
-            shared.dispose(until, DeferredObject::DescriptorPool(slot.descriptors));
-        }
-        if slot.pool != vk::CommandPool::null() {
-            shared.dispose(until, DeferredObject::CommandPool(slot.pool));
-        }
+        slot.recorded.iter().for_each(|recorded| self.destroy_recording(recorded, until));
     }
 }
 
@@ -406,7 +394,8 @@ impl Drop for Executor {
             return;
         };
         let uniforms = self.slots.iter().filter_map(|s| s.uniforms.as_ref());
-        for buffer in self.externals.iter().flatten().chain(&self.arena).chain(uniforms) {
+        let alternating = self.slots.iter().flat_map(|s| &s.recorded).flat_map(|r| r.memory.iter().flatten());
+        for buffer in self.externals.iter().flatten().chain(&self.arena).chain(uniforms).chain(alternating) {
             buffer.0.busy.until(last);
         }
         for image in self.images.iter().flatten().chain(&self.slot_images) {

@@ -1,28 +1,29 @@
 //! Recording of a plan into a command buffer.
 
-use super::{Executor, Slot};
+use super::{Executor, Recorded, Slot};
+use crate::device::Wanted;
 use crate::error::Result;
-use crate::graph::plan::{Barrier, Plan, Transition};
+use crate::graph::plan::{Barrier, Transition};
 use crate::graph::{Accesses, Dispatch, Image, ImageState, PassKind, Stages};
 use crate::memory::image::{WHOLE, packed_copy};
 use ash::vk;
 
 impl Executor {
-    /// Records the command buffer of a slot.
-    pub(super) fn record(&mut self, index: usize) -> Result<()> {
+    /// Records a command buffer of a slot.
+    pub(super) fn record(&self, index: usize, which: usize) -> Result<()> {
         let shared = &self.device.0;
         let raw = &shared.raw;
         let plan = self.plan.clone();
         let slot = &self.slots[index];
-        let commands = slot.commands;
+        let Recorded { pool, commands, descriptors, .. } = slot.recorded[which];
         let begin = vk::CommandBufferBeginInfo::default();
         // SAFETY: the slot is not in flight (its ticket was awaited), so pool and sets may be reset.
         unsafe {
             shared.gate.call("vkResetCommandPool", &plan.name, || {
-                raw.reset_command_pool(slot.pool, vk::CommandPoolResetFlags::empty())
+                raw.reset_command_pool(pool, vk::CommandPoolResetFlags::empty())
             })?;
             shared.gate.call("vkResetDescriptorPool", &plan.name, || {
-                raw.reset_descriptor_pool(slot.descriptors, vk::DescriptorPoolResetFlags::empty())
+                raw.reset_descriptor_pool(descriptors, vk::DescriptorPoolResetFlags::empty())
             })?;
         }
         // SAFETY: the command buffer was reset with its pool.
@@ -31,12 +32,10 @@ impl Executor {
         }
         self.reset_stamps(commands, slot);
         self.open(commands)?;
-        self.body(commands, slot)?;
+        self.body(commands, slot, descriptors)?;
         self.close(commands)?;
         // SAFETY: recording began above.
-        shared.gate.call("vkEndCommandBuffer", &plan.name, || unsafe { raw.end_command_buffer(commands) })?;
-        self.slots[index].recorded = true;
-        Ok(())
+        shared.gate.call("vkEndCommandBuffer", &plan.name, || unsafe { raw.end_command_buffer(commands) })
     }
 
     /// Records the barrier and layout transitions at the beginning of a replay.
@@ -59,9 +58,13 @@ impl Executor {
     }
 
     /// Records the passes between entry and exit barrier.
-    pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot) -> Result<()> {
+    ///
+    /// `descriptors`: pool for the descriptor sets.
+    pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot, descriptors: vk::DescriptorPool) -> Result<()> {
+        let wanted: Vec<_> = self.plan.passes.iter().filter_map(|pass| wanted(&pass.kind)).collect();
+        self.device.0.pipelines.compile(&self.device.0, &wanted)?;
         self.prelude(commands);
-        self.groups(commands, slot)
+        self.groups(commands, slot, descriptors)
     }
 
     /// Resets the timestamp queries of a slot.
@@ -100,7 +103,7 @@ impl Executor {
     }
 
     /// Records all groups.
-    fn groups(&self, commands: vk::CommandBuffer, slot: &Slot) -> Result<()> {
+    fn groups(&self, commands: vk::CommandBuffer, slot: &Slot, descriptors: vk::DescriptorPool) -> Result<()> {
         let plan = &self.plan;
         self.open_label(commands, &plan.name);
         for (g, group) in plan.groups.iter().enumerate() {
@@ -111,7 +114,7 @@ impl Executor {
             for &pass in &group.passes {
                 self.stamp(commands, slot, pass, false);
                 self.open_label(commands, &plan.passes[pass].name);
-                self.pass(commands, slot, plan, pass)?;
+                self.pass(commands, slot, descriptors, pass)?;
                 self.close_label(commands);
                 self.stamp(commands, slot, pass, true);
             }
@@ -121,14 +124,20 @@ impl Executor {
         Ok(())
     }
 
-    fn pass(&self, commands: vk::CommandBuffer, slot: &Slot, plan: &Plan, pass: usize) -> Result<()> {
+    fn pass(
+        &self,
+        commands: vk::CommandBuffer,
+        slot: &Slot,
+        descriptors: vk::DescriptorPool,
+        pass: usize,
+    ) -> Result<()> {
         let shared = &self.device.0;
         let raw = &shared.raw;
-        let pass = &plan.passes[pass];
+        let pass = &self.plan.passes[pass];
         match &pass.kind {
             PassKind::Compute { shader, specs, push, bindings, subgroup_size, dispatch } => {
                 let pipeline = shared.pipelines.get(shared, shader, specs, *subgroup_size)?;
-                let set = self.descriptor_set(slot, &pipeline, shader, bindings)?;
+                let set = self.descriptor_set((slot, descriptors), &pipeline, shader, bindings)?;
                 // SAFETY: pipeline, layout and set belong together. The push constants have the size of the layout.
                 // The builder has checked that indirect arguments lie inside their buffer.
                 unsafe {
@@ -258,6 +267,14 @@ impl Executor {
             // SAFETY: the pool has two queries for every pass, reset at the start of this command buffer.
             unsafe { self.device.0.raw.cmd_write_timestamp2(commands, stage, slot.queries, query) };
         }
+    }
+}
+
+/// Returns the pipeline of a pass that runs a kernel.
+fn wanted(pass: &PassKind) -> Option<Wanted<'_>> {
+    match pass {
+        PassKind::Compute { shader, specs, subgroup_size, .. } => Some((shader, specs, *subgroup_size)),
+        _ => None,
     }
 }
 

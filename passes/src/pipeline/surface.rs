@@ -4,7 +4,7 @@
 //! pass and inputs, so results are bitwise equal. Storing waits for the device, because the host needs the number of
 //! weights; with known capacity nothing waits.
 
-use super::Step;
+use super::{PSEUDO_VIEWS, Step};
 use crate::Tuning;
 use crate::scene::{Gaussians, Handles, Layout};
 use crate::shade::{GBUFFER_CHANNELS, Room, Surfaces, Weights, gbuffer, unpacked_weights, weight_words, weights};
@@ -165,6 +165,14 @@ impl Surface {
         handles.buffers().iter().zip(&self.buffers).try_for_each(|(handle, buffer)| exec.bind(*handle, buffer))
     }
 
+    /// Like [`Surface::bind`], for replays that alternate between surfaces ([`Executor::alternate`]).
+    ///
+    /// # Errors
+    /// If the plan was compiled for larger buffers.
+    pub fn alternate(&self, exec: &mut Executor, handles: &SurfaceHandles) -> Result<()> {
+        handles.buffers().iter().zip(&self.buffers).try_for_each(|(handle, buffer)| exec.alternate(*handle, buffer))
+    }
+
     /// Downloads points, normals and coverage (waits for the device).
     ///
     /// # Errors
@@ -277,6 +285,9 @@ impl SurfaceBuilder {
     /// Bytes of the flag and the required counts.
     pub const BYTES: u64 = 12;
 
+    /// Views in flight: a training step needs its own and its pseudo-views.
+    pub const FRAMES: usize = 1 + PSEUDO_VIEWS;
+
     /// Grows the capacity until a view fits (waits for the device). Earlier views still fit.
     ///
     /// # Errors
@@ -324,11 +335,27 @@ impl SurfaceBuilder {
 
     /// Fills `into`, which has the builder's shape, without waiting. The view must have been measured.
     ///
+    /// Waits for the view before if that filled another surface.
+    ///
     /// # Errors
     /// If the device fails.
     pub fn fill(&mut self, gaussians: &Gaussians, camera: &Camera, into: &Surface) -> Result<()> {
-        gaussians.bind(&mut self.state.exec, &self.state.gaussians)?;
         into.bind(&mut self.state.exec, &self.state.into)?;
+        self.submit(gaussians, camera)
+    }
+
+    /// Like [`SurfaceBuilder::fill`], for a few surfaces that are filled again and again. Never waits for the view
+    /// before, and keeps the surfaces alive.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn fill_again(&mut self, gaussians: &Gaussians, camera: &Camera, into: &Surface) -> Result<()> {
+        into.alternate(&mut self.state.exec, &self.state.into)?;
+        self.submit(gaussians, camera)
+    }
+
+    fn submit(&mut self, gaussians: &Gaussians, camera: &Camera) -> Result<()> {
+        gaussians.bind(&mut self.state.exec, &self.state.gaussians)?;
         let mut camera = *camera;
         let tile = self.tuning.tile;
         camera.tiles = [camera.size[0].div_ceil(tile[0]), camera.size[1].div_ceil(tile[1])];
@@ -358,7 +385,11 @@ impl State {
         let Declared { plan, step, gaussians: handles, into, flags, wanted } = declared;
         let make = |name: &str| device.buffer(name, 4, Location::Device);
         let (flag_memory, wanted_memory) = (make("flags")?, [make("wanted_entries")?, make("wanted_weights")?]);
-        let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
+        let mut exec = Executor::new(
+            device,
+            plan,
+            ExecOptions { frames_in_flight: SurfaceBuilder::FRAMES, ..Default::default() },
+        )?;
         exec.bind(flags, &flag_memory)?;
         for (handle, memory) in wanted.iter().zip(&wanted_memory) {
             exec.bind(*handle, memory)?;

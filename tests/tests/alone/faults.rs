@@ -259,12 +259,31 @@ fn cache_on_disk_failures_are_tolerated() {
     let options = DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..options(&faults, &objects) };
     for kind in FaultKind::of("vkGetPipelineCacheData") {
         let device = Device::open(&options).unwrap();
-        assert_eq!(workload(&device).unwrap(), expected());
         faults.inject(Fault { call: "vkGetPipelineCacheData", skip: 0, result: *kind });
-        drop(device);
+        assert_eq!(workload(&device).unwrap(), expected());
         assert_eq!(faults.take_fired().len(), 1);
+        // The file is written later instead.
+        drop(device);
         assert_eq!(objects.alive(), []);
+        let file = std::fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
+        std::fs::remove_file(file).unwrap();
     }
+}
+
+/// A process that is killed after its first replay leaves its kernels compiled.
+#[test]
+fn cache_is_on_disk_after_the_first_replay() {
+    let _turn = turn();
+    let folder = tempfile::tempdir().unwrap();
+    let (faults, objects) = (Faults::default(), Objects::default());
+    let options = DeviceOptions { pipeline_cache: Some(folder.path().to_owned()), ..options(&faults, &objects) };
+    let device = Device::open(&options).unwrap();
+    assert_eq!(workload(&device).unwrap(), expected());
+    let file = std::fs::read_dir(folder.path()).unwrap().next().unwrap().unwrap().path();
+    let written = file.metadata().unwrap().modified().unwrap();
+    assert_eq!(workload(&device).unwrap(), expected());
+    drop(device);
+    assert_eq!(file.metadata().unwrap().modified().unwrap(), written, "nothing new was compiled");
 }
 
 /// A damaged cache file is rebuilt, and kernels are still created.

@@ -116,11 +116,19 @@ impl ViewLightBuffers {
         Ok(ViewLightBuffers { lights, buffers })
     }
 
-    /// Computes the light of a view.
+    /// Computes the light of a view, without waiting for it.
     ///
     /// # Errors
     /// If the device fails.
     pub fn fill(&mut self, surface: &Surface, camera: &Camera, which: usize) -> Result<()> {
         Ok(self.lights.fill(surface, camera, &self.buffers[which])?)
+    }
+
+    /// Waits for the submitted work.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn finish(&mut self) -> Result<()> {
+        Ok(self.lights.finish()?)
     }
 }

@@ -29,7 +29,7 @@ use crate::shade::environment::{Environment, EnvironmentTables, StoredFilter};
 use crate::shade::lights::LightModel;
 use crate::shade::traced::TracedShape;
 use crate::shade::visibility::FieldConfig;
-use sgs_engine::exec::{ExecOptions, Executor};
+use sgs_engine::exec::{ExecOptions, Executor, HostTimes};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Location, Result, Ticket};
 use sgs_shaders::structs::{FieldStep, IntrinsicReport, MaterialWeights};
@@ -319,9 +319,9 @@ impl IntrinsicStep {
         pseudo: &[Surface],
         values: &IntrinsicStepValues,
     ) -> Result<Ticket> {
-        surface.bind(&mut self.exec, &self.surface)?;
+        surface.alternate(&mut self.exec, &self.surface)?;
         if let (Some(handle), Some(light)) = (self.view_light, light) {
-            self.exec.bind(handle, light)?;
+            self.exec.alternate(handle, light)?;
         }
         for (surface, handles) in pseudo.iter().zip(&self.pseudo) {
             surface.bind(&mut self.exec, handles)?;
@@ -385,6 +385,11 @@ impl IntrinsicStep {
     /// Returns the options of the step.
     pub fn options(&self) -> &IntrinsicOptions {
         &self.options
+    }
+
+    /// Returns the host time of all replays.
+    pub fn host_times(&self) -> HostTimes {
+        self.exec.host_times()
     }
 
     /// Returns the executor, for its plan and its pass times.

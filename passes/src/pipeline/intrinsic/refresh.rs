@@ -143,7 +143,9 @@ impl EnvironmentRefresh {
         Ok(declare(tuning, environment, options)?.plan)
     }
 
-    /// Updates the texels from the accumulated gradients (waits for the device).
+    /// Updates the texels from the accumulated gradients, without waiting for it.
+    ///
+    /// Waits for the update before.
     ///
     /// `step` holds the number of this update, from 1, and the bias corrections of Adam.
     ///
@@ -151,6 +153,14 @@ impl EnvironmentRefresh {
     /// If the device fails.
     pub fn run(&mut self, step: &Step) -> Result<()> {
         self.exec.submit(&[(self.step, bytemuck::bytes_of(step))])?;
+        Ok(())
+    }
+
+    /// Waits for the submitted update.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn finish(&mut self) -> Result<()> {
         self.exec.finish()
     }
 

@@ -371,7 +371,9 @@ impl ViewLights {
         self.device.buffer("view_light", self.bytes, Location::Device)
     }
 
-    /// Computes the light of a view and waits for it. The camera is in the unit of the scene.
+    /// Computes the light of a view, without waiting for it. The camera is in the unit of the scene.
+    ///
+    /// Waits for the view before.
     ///
     /// # Errors
     /// If the device fails.
@@ -382,6 +384,14 @@ impl ViewLights {
         let size = camera.size;
         step.camera.tiles = [size[0].div_ceil(self.tile[0]), size[1].div_ceil(self.tile[1])];
         self.exec.submit(&[(self.step, bytemuck::bytes_of(&step))])?;
+        Ok(())
+    }
+
+    /// Waits for the submitted work.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn finish(&mut self) -> Result<()> {
         self.exec.finish()
     }
 }

@@ -2,7 +2,7 @@
 //! The setting is `intrinsic.environment.every`.
 //!
 //! Guarantees: checkpoints store the gradient accumulated since the last update, so an interrupted training continues
-//! bit for bit. An update waits for the steps before it.
+//! bit for bit. An update waits for the steps before it on the device, not on the host.
 
 use super::Intrinsic;
 use crate::error::Result;
@@ -19,6 +19,11 @@ impl EnvironmentUpdates {
     /// Returns the stored levels.
     pub fn stored(&self) -> &StoredEnvironment {
         &self.stored
+    }
+
+    /// Waits for the submitted update.
+    pub fn finish(&mut self) -> Result<()> {
+        self.refresh.as_mut().map_or(Ok(()), |refresh| Ok(refresh.finish()?))
     }
 }
 
@@ -65,7 +70,6 @@ impl Intrinsic {
         if self.environment_updates.is_none() || !step.is_multiple_of(every) {
             return Ok(());
         }
-        self.finish()?;
         if self.environment_updates.as_ref().is_some_and(|s| s.refresh.is_none()) {
             let inputs = self.inputs(super::StepKind::Plain);
             let made = EnvironmentRefresh::new(&self.device, &self.tuning, &inputs, &self.status, &self.options)?;

@@ -59,6 +59,9 @@ impl Intrinsic {
 
     /// Waits for all submitted work.
     pub(super) fn finish(&mut self) -> Result<()> {
+        if let Some(updates) = &mut self.environment_updates {
+            updates.finish()?;
+        }
         self.execs.iter_mut().flatten().try_for_each(|e| Ok(e.finish()?))
     }
 }

@@ -346,7 +346,9 @@ impl Intrinsic {
             surfaces: 1,
             surface_arena: builder.compiled().arena_bytes,
             // Gaussians also store their count, beside the parameters.
-            surface_small: 16 + SurfaceBuilder::BYTES + uniform_bytes(device, builder.compiled(), 1),
+            surface_small: 16
+                + SurfaceBuilder::BYTES
+                + uniform_bytes(device, builder.compiled(), SurfaceBuilder::FRAMES),
             kinds: StepKind::ALL.map(|kind| {
                 let can = consistency.is_some() && (kind != StepKind::Relight || options.relight || options.own_prior);
                 kind == StepKind::Plain || can && (1..=s.steps).any(|step| StepKind::of(s, step) == kind)

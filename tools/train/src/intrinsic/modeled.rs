@@ -6,7 +6,7 @@ use super::{Intrinsic, IntrinsicNeeds, LoggedLosses};
 use crate::error::Result;
 use crate::idle::{IdleLoss, PriorKinds};
 use sgs_config::IntrinsicSettings;
-use sgs_engine::exec::PassTime;
+use sgs_engine::exec::{HostTimes, PassTime};
 use sgs_passes::cost::{Cost, Counts, of_plan};
 use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStep};
 
@@ -64,13 +64,19 @@ impl Intrinsic {
 
     /// Returns whether the surfaces of all training views are stored.
     pub fn keeps_surfaces(&self) -> bool {
-        !self.surfaces.waits(false)
+        self.surfaces.are_stored()
     }
 
     /// Returns the comparisons of albedo that any step makes.
     pub fn comparisons(&self) -> AlbedoComparisons {
         let due = |kind| (1..=self.required.intrinsic.steps).any(|step| self.kind(step) == kind);
         AlbedoComparisons { cross_view: due(StepKind::CrossView), relight: due(StepKind::Relight) }
+    }
+
+    /// Returns the host time of the steps of all kinds since their graphs were built.
+    pub fn host_times(&self) -> HostTimes {
+        let of_steps = self.execs.iter().flatten().map(|step| step.host_times());
+        of_steps.fold(HostTimes::default(), |sum, times| sum + times)
     }
 
     /// Turns timestamps of passes on or off.

@@ -6,7 +6,7 @@
 use super::Intrinsic;
 use crate::data::TrainingData;
 use crate::error::Result;
-use sgs_engine::Device;
+use sgs_engine::{Device, Ticket};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     Camera, IntrinsicStep, IntrinsicStepValues, PSEUDO_VIEWS, Surface, SurfaceBuilder, SurfaceShape,
@@ -76,6 +76,7 @@ impl Surfaces {
             for (i, (camera, _)) in data.views.iter().enumerate() {
                 lights.fill(&self.stored[i], camera, i)?;
             }
+            lights.finish()?;
         }
         self.lights = Some(lights);
         Ok(())
@@ -118,14 +119,12 @@ impl Surfaces {
         Ok(sum as f64 / self.stored.len().max(1) as f64)
     }
 
-    /// Returns whether a step requires that no work is in flight when it is submitted.
-    pub fn waits(&self, pseudo: bool) -> bool {
-        pseudo || !self.all
+    /// Returns whether the surfaces of all training views are stored.
+    pub fn are_stored(&self) -> bool {
+        self.all
     }
 
-    /// Submits a step on a view, with pseudo-views if it compares some.
-    /// If the step has to wait ([`Surfaces::waits`]), earlier work must be done: recomputed surfaces share one
-    /// allocation.
+    /// Submits a step on a view, with pseudo-views if it compares some. Waits for nothing but the steps long before.
     pub fn with(
         &mut self,
         gaussians: &Gaussians,
@@ -134,11 +133,10 @@ impl Surfaces {
         pseudo: bool,
         exec: &mut IntrinsicStep,
         values: &IntrinsicStepValues,
-    ) -> Result<()> {
-        let mut fill = |camera: &Camera, into: &Surface| -> Result<()> {
-            self.builder.fill(gaussians, camera, into)?;
-            Ok(self.builder.finish()?)
-        };
+    ) -> Result<Ticket> {
+        // All graphs share one queue, on which each replay waits for all before it.
+        let mut fill =
+            |camera: &Camera, into: &Surface| -> Result<()> { Ok(self.builder.fill_again(gaussians, camera, into)?) };
         let mine = if self.all { &self.stored[view] } else { &self.stored[0] };
         if !self.all {
             fill(camera, mine)?;
@@ -152,8 +150,7 @@ impl Surfaces {
         for (surface, step) in others.iter().zip(&values.pseudo) {
             fill(&step.camera, surface)?;
         }
-        exec.submit(mine, light, others, values)?;
-        Ok(())
+        Ok(exec.submit(mine, light, others, values)?)
     }
 }
 

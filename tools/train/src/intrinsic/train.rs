@@ -18,6 +18,7 @@ impl Intrinsic {
         mut on_report: impl FnMut(&IntrinsicReport),
         mut go_on: impl FnMut() -> bool,
     ) -> Result<()> {
+        let mut last_ticket = None;
         while self.submitted < last && go_on() {
             let step = self.submitted + 1;
             let view = self.schedule.view(step);
@@ -27,28 +28,25 @@ impl Intrinsic {
                 kind = StepKind::Plain;
             }
             let pseudo = kind == StepKind::CrossView;
-            // Graphs order their own replays, but not those of other graphs.
-            let another = step > 1 && self.kind(step - 1) != kind;
-            if another || self.surfaces.waits(pseudo) {
-                self.finish()?;
-            }
             self.make(kind)?;
             let Some(exec) = &mut self.execs[kind as usize] else { return Err(gone()) };
-            self.surfaces.with(&self.gaussians, &self.data.views[view].0, view, pseudo, exec, &values)?;
+            let camera = &self.data.views[view].0;
+            let ticket = self.surfaces.with(&self.gaussians, camera, view, pseudo, exec, &values)?;
+            let before = last_ticket.replace(ticket);
             self.submitted = step;
             self.move_environment(step)?;
             if self.remembers(step) {
                 self.finish()?;
                 self.remember(step)?;
             }
-            // Each graph has its own replays in flight: only steps before a wait for all graphs are surely done.
-            let decides = self.decides_after(step);
-            if step.is_multiple_of(POLL_INTERVAL) || decides {
+            if self.decides_after(step) {
                 self.finish()?;
                 self.poll(step, &mut on_report)?;
-            }
-            if decides {
                 self.decide(step)?;
+            } else if let (Some(ticket), true) = (before, step.is_multiple_of(POLL_INTERVAL)) {
+                // The device works on the last step meanwhile.
+                self.device.wait(ticket, "the step before the last")?;
+                self.poll(step - 1, &mut on_report)?;
             }
         }
         self.finish()?;
