@@ -133,7 +133,7 @@ impl Pipelines {
         }
     }
 
-    /// Compiles the pipelines that do not exist yet, on all cores, and writes the on-disk cache.
+    /// Compiles missing pipelines on all cores, then writes the on-disk cache.
     ///
     /// # Errors
     /// The first error in the order of the kernels.

@@ -57,7 +57,7 @@ pub struct Executor {
     /// By buffer: byte offset in a slot's uniform memory.
     uniform_offsets: Vec<u64>,
     slots: Vec<Slot>,
-    /// Indices of the external buffers whose memory alternates ([`Executor::alternate`]).
+    /// Indices of the external buffers whose memory alternates.
     alternating: Vec<usize>,
     next: usize,
     uniform_bytes: u64,

@@ -20,7 +20,7 @@ pub(super) struct Recorded {
 }
 
 impl Executor {
-    /// Most recordings of a slot. Beyond, the one that was not used for the longest time is recorded again.
+    /// Most recordings of a slot. Beyond, the least recently used one makes room.
     pub const MOST_RECORDINGS: usize = 512;
 
     /// Binds memory to an external buffer that replays alternate between, such as data of views.

@@ -165,7 +165,9 @@ impl Surface {
         handles.buffers().iter().zip(&self.buffers).try_for_each(|(handle, buffer)| exec.bind(*handle, buffer))
     }
 
-    /// Like [`Surface::bind`], for replays that alternate between surfaces ([`Executor::alternate`]).
+    /// Binds the buffers for replays that alternate between surfaces.
+    ///
+    /// Uses [`Executor::alternate`].
     ///
     /// # Errors
     /// If the plan was compiled for larger buffers.
@@ -344,8 +346,9 @@ impl SurfaceBuilder {
         self.submit(gaussians, camera)
     }
 
-    /// Like [`SurfaceBuilder::fill`], for a few surfaces that are filled again and again. Never waits for the view
-    /// before, and keeps the surfaces alive.
+    /// Like [`SurfaceBuilder::fill`], for surfaces that are filled repeatedly.
+    ///
+    /// Never waits for the view before, and keeps the surfaces alive.
     ///
     /// # Errors
     /// If the device fails.

@@ -23,7 +23,7 @@ fn fill_kernel_writes_only_its_words() {
     assert!(words[777..].iter().all(|&w| w == u32::MAX));
 }
 
-/// Returns an executor that copies two words of one buffer to another, and both handles.
+/// Returns an executor that copies two words, and the handles of both buffers.
 fn copier(gpu: &Gpu, frames_in_flight: usize) -> (Executor, Buffer, Buffer) {
     let mut g = Graph::new("copy");
     let (source, target) = (g.input("source", 8), g.external("target", 8));
@@ -39,7 +39,7 @@ fn word(gpu: &Gpu, value: u32) -> DeviceBuffer {
     buffer
 }
 
-/// Memory that replays alternate between is recorded once per slot, and nothing waits when it changes.
+/// Each combination of alternating memory is recorded once per slot.
 #[test]
 fn alternating_memory_is_recorded_once() {
     let gpu = Gpu::new();
@@ -97,7 +97,7 @@ fn recordings_hold_alternating_memory() {
     assert_eq!(gpu.device().download_as::<u32>(&out, 1).unwrap(), [4]);
 }
 
-/// Beyond the limit, the recording that was not used for the longest time makes room.
+/// Beyond the limit, the least recently used recording makes room.
 #[test]
 fn recordings_are_limited() {
     let gpu = Gpu::new();

@@ -355,7 +355,7 @@ fn albedo_stays_in_its_range() {
     }
 }
 
-/// Once each graph has replayed each view in each slot, steps only write uniforms and submit.
+/// Steps record nothing once each graph has replayed each view in each slot.
 #[test]
 fn steady_state_records_nothing() {
     let (place, _) = place();
