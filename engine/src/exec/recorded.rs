@@ -23,9 +23,9 @@ impl Executor {
     /// Most recordings of a slot. Beyond, the least recently used one makes room.
     pub const MOST_RECORDINGS: usize = 512;
 
-    /// Binds memory to an external buffer that replays alternate between, such as data of views.
+    /// Binds memory to an external buffer whose memory alternates between replays.
     ///
-    /// Unlike [`Executor::bind`], it does not wait, and memory that was used before is not recorded again. Recordings
+    /// An example is the data of views. Unlike [`Executor::bind`], it does not wait, and memory that was used before is not recorded again. Recordings
     /// keep the memory alive until [`Executor::bind`] binds other memory to any buffer.
     ///
     /// # Errors
