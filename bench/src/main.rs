@@ -47,6 +47,8 @@ enum Command {
     Batch(Box<commands::batch::Args>),
     /// Train several rooms at a time on one device: as processes and in one process.
     Rooms(commands::rooms::Args),
+    /// Predict the step of a report on other devices, pass by pass.
+    Roofline(commands::roofline::Args),
     /// Measure peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
     Ceiling,
     /// Join reports of one device into one file.
@@ -81,6 +83,7 @@ fn main() {
         Command::Savings(a) => commands::savings::run(&cli.common, a),
         Command::Batch(a) => commands::batch::run(&cli.common, a),
         Command::Rooms(a) => commands::rooms::run(&cli.common, a),
+        Command::Roofline(a) => commands::roofline::run(a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
         Command::Join(a) => commands::results::join(a),
         Command::Table(a) => commands::results::print(a),

@@ -6,6 +6,7 @@ pub mod compile;
 pub mod intrinsic;
 pub mod passes;
 pub mod results;
+pub mod roofline;
 pub mod rooms;
 pub mod savings;
 pub mod scaling;

@@ -1,0 +1,282 @@
+//! Prediction of a step on other devices from the counts of its passes: `engine-bench roofline`.
+//!
+//! A pass takes at least its bytes over the bandwidth or its operations over the arithmetic rate of a device, whichever
+//! is longer: the roofline model (Williams, Waterman, Patterson 2009). A measured report adds how far each pass is from
+//! that bound, and the least time of any pass.
+
+use crate::report::set::ReportSet;
+use crate::report::{PassRow, Report};
+use anyhow::Context;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Options of the command.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// Report file with a report of `step`.
+    report: PathBuf,
+    /// Settings that select the report, as gaussians=1000000.
+    #[arg(value_name = "NAME=VALUE", value_parser = setting)]
+    settings: Vec<(String, String)>,
+    /// Devices to predict: 4090, h100, h200, 7900xtx.
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', default_value = "4090,h200,7900xtx", value_parser = target)]
+    target: Vec<Target>,
+    /// Report file with the same step measured on another device. Its device is predicted, and the error printed.
+    #[arg(long, value_name = "FILE.json")]
+    against: Option<PathBuf>,
+    /// Plan to predict; the first of the report by default, which is the training step.
+    #[arg(long, value_name = "NAME")]
+    plan: Option<String>,
+    /// Number of passes to print; the slowest by the first prediction.
+    #[arg(long, value_name = "N", default_value = "20")]
+    rows: usize,
+}
+
+fn setting(text: &str) -> Result<(String, String), String> {
+    let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
+    Ok((name.to_owned(), value.to_owned()))
+}
+
+/// Rates of a device.
+#[derive(Clone, Debug, PartialEq)]
+struct Target {
+    name: String,
+    /// Bytes a second of a kernel that copies.
+    bandwidth: f64,
+    /// Operations a second, where a multiply-add counts as two.
+    arithmetic: f64,
+}
+
+/// Datasheet rates: name, bytes a second, operations a second in 32 bits.
+const DATASHEETS: [(&str, f64, f64); 4] =
+    [("4090", 1.008e12, 82.6e12), ("h100", 3.35e12, 66.9e12), ("h200", 4.8e12, 66.9e12), ("7900xtx", 0.96e12, 61.4e12)];
+
+/// Parts of the datasheet's rates that kernels reach, measured on an H100 (bench/results/nvidia-h100).
+const REACHED: (f64, f64) = (0.74, 0.88);
+
+fn target(name: &str) -> Result<Target, String> {
+    let found = DATASHEETS.iter().find(|(known, ..)| *known == name.to_lowercase());
+    let (name, bandwidth, arithmetic) =
+        found.ok_or_else(|| format!("unknown device; there are {}", DATASHEETS.map(|d| d.0).join(", ")))?;
+    Ok(Target { name: (*name).to_owned(), bandwidth: REACHED.0 * bandwidth, arithmetic: REACHED.1 * arithmetic })
+}
+
+impl Target {
+    /// Returns the device of a report, by its measured rates.
+    fn of(report: &Report) -> anyhow::Result<Target> {
+        let ceiling = report.ceiling.as_ref().context("The report has no measured rates of its device.")?;
+        let (bandwidth, arithmetic) = (ceiling.bytes_per_second, ceiling.operations_per_second);
+        Ok(Target { name: report.device.name.clone(), bandwidth, arithmetic })
+    }
+
+    /// Returns the least time of a pass in nanoseconds.
+    fn bound(&self, pass: &PassRow) -> f64 {
+        let of = |count: Option<f64>, rate: f64| count.unwrap_or(0.0) / rate;
+        1e9 * of(pass.bytes, self.bandwidth).max(of(pass.operations, self.arithmetic))
+    }
+}
+
+/// Prediction of one pass, in nanoseconds.
+#[derive(Clone, Debug, PartialEq)]
+struct Predicted {
+    name: String,
+    measured: f64,
+    /// By target: prediction, and the bound without any loss.
+    targets: Vec<(f64, f64)>,
+}
+
+/// Share of its bound below which a pass waits for latencies rather than for bytes or operations.
+const LATENCY: f64 = 0.05;
+
+/// Predicts passes.
+///
+/// A pass keeps its fixed time, that of the shortest pass, and its distance from the bound: accesses that do not
+/// coalesce cost more of any bandwidth. Passes far below their bound, or without a cost model, keep their time.
+fn predict(passes: &[&PassRow], own: &Target, targets: &[Target]) -> Vec<Predicted> {
+    let fixed = passes.iter().map(|p| p.nanoseconds.median).fold(f64::INFINITY, f64::min);
+    let one = |pass: &&PassRow| {
+        let measured = pass.nanoseconds.median;
+        let (bound, variable) = (own.bound(pass), measured - fixed);
+        let of = |target: &Target| {
+            let least = target.bound(pass);
+            let waits = bound < LATENCY * measured;
+            (if waits { measured - bound + least } else { fixed + (variable / bound).max(1.0) * least }, least)
+        };
+        Predicted { name: pass.pass.clone(), measured, targets: targets.iter().map(of).collect() }
+    };
+    passes.iter().map(one).collect()
+}
+
+/// Returns the passes of a plan; those of the first plan if none is named.
+fn passes_of<'a>(report: &'a Report, plan: Option<&str>) -> anyhow::Result<Vec<&'a PassRow>> {
+    let first = report.passes.first().context("The report has no passes.")?;
+    let plan = plan.unwrap_or(&first.plan);
+    let found: Vec<&PassRow> = report.passes.iter().filter(|pass| pass.plan == plan).collect();
+    let mut known: Vec<&str> = report.passes.iter().map(|pass| pass.plan.as_str()).collect();
+    known.dedup();
+    anyhow::ensure!(!found.is_empty(), "The report has no plan \"{plan}\"; there are {}.", known.join(", "));
+    Ok(found)
+}
+
+fn ms(nanoseconds: f64) -> String {
+    format!("{:.3}", nanoseconds * 1e-6)
+}
+
+/// Formats the predictions as a Markdown table: the slowest passes, the others, and the sum.
+fn table(predicted: &[Predicted], own: &str, targets: &[Target], rows: usize) -> String {
+    let mut order: Vec<&Predicted> = predicted.iter().collect();
+    order.sort_by(|a, b| b.targets[0].0.total_cmp(&a.targets[0].0).then(a.name.cmp(&b.name)));
+    let mut text = format!("| pass | {own}, measured, ms |");
+    targets.iter().for_each(|t| {
+        let _ = write!(text, " {}, predicted | at best |", t.name);
+    });
+    text += &format!("\n|---|---|{}\n", "---|---|".repeat(targets.len()));
+    let sum = |of: &[&Predicted], name: &str| Predicted {
+        name: name.to_owned(),
+        measured: of.iter().map(|p| p.measured).sum(),
+        targets: (0..targets.len())
+            .map(|i| of.iter().fold((0.0, 0.0), |s, p| (s.0 + p.targets[i].0, s.1 + p.targets[i].1)))
+            .collect(),
+    };
+    let (shown, rest) = order.split_at(rows.min(order.len()));
+    let others = (!rest.is_empty()).then(|| sum(rest, &format!("{} other passes", rest.len())));
+    let all = sum(&order, "sum");
+    for row in shown.iter().copied().chain(&others).chain([&all]) {
+        let _ = write!(text, "| {} | {} |", row.name, ms(row.measured));
+        row.targets.iter().for_each(|(predicted, least)| {
+            let _ = write!(text, " {} | {} |", ms(*predicted), ms(*least));
+        });
+        text.push('\n');
+    }
+    text
+}
+
+/// Compares predictions for a device with its measured times: a sentence on the sum and the spread of the passes.
+fn check(predicted: &[Predicted], other: &Report, passes: &[&PassRow]) -> anyhow::Result<String> {
+    let times: BTreeMap<&str, f64> = passes.iter().map(|p| (p.pass.as_str(), p.nanoseconds.median)).collect();
+    let pairs: Vec<(f64, f64)> = predicted
+        .iter()
+        .filter_map(|p| Some((p.targets[0].0, *times.get(p.name.as_str()).filter(|t| **t > 0.0)?)))
+        .collect();
+    anyhow::ensure!(!pairs.is_empty(), "The two reports have no pass in common.");
+    let (sum, real) = pairs.iter().fold((0.0, 0.0), |s, p| (s.0 + p.0, s.1 + p.1));
+    let mut ratios: Vec<f64> = pairs.iter().map(|(p, m)| p / m).collect();
+    ratios.sort_by(f64::total_cmp);
+    let at = |share: f64| ratios[((ratios.len() - 1) as f64 * share).round() as usize];
+    let (count, all) = (pairs.len(), predicted.len());
+    Ok(format!(
+        "{}: predicted {} ms, measured {} ms, ratio {:.2}, for {count} of {all} passes. Ratio of a pass: median {:.2}, middle half \
+         {:.2} to {:.2}.",
+        other.device.name,
+        ms(sum),
+        ms(real),
+        sum / real,
+        at(0.5),
+        at(0.25),
+        at(0.75)
+    ))
+}
+
+/// Prints the predictions.
+///
+/// # Errors
+/// If a file cannot be read, or no report or several reports match.
+pub fn run(a: &Args) -> anyhow::Result<()> {
+    let set = ReportSet::read(&a.report)?;
+    let report = set.only("step", &a.settings)?;
+    let (own, passes) = (Target::of(report)?, passes_of(report, a.plan.as_deref())?);
+    let Some(file) = &a.against else {
+        let predicted = predict(&passes, &own, &a.target);
+        print!("{}", table(&predicted, &own.name, &a.target, a.rows));
+        return Ok(());
+    };
+    let others = ReportSet::read(file)?;
+    let other = others.only("step", &a.settings)?;
+    if let Some((name, value)) = report.differs(other) {
+        let theirs = other.setting_text(name).unwrap_or_else(|| "none".to_owned());
+        anyhow::bail!("The reports are of different steps: {name} is {value} and {theirs}.");
+    }
+    let targets = [Target::of(other)?];
+    let predicted = predict(&passes, &own, &targets);
+    print!("{}", table(&predicted, &own.name, &targets, a.rows));
+    println!("\n{}", check(&predicted, other, &passes_of(other, a.plan.as_deref())?)?);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ceiling::Ceiling;
+    use crate::report::DeviceLine;
+    use crate::stats::Summary;
+
+    /// Returns a report of a device with 1 GB/s and 1 Gop/s. Its shortest pass takes 100 ns.
+    fn report() -> Report {
+        let line = DeviceLine {
+            name: "small".into(),
+            kind: "discrete".into(),
+            driver: "none".into(),
+            api: "1.3".into(),
+            subgroup_size: 32,
+        };
+        let mut report = Report::new("step", line, 1, 0);
+        report.ceiling = Some(Ceiling { bytes_per_second: 1e9, operations_per_second: 1e9, ..Default::default() });
+        let mut add = |pass: &str, time: f64, bytes: Option<f64>, operations: Option<f64>| {
+            let nanoseconds = Summary::of(&[time]);
+            let (plan, pass) = ("plan".to_owned(), pass.to_owned());
+            report.passes.push(PassRow { plan, pass, nanoseconds, bytes, operations, share: None, bound: None });
+        };
+        add("copy", 1100.0, Some(500.0), Some(10.0));
+        add("sum", 4100.0, Some(10.0), Some(1000.0));
+        add("latency", 400.0, Some(10.0), Some(0.0));
+        add("empty", 100.0, Some(0.0), Some(0.0));
+        add("unknown", 300.0, None, None);
+        report
+    }
+
+    #[test]
+    fn passes_keep_fixed_time_and_distance_from_the_bound() {
+        let report = report();
+        let (own, passes) = (Target::of(&report).unwrap(), passes_of(&report, None).unwrap());
+        let fast = Target { name: "fast".into(), bandwidth: 1e10, arithmetic: 2e9 };
+        let predicted = predict(&passes, &own, &[own.clone(), fast]);
+        // The own device is predicted as it was measured.
+        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} {b}");
+        predicted.iter().for_each(|p| near(p.targets[0].0, p.measured));
+        // Twice the bound of 500 ns, at ten times the bandwidth; four times the bound of 1000 ns, at twice the rate.
+        near(predicted[0].targets[1].0, 100.0 + 2.0 * 50.0);
+        near(predicted[1].targets[1].0, 100.0 + 4.0 * 500.0);
+        near(predicted[1].targets[1].1, 500.0);
+        // Latency, and a pass without a model.
+        near(predicted[2].targets[1].0, 400.0 - 10.0 + 1.0);
+        near(predicted[3].targets[1].0, 100.0);
+        near(predicted[4].targets[1].0, 300.0);
+    }
+
+    #[test]
+    fn table_has_the_slowest_passes_and_their_sum() {
+        let report = report();
+        let own = Target::of(&report).unwrap();
+        let predicted = predict(&passes_of(&report, Some("plan")).unwrap(), &own, &[own.clone()]);
+        let text = table(&predicted, "small", &[own], 2);
+        let rows: Vec<&str> = text.lines().skip(2).map(|line| line.split(" |").next().unwrap()).collect();
+        assert_eq!(rows, ["| sum", "| copy", "| 3 other passes", "| sum"]);
+        assert!(text.ends_with("| sum | 0.006 | 0.006 | 0.002 |\n"), "{text}");
+        let mut twice = report.clone();
+        twice.passes.iter_mut().for_each(|p| p.nanoseconds.median *= 2.0);
+        let sentence = check(&predicted, &twice, &passes_of(&twice, None).unwrap()).unwrap();
+        assert!(sentence.contains("ratio 0.50, for 5 of 5 passes"), "{sentence}");
+        assert!(check(&predicted, &twice, &[]).is_err());
+        let error = passes_of(&report, Some("none")).unwrap_err().to_string();
+        assert!(error.contains("no plan \"none\"; there are plan"), "{error}");
+    }
+
+    #[test]
+    fn targets_are_named() {
+        assert_eq!(target("H200").unwrap().bandwidth, 0.74 * 4.8e12);
+        assert!(target("3dfx").unwrap_err().contains("4090, h100, h200, 7900xtx"));
+        assert_eq!(setting("a=b=c"), Ok(("a".into(), "b=c".into())));
+        assert!(setting("a").is_err());
+    }
+}
