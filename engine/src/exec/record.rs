@@ -127,7 +127,7 @@ impl Executor {
         let pass = &plan.passes[pass];
         match &pass.kind {
             PassKind::Compute { shader, specs, push, bindings, subgroup_size, dispatch } => {
-                let pipeline = shared.pipelines.get(shared, shader, specs, *subgroup_size)?;
+                let pipeline = shared.pipeline(shader, specs, *subgroup_size)?;
                 let set = self.descriptor_set(slot, &pipeline, shader, bindings)?;
                 // SAFETY: pipeline, layout and set belong together. The push constants have the size of the layout.
                 // The builder has checked that indirect arguments lie inside their buffer.
