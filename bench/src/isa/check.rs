@@ -151,7 +151,9 @@ mod tests {
         let table = report.table();
         assert!(table.contains("| navi21 | 32 | b | SPEC=0.5 | 200 |  | 0 |"), "{table}");
         assert!(table.contains("| navi21 | 32 | crash | SPEC=1 | the compiler crashed |"), "{table}");
-        let again: Report = serde_json::from_str(&report.json().unwrap()).unwrap();
-        assert_eq!(again, report);
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("a.json"), report.json().unwrap()).unwrap();
+        assert_eq!(Report::read(folder.path()).unwrap(), report);
+        assert_eq!(Report::read(&folder.path().join("a.json")).unwrap(), report);
     }
 }

@@ -3,7 +3,7 @@
 use super::Job;
 use super::worker::Gpu;
 use anyhow::Context;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -30,7 +30,8 @@ pub struct Family {
 /// Compiled kernel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// GPU family.
+    /// GPU family; that of the list.
+    #[serde(skip)]
     pub family: String,
     /// Lanes of a subgroup.
     pub lanes: u32,
@@ -39,11 +40,28 @@ pub struct Row {
     /// Bits of the specialization constants by name.
     pub specs: BTreeMap<String, u32>,
     /// Numbers by the driver's names; empty if the kernel did not compile.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty", serialize_with = "plain")]
     pub statistics: BTreeMap<String, f64>,
     /// Reason why there are none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub problem: Option<String>,
+}
+
+impl Family {
+    /// Names the family in each row.
+    fn named(mut self) -> Family {
+        self.rows.iter_mut().for_each(|row| row.family.clone_from(&self.family));
+        self
+    }
+}
+
+/// Writes whole numbers as integers.
+fn plain<S: Serializer>(numbers: &BTreeMap<String, f64>, s: S) -> Result<S::Ok, S::Error> {
+    let whole = |n: f64| n.fract() == 0.0 && n.abs() < 1e15;
+    s.collect_map(numbers.iter().map(|(name, n)| {
+        let number = if whole(*n) { serde_json::Value::from(*n as i64) } else { serde_json::Value::from(*n) };
+        (name, number)
+    }))
 }
 
 /// Columns of the table: heading and the driver's name.
@@ -80,7 +98,7 @@ impl Row {
         self.number("VGPRs").unwrap_or(0.0)
     }
 
-    /// Returns spilled vector registers, spilled scalar registers, and bytes of scratch.
+    /// Returns spilled vector registers, spilled scalar registers, bytes of scratch.
     pub fn spills(&self) -> [f64; 3] {
         ["Spilled VGPRs", "Spilled SGPRs", "Scratch size"].map(|name| self.number(name).unwrap_or(0.0))
     }
@@ -144,7 +162,7 @@ impl Report {
         text
     }
 
-    /// Writes the report as JSON, one line per kernel, so that differences of files are readable.
+    /// Writes the report as JSON, one line per kernel.
     ///
     /// # Errors
     /// If a number is not finite.
@@ -180,7 +198,7 @@ impl Report {
             let name = || format!("\"{}\" is no report of engine-bench isa", file.display());
             let text = std::fs::read_to_string(&file).with_context(name)?;
             let one: Report = serde_json::from_str(&text).with_context(name)?;
-            report.families.extend(one.families);
+            report.families.extend(one.families.into_iter().map(Family::named));
         }
         Ok(report)
     }
