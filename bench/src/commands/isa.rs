@@ -1,7 +1,7 @@
 //! Registers, spills and shared memory of every kernel on GPUs that are not here: `engine-bench isa`.
 
 use crate::common::Common;
-use crate::isa::check::check;
+use crate::isa::check::{check, stored_like};
 use crate::isa::compile::Target;
 use crate::isa::report::{Family, Report};
 use crate::isa::{Job, jobs};
@@ -51,6 +51,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     for family in &a.family {
         let target = Target { family: family.clone(), driver: driver.clone() };
         let gpu = target.gpu()?;
+        if let Some(stored) = &stored {
+            stored_like(stored, family, &gpu)?;
+        }
         let (low, high) = gpu.subgroup_sizes;
         let mut all = Vec::new();
         for &lanes in a.lanes.iter().filter(|lanes| (low..=high).contains(lanes)) {

@@ -1,6 +1,7 @@
 //! Gate: compares compiled kernels with stored ones.
 
 use super::report::{Family, Report, Row};
+use super::worker::Gpu;
 
 /// Growth of vector registers that counts as none.
 const TOLERANCE: f64 = 0.1;
@@ -23,7 +24,7 @@ pub struct Outcome {
 pub fn check(stored: &Report, found: &Report) -> anyhow::Result<Outcome> {
     let mut outcome = Outcome::default();
     for family in &found.families {
-        let before = like(stored, family)?;
+        let before = stored_like(stored, &family.family, &family.gpu)?;
         for row in &family.rows {
             outcome.compared += 1;
             outcome.worse.extend(worse(before, row));
@@ -33,15 +34,18 @@ pub fn check(stored: &Report, found: &Report) -> anyhow::Result<Outcome> {
 }
 
 /// Returns the stored family of the same name and driver.
-fn like<'s>(stored: &'s Report, found: &Family) -> anyhow::Result<&'s Family> {
-    let same: Vec<&Family> = stored.families.iter().filter(|f| f.family == found.family).collect();
+///
+/// # Errors
+/// If there is none.
+pub fn stored_like<'s>(stored: &'s Report, family: &str, gpu: &Gpu) -> anyhow::Result<&'s Family> {
+    let same: Vec<&Family> = stored.families.iter().filter(|f| f.family == family).collect();
     let Some(first) = same.first() else {
-        anyhow::bail!("No report of {} is stored; record one with -o.", found.family);
+        anyhow::bail!("No report of {family} is stored; record one with -o.");
     };
-    same.iter().find(|f| f.gpu.driver == found.gpu.driver).copied().ok_or_else(|| {
-        let (name, before, now) = (&found.family, &first.gpu.driver, &found.gpu.driver);
+    same.iter().find(|f| f.gpu.driver == gpu.driver).copied().ok_or_else(|| {
+        let (before, now) = (&first.gpu.driver, &gpu.driver);
         anyhow::anyhow!(
-            "The stored report of {name} is by {before}, but this driver is {now}; record it again with -o."
+            "The stored report of {family} is by {before}, but this driver is {now}; record it again with -o."
         )
     })
 }
@@ -76,7 +80,6 @@ fn worse(before: &Family, row: &Row) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::isa::worker::Gpu;
 
     fn row(kernel: &str, spec: u32, registers: f64, spilled: f64) -> Row {
         let statistics = [("VGPRs", registers), ("Spilled VGPRs", spilled)].map(|(name, n)| (name.to_owned(), n));

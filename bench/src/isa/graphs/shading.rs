@@ -1,6 +1,7 @@
 //! Graphs that shade views: point lights, environment map, and each kind of visibility.
 
 use super::SIZE;
+use super::training::smaller;
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_engine::graph::ImageState;
@@ -18,7 +19,8 @@ fn models() -> [LightModel; 2] {
 
 /// Builds all.
 pub fn build(device: &Device, splats: &Splats) -> anyhow::Result<()> {
-    let settings = Settings::default();
+    let mut settings = Settings::default();
+    smaller(&mut settings);
     let of = &settings.intrinsic.visibility;
     let mut kinds = vec![Visibility::None, Visibility::Traced(Rays::of(of))];
     if let Some(config) = of.config() {
@@ -32,7 +34,7 @@ pub fn build(device: &Device, splats: &Splats) -> anyhow::Result<()> {
             let positions: Vec<f32> = model.start_positions([-1.0; 3], [1.0; 3]).concat();
             let gains = vec![1.0; model.lights as usize];
             let file = LightFile::of(&model, 1.0 / 64.0, &positions, &model.start_lobes(), &gains);
-            let make = || shaded_scene(device, splats, Some(&file), Some(&environment), visibility);
+            let make = || shaded_scene(device, splats, Some(&file), None, visibility);
             let lighting = Lighting {
                 model,
                 normalizer: 1.0 / 64.0,
@@ -45,9 +47,11 @@ pub fn build(device: &Device, splats: &Splats) -> anyhow::Result<()> {
             };
             scene(device, make()?, Some(make()?), &lighting)?;
         }
-        scene(device, shaded_scene(device, splats, None, Some(&environment), visibility)?, None, &dark())?;
+        scene(device, shaded_scene(device, splats, None, None, visibility)?, None, &dark())?;
     }
-    Ok(())
+    // The environment map is independent of the lights.
+    let make = || shaded_scene(device, splats, None, Some(&environment), &Visibility::None);
+    scene(device, make()?, Some(make()?), &dark())
 }
 
 /// Returns a lighting without lights.

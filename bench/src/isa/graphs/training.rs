@@ -26,6 +26,11 @@ fn with(change: impl FnOnce(&mut Settings)) -> Settings {
     s
 }
 
+/// Reduces the tables of the visibility field, on whose size no kernel depends. Planning is then faster.
+pub fn smaller(s: &mut Settings) {
+    s.intrinsic.visibility.log2_table = s.intrinsic.visibility.log2_table.min(10);
+}
+
 /// Builds the graphs of the geometry stage.
 pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
     let mut all = bases()?;
@@ -56,18 +61,23 @@ pub fn intrinsic(device: &Device, scene: &Scene, splats: &Splats) -> anyhow::Res
             all.push(with(|s| {
                 s.intrinsic.visibility.kind = kind;
                 s.intrinsic.rates.normals = normals;
+                // Independent of the lights, and slow to prepare.
+                s.intrinsic.environment.resolution = 0;
             }));
         }
     }
     all.push(with(|s| s.intrinsic.metallic = Metallic::On));
     all.push(with(|s| s.intrinsic.metallic = Metallic::Off));
-    all.push(with(|s| s.intrinsic.environment.resolution = 0));
     all.push(with(|s| s.intrinsic.lights.grid = 0));
     // Planning starts no provider.
-    all.push(with(|s| (s.intrinsic.relight.provider, s.intrinsic.relight_from) = ("provider".into(), 1)));
+    all.push(with(|s| {
+        (s.intrinsic.relight.provider, s.intrinsic.relight_from) = ("provider".into(), 1);
+        s.intrinsic.environment.resolution = 0;
+    }));
     for s in &mut all {
         // Changes the sizes of the model with the photographs, which show nothing here.
         s.intrinsic.automatic.enabled = false;
+        smaller(s);
         Intrinsic::planned(device, scene, s, splats)?.build_graphs()?;
     }
     Ok(())
@@ -76,7 +86,8 @@ pub fn intrinsic(device: &Device, scene: &Scene, splats: &Splats) -> anyhow::Res
 /// Builds the graphs of the transport stage after its fit.
 pub fn transport(device: &Device, scene: &Scene, splats: &Splats) -> anyhow::Result<()> {
     for metallic in [Metallic::On, Metallic::Off] {
-        let settings = with(|s| s.intrinsic.metallic = metallic);
+        let mut settings = with(|s| s.intrinsic.metallic = metallic);
+        smaller(&mut settings);
         TransportPlan::of(device, scene, &settings, splats)?.training.build_graphs()?;
     }
     Ok(())
