@@ -57,10 +57,13 @@ pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
 pub fn intrinsic(device: &Device, scene: &Scene, splats: &Splats) -> anyhow::Result<()> {
     let mut all = bases()?;
     for kind in [VisibilityKind::Field, VisibilityKind::Traced, VisibilityKind::None] {
-        for normals in [0.0, 1e-3] {
+        for (normals, metallic) in
+            [(0.0, Metallic::On), (1e-3, Metallic::On), (0.0, Metallic::Off), (1e-3, Metallic::Off)]
+        {
             all.push(with(|s| {
                 s.intrinsic.visibility.kind = kind;
                 s.intrinsic.rates.normals = normals;
+                s.intrinsic.metallic = metallic;
                 // Independent of the lights, and slow to prepare.
                 s.intrinsic.environment.resolution = 0;
             }));
