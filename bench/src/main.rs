@@ -9,6 +9,7 @@ mod ceiling;
 mod commands;
 mod common;
 mod harness;
+mod isa;
 mod micro;
 mod process;
 mod report;
@@ -51,6 +52,11 @@ enum Command {
     Roofline(commands::roofline::Args),
     /// Measure peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
     Ceiling,
+    /// Compile every kernel for absent GPUs. Reports registers, spills and shared memory.
+    Isa(commands::isa::Args),
+    /// Compile kernels that standard input names.
+    #[command(hide = true)]
+    IsaWorker,
     /// Join reports of one device into one file.
     Join(commands::results::Join),
     /// Print report files as a Markdown table.
@@ -85,6 +91,8 @@ fn main() {
         Command::Rooms(a) => commands::rooms::run(&cli.common, a),
         Command::Roofline(a) => commands::roofline::run(a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
+        Command::Isa(a) => commands::isa::run(&cli.common, a),
+        Command::IsaWorker => isa::worker::run(),
         Command::Join(a) => commands::results::join(a),
         Command::Table(a) => commands::results::print(a),
     };

@@ -17,8 +17,8 @@ pub use allocator::{Activity, Budget, BudgetSource};
 /// Vulkan's own types, for hosts that hand over handles.
 pub use ash::vk;
 pub use device::{
-    DRIVER_VARIABLES, Device, DeviceInfo, DeviceOptions, DriverFile, Environment, FoundDevice, MatrixShape, Selection,
-    Surface, Ticket, Window, devices, driver_files, find_device, select_auto,
+    CompileOnlyDevice, DRIVER_VARIABLES, Device, DeviceInfo, DeviceOptions, DriverFile, Environment, FoundDevice,
+    MatrixShape, PlannedGpu, Selection, Surface, Ticket, Window, devices, driver_files, find_device, select_auto,
 };
 pub use error::{Error, Result};
 pub use format::ImageFormat;

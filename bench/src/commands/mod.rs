@@ -4,6 +4,7 @@ pub mod batch;
 pub mod ceiling;
 pub mod compile;
 pub mod intrinsic;
+pub mod isa;
 pub mod passes;
 pub mod results;
 pub mod roofline;

@@ -5,6 +5,7 @@
 
 mod allocation;
 mod cache;
+mod compile_only;
 mod deferred;
 mod driver_files;
 pub mod external;
@@ -16,11 +17,13 @@ mod limits;
 mod local_size;
 mod objects;
 mod pipeline;
+mod planning;
 mod requirements;
 mod select;
 mod statistics;
 mod surface;
 
+pub use compile_only::CompileOnlyDevice;
 pub(crate) use deferred::{Busy, DeferredObject};
 pub use driver_files::{DRIVER_VARIABLES, DriverFile, driver_files};
 use external::Locked;
@@ -34,6 +37,7 @@ pub use limits::Limits;
 pub use objects::{ObjectKind, Objects};
 pub use pipeline::PipelineInfo;
 pub(crate) use pipeline::{Pipeline, Wanted, descriptor_type};
+pub use planning::PlannedGpu;
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
 pub use select::{DeviceInfo, MatrixShape, OptionalFeatures};
 pub use statistics::{KernelStatistics, Statistic};
@@ -68,6 +72,8 @@ pub struct DeviceOptions {
     pub limits: Limits,
     /// Makes the driver capture statistics of kernels; see [`Device::kernel_statistics`].
     pub kernel_statistics: bool,
+    /// Plans for this GPU instead of running on the device; see [`Device::plans`].
+    pub plan_for: Option<PlannedGpu>,
     /// Injected faults, active from the first call of opening; none by default.
     pub faults: Faults,
     /// Counters of live Vulkan objects.
@@ -85,6 +91,7 @@ impl Default for DeviceOptions {
             memory_budget: None,
             limits: Limits::default(),
             kernel_statistics: false,
+            plan_for: None,
             faults: Faults::default(),
             objects: Objects::default(),
         }
@@ -112,6 +119,8 @@ pub(crate) struct Shared {
     pub pipelines: pipeline::Pipelines,
     /// Queries of statistics; present if they were requested and the driver reports them.
     statistics: Option<ash::khr::pipeline_executable_properties::Device>,
+    /// Plans of executors; present if graphs are only collected.
+    plans: Option<planning::Plans>,
     pub labels: Option<ext::debug_utils::Device>,
     pub deferred: DeferredDestruction,
     timeout: Duration,
@@ -203,6 +212,9 @@ impl Device {
         let RawDevice { instance, physical, raw, owned, mut info, queue_family, queue, lock, gate, statistics } =
             raw_device;
         options.limits.lower(&mut info);
+        if let Some(gpu) = &options.plan_for {
+            gpu.replace(&mut info);
+        }
         let resources = create_resources(&instance, &raw, &gate, physical, &info, options.pipeline_cache.clone());
         let (timeline, memory, pipelines) = match resources {
             Ok(resources) => resources,
@@ -230,6 +242,7 @@ impl Device {
             memory,
             pipelines,
             statistics,
+            plans: options.plan_for.as_ref().map(|_| planning::Plans::default()),
             labels,
             deferred: DeferredDestruction::default(),
             timeout: options.timeout,
@@ -419,12 +432,7 @@ impl Shared {
 
     /// Names an object for capture tools and messages.
     pub fn name<T: vk::Handle>(&self, handle: T, text: &str) {
-        let Some(api) = &self.labels else { return };
-        let Ok(name) = std::ffi::CString::new(text) else { return };
-        let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(&name);
-        // SAFETY: the handle was created from this device. A failure loses only the name.
-        let _lost_name =
-            self.gate.call("vkSetDebugUtilsObjectNameEXT", text, || unsafe { api.set_debug_utils_object_name(&info) });
+        pipeline::set_name(self.labels.as_ref(), &self.gate, handle, text);
     }
 }
 

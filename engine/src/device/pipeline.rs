@@ -3,10 +3,10 @@
 use super::fault::Gate;
 use super::local_size::local_size;
 use super::objects::ObjectKind;
-use super::{Device, DeviceInfo, cache};
+use super::{Device, DeviceInfo, Shared, cache};
 use crate::error::{Error, Result};
 use crate::shader::{BindingKind, Shader};
-use ash::vk;
+use ash::{ext, vk};
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
@@ -49,6 +49,16 @@ struct Subgroups {
     /// Size to request, where the device allows requests.
     requested: Option<u32>,
     full: bool,
+}
+
+/// Device, as far as compilation uses it.
+#[derive(Clone, Copy)]
+pub(crate) struct Compiler<'d> {
+    pub raw: &'d ash::Device,
+    pub gate: &'d Gate,
+    pub labels: Option<&'d ext::debug_utils::Device>,
+    /// Whether the driver captures statistics. The device must have the extension.
+    pub statistics: bool,
 }
 
 #[derive(PartialEq, Eq, Hash)]
@@ -100,7 +110,7 @@ impl Pipelines {
     /// Returns the pipeline of a kernel at a subgroup size; the device's default size if `None`.
     pub fn get(
         &self,
-        device: &super::Shared,
+        compiler: Compiler<'_>,
         shader: &Arc<Shader>,
         specs: &[(u32, u32)],
         subgroup_size: Option<u32>,
@@ -119,15 +129,15 @@ impl Pipelines {
         let full = self.full_subgroups && workgroup[0].is_multiple_of(subgroup_size);
         let subgroups = Subgroups { requested: Some(subgroup_size).filter(|_| self.subgroup_size_control), full };
         // Without the lock, so that several threads compile at once.
-        let pipeline = create(device, self.cache, shader, specs, subgroups, workgroup)?;
-        device.name(pipeline.raw, &shader.name);
+        let pipeline = create(compiler, self.cache, shader, specs, subgroups, workgroup)?;
+        set_name(compiler.labels, compiler.gate, pipeline.raw, &shader.name);
         match self.lock().entry(key) {
             Entry::Vacant(place) => {
                 self.unsaved.store(true, Ordering::Relaxed);
                 Ok(*place.insert(pipeline))
             }
             Entry::Occupied(first) => {
-                destroy(&device.raw, &device.gate, &pipeline);
+                destroy(compiler.raw, compiler.gate, &pipeline);
                 Ok(*first.get())
             }
         }
@@ -137,7 +147,7 @@ impl Pipelines {
     ///
     /// # Errors
     /// The first error in the order of the kernels.
-    pub fn compile(&self, device: &super::Shared, wanted: &[Wanted<'_>]) -> Result<()> {
+    pub fn compile(&self, compiler: Compiler<'_>, wanted: &[Wanted<'_>]) -> Result<()> {
         let missing: Vec<&Wanted<'_>> = {
             let there = self.lock();
             let mut keys = HashSet::new();
@@ -154,11 +164,11 @@ impl Pipelines {
                 .collect()
         };
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = if device.gate.is_watched() { 1 } else { cores.min(missing.len()) };
+        let threads = if compiler.gate.is_watched() { 1 } else { cores.min(missing.len()) };
         let (next, first) = (AtomicUsize::new(0), Mutex::new(None));
         let work = || {
             while let Some((shader, specs, size)) = missing.get(next.fetch_add(1, Ordering::Relaxed)) {
-                if let Err(error) = self.get(device, shader, specs, *size) {
+                if let Err(error) = self.get(compiler, shader, specs, *size) {
                     first.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
                     return;
                 }
@@ -171,7 +181,7 @@ impl Pipelines {
         match first.into_inner().unwrap_or_else(PoisonError::into_inner) {
             Some(error) => Err(error),
             None => {
-                self.save(&device.raw, &device.gate);
+                self.save(compiler.raw, compiler.gate);
                 Ok(())
             }
         }
@@ -195,6 +205,29 @@ impl Pipelines {
         }
     }
 
+    /// Describes a pipeline of this collection.
+    pub fn info(
+        &self,
+        shader: &Shader,
+        specs: &[(u32, u32)],
+        subgroup_size: Option<u32>,
+        pipeline: &Pipeline,
+    ) -> PipelineInfo {
+        let name_of = |id: u32| {
+            let known = shader.specs.iter().find(|s| s.id == id);
+            known.map_or_else(|| id.to_string(), |s| s.name.to_string())
+        };
+        PipelineInfo {
+            kernel: shader.name.to_string(),
+            specs: specs.iter().map(|(id, bits)| (name_of(*id), *bits)).collect(),
+            workgroup: pipeline.workgroup,
+            subgroup_size: subgroup_size.unwrap_or(self.subgroup_size),
+            requested: self.subgroup_size_control,
+            full_subgroups: pipeline.full_subgroups,
+            uses_subgroups: shader.uses_subgroups(),
+        }
+    }
+
     fn infos(&self) -> Vec<PipelineInfo> {
         self.compiled().into_iter().map(|(info, _)| info).collect()
     }
@@ -202,21 +235,8 @@ impl Pipelines {
     /// Lists all pipelines by kernel name and specialization.
     pub fn compiled(&self) -> Vec<(PipelineInfo, vk::Pipeline)> {
         let pipelines = self.lock();
-        let name_of = |shader: &Shader, id: u32| {
-            let known = shader.specs.iter().find(|s| s.id == id);
-            known.map_or_else(|| id.to_string(), |s| s.name.to_string())
-        };
         let info = |(key, pipeline): (&Key, &Pipeline)| {
-            let info = PipelineInfo {
-                kernel: key.shader.name.to_string(),
-                specs: key.specs.iter().map(|(id, bits)| (name_of(&key.shader, *id), *bits)).collect(),
-                workgroup: pipeline.workgroup,
-                subgroup_size: key.subgroup_size,
-                requested: self.subgroup_size_control,
-                full_subgroups: pipeline.full_subgroups,
-                uses_subgroups: key.shader.uses_subgroups(),
-            };
-            (info, pipeline.raw)
+            (self.info(&key.shader, &key.specs, Some(key.subgroup_size), pipeline), pipeline.raw)
         };
         let mut infos: Vec<_> = pipelines.iter().map(info).collect();
         infos.sort_by(|(a, _), (b, _)| (&a.kernel, &a.specs).cmp(&(&b.kernel, &b.specs)));
@@ -241,10 +261,10 @@ impl Device {
     /// # Errors
     /// If the device does not support the subgroup size, or the driver rejects the kernel.
     pub fn compile(&self, shader: &Arc<Shader>, specs: &[(&str, u32)], subgroup_size: Option<u32>) -> Result<()> {
-        let id = |name: &str| shader.specs.iter().find(|s| s.name == name).map(|s| s.id);
-        let mut ids: Vec<_> = specs.iter().filter_map(|(name, bits)| Some((id(name)?, *bits))).collect();
-        ids.sort_unstable();
-        self.0.pipelines.get(&self.0, shader, &ids, subgroup_size).map(|_| ())
+        if self.0.is_planning() {
+            return Ok(());
+        }
+        self.0.pipeline(shader, &ids_of(shader, specs), subgroup_size).map(|_| ())
     }
 
     /// Lists the create infos of all pipelines, by kernel name.
@@ -266,16 +286,54 @@ fn destroy(device: &ash::Device, gate: &Gate, pipeline: &Pipeline) {
     gate.count_destroyed(ObjectKind::SetLayout);
 }
 
+impl Shared {
+    /// Returns the pipeline of a kernel, compiled on first use.
+    pub fn pipeline(&self, shader: &Arc<Shader>, specs: &[(u32, u32)], subgroup_size: Option<u32>) -> Result<Pipeline> {
+        self.pipelines.get(self.compiler(), shader, specs, subgroup_size)
+    }
+
+    /// Compiles missing pipelines.
+    pub fn compile(&self, wanted: &[Wanted<'_>]) -> Result<()> {
+        self.pipelines.compile(self.compiler(), wanted)
+    }
+
+    fn compiler(&self) -> Compiler<'_> {
+        Compiler {
+            raw: &self.raw,
+            gate: &self.gate,
+            labels: self.labels.as_ref(),
+            statistics: self.statistics.is_some(),
+        }
+    }
+}
+
+/// Converts named constants to ids, in order. Names that the kernel does not have are left out.
+pub(super) fn ids_of(shader: &Shader, specs: &[(&str, u32)]) -> Vec<(u32, u32)> {
+    let id = |name: &str| shader.specs.iter().find(|s| s.name == name).map(|s| s.id);
+    let mut ids: Vec<_> = specs.iter().filter_map(|(name, bits)| Some((id(name)?, *bits))).collect();
+    ids.sort_unstable();
+    ids
+}
+
+/// Names an object for capture tools and messages.
+pub(super) fn set_name<T: vk::Handle>(labels: Option<&ext::debug_utils::Device>, gate: &Gate, handle: T, text: &str) {
+    let Some(api) = labels else { return };
+    let Ok(name) = std::ffi::CString::new(text) else { return };
+    let info = vk::DebugUtilsObjectNameInfoEXT::default().object_handle(handle).object_name(&name);
+    // SAFETY: the handle was created from the device of `labels`. A failure loses only the name.
+    let _lost_name =
+        gate.call("vkSetDebugUtilsObjectNameEXT", text, || unsafe { api.set_debug_utils_object_name(&info) });
+}
+
 fn create(
-    device: &super::Shared,
+    compiler: Compiler<'_>,
     cache: vk::PipelineCache,
     shader: &Shader,
     specs: &[(u32, u32)],
     subgroups: Subgroups,
     workgroup: [u32; 3],
 ) -> Result<Pipeline> {
-    let raw = &device.raw;
-    let gate = &device.gate;
+    let Compiler { raw, gate, .. } = compiler;
     let name = &shader.name;
     let bindings: Vec<_> = shader
         .bindings
@@ -293,8 +351,8 @@ fn create(
     let set_layout = gate.make(ObjectKind::SetLayout, "vkCreateDescriptorSetLayout", name, || unsafe {
         raw.create_descriptor_set_layout(&set_info, None)
     })?;
-    let result = layout(device, shader, set_layout).and_then(|layout| {
-        compile(device, cache, shader, specs, subgroups, layout)
+    let result = layout(compiler, shader, set_layout).and_then(|layout| {
+        compile(compiler, cache, shader, specs, subgroups, layout)
             .map(|pipeline| Pipeline { raw: pipeline, layout, set_layout, workgroup, full_subgroups: subgroups.full })
             .inspect_err(|_| {
                 // SAFETY: nothing was created with the layout.
@@ -309,7 +367,7 @@ fn create(
     })
 }
 
-fn layout(device: &super::Shared, shader: &Shader, set_layout: vk::DescriptorSetLayout) -> Result<vk::PipelineLayout> {
+fn layout(compiler: Compiler<'_>, shader: &Shader, set_layout: vk::DescriptorSetLayout) -> Result<vk::PipelineLayout> {
     let sets = [set_layout];
     let push = [vk::PushConstantRange::default().stage_flags(vk::ShaderStageFlags::COMPUTE).size(shader.push_bytes)];
     let mut info = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
@@ -317,21 +375,20 @@ fn layout(device: &super::Shared, shader: &Shader, set_layout: vk::DescriptorSet
         info = info.push_constant_ranges(&push);
     }
     // SAFETY: the device and the set layout are alive.
-    device.gate.make(ObjectKind::PipelineLayout, "vkCreatePipelineLayout", &shader.name, || unsafe {
-        device.raw.create_pipeline_layout(&info, None)
+    compiler.gate.make(ObjectKind::PipelineLayout, "vkCreatePipelineLayout", &shader.name, || unsafe {
+        compiler.raw.create_pipeline_layout(&info, None)
     })
 }
 
 fn compile(
-    device: &super::Shared,
+    compiler: Compiler<'_>,
     cache: vk::PipelineCache,
     shader: &Shader,
     specs: &[(u32, u32)],
     subgroups: Subgroups,
     layout: vk::PipelineLayout,
 ) -> Result<vk::Pipeline> {
-    let raw = &device.raw;
-    let gate = &device.gate;
+    let Compiler { raw, gate, .. } = compiler;
     let module_info = vk::ShaderModuleCreateInfo::default().code(&shader.spirv);
     // SAFETY: the SPIR-V is a module compiled for Vulkan 1.3.
     let module = gate.make(ObjectKind::ShaderModule, "vkCreateShaderModule", &shader.name, || unsafe {
@@ -357,9 +414,9 @@ fn compile(
     if subgroups.full {
         stage = stage.flags(vk::PipelineShaderStageCreateFlags::REQUIRE_FULL_SUBGROUPS);
     }
-    let flags = match device.statistics {
-        Some(_) => vk::PipelineCreateFlags::CAPTURE_STATISTICS_KHR,
-        None => vk::PipelineCreateFlags::empty(),
+    let flags = match compiler.statistics {
+        true => vk::PipelineCreateFlags::CAPTURE_STATISTICS_KHR,
+        false => vk::PipelineCreateFlags::empty(),
     };
     let info = [vk::ComputePipelineCreateInfo::default().flags(flags).stage(stage).layout(layout)];
     // SAFETY: module, layout and cache belong to this device; the specialization covers 32-bit constants.

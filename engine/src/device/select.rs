@@ -363,7 +363,7 @@ pub(crate) fn choose(all: Vec<Candidate>, requested: Option<&str>, environment: 
 }
 
 /// Returns the index of the device that a request names. Of several with the name, it is the best.
-fn named(all: &[DeviceInfo], requested: &str) -> Result<usize> {
+pub(super) fn named(all: &[DeviceInfo], requested: &str) -> Result<usize> {
     let matches = |d: &&DeviceInfo| match (requested.parse::<usize>(), requested.split_once(':')) {
         (Ok(index), _) => d.index == index,
         (_, Some(("uuid", uuid))) => has_uuid(d, uuid),

@@ -10,6 +10,7 @@ use super::fault::Gate;
 use super::pipeline::PipelineInfo;
 use super::{Device, Instance};
 use crate::error::Result;
+use ash::khr::pipeline_executable_properties::Device as Api;
 use ash::{khr, vk};
 use std::ffi::CStr;
 
@@ -62,25 +63,30 @@ impl Device {
         let gate = &self.0.gate;
         let mut all = Vec::new();
         for (pipeline, raw) in self.0.pipelines.compiled() {
-            let name = pipeline.kernel.clone();
-            let info = vk::PipelineInfoKHR::default().pipeline(raw);
-            // SAFETY: pipelines live as long as the device, and were compiled with the flag that captures statistics.
-            let executables = gate.call("vkGetPipelineExecutablePropertiesKHR", &name, || unsafe {
-                api.get_pipeline_executable_properties(&info)
-            })?;
-            let mut statistics = Vec::new();
-            for index in 0..executables.len() as u32 {
-                let info = vk::PipelineExecutableInfoKHR::default().pipeline(raw).executable_index(index);
-                // SAFETY: as above; the index is below the number of executables.
-                let found = gate.call("vkGetPipelineExecutableStatisticsKHR", &name, || unsafe {
-                    api.get_pipeline_executable_statistics(&info)
-                })?;
-                statistics.extend(found.iter().map(statistic));
-            }
+            let statistics = of_pipeline(api, gate, raw, &pipeline.kernel)?;
             all.push(KernelStatistics { pipeline, statistics });
         }
         Ok(Some(all))
     }
+}
+
+/// Returns the statistics of a living pipeline that captures them.
+pub(super) fn of_pipeline(api: &Api, gate: &Gate, raw: vk::Pipeline, name: &str) -> Result<Vec<Statistic>> {
+    let info = vk::PipelineInfoKHR::default().pipeline(raw);
+    // SAFETY: the pipeline is alive and captures statistics, as the caller promises.
+    let executables = gate.call("vkGetPipelineExecutablePropertiesKHR", name, || unsafe {
+        api.get_pipeline_executable_properties(&info)
+    })?;
+    let mut statistics = Vec::new();
+    for index in 0..executables.len() as u32 {
+        let info = vk::PipelineExecutableInfoKHR::default().pipeline(raw).executable_index(index);
+        // SAFETY: as above; the index is below the number of executables.
+        let found = gate.call("vkGetPipelineExecutableStatisticsKHR", name, || unsafe {
+            api.get_pipeline_executable_statistics(&info)
+        })?;
+        statistics.extend(found.iter().map(statistic));
+    }
+    Ok(statistics)
 }
 
 fn statistic(s: &vk::PipelineExecutableStatisticKHR<'_>) -> Statistic {

@@ -62,7 +62,7 @@ impl Executor {
     /// `descriptors`: pool for the descriptor sets.
     pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot, descriptors: vk::DescriptorPool) -> Result<()> {
         let wanted: Vec<_> = self.plan.passes.iter().filter_map(|pass| wanted(&pass.kind)).collect();
-        self.device.0.pipelines.compile(&self.device.0, &wanted)?;
+        self.device.0.compile(&wanted)?;
         self.prelude(commands);
         self.groups(commands, slot, descriptors)
     }
@@ -136,7 +136,7 @@ impl Executor {
         let pass = &self.plan.passes[pass];
         match &pass.kind {
             PassKind::Compute { shader, specs, push, bindings, subgroup_size, dispatch } => {
-                let pipeline = shared.pipelines.get(shared, shader, specs, *subgroup_size)?;
+                let pipeline = shared.pipeline(shader, specs, *subgroup_size)?;
                 let set = self.descriptor_set((slot, descriptors), &pipeline, shader, bindings)?;
                 // SAFETY: pipeline, layout and set belong together. The push constants have the size of the layout.
                 // The builder has checked that indirect arguments lie inside their buffer.

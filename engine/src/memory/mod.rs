@@ -118,7 +118,7 @@ impl Device {
         drop(state);
         shared.name(raw, name);
         let mapped = allocation.mapped_ptr().map(|p| p.cast());
-        Ok(DeviceBuffer(Arc::new(Inner {
+        let buffer = DeviceBuffer(Arc::new(Inner {
             raw,
             bytes,
             name: name.to_owned(),
@@ -128,7 +128,14 @@ impl Device {
             backing: Backing::Allocator,
             busy: Busy::default(),
             device: self.clone(),
-        })))
+        }));
+        if shared.is_planning() {
+            match location {
+                Location::Device => self.fill(&buffer, 0)?,
+                Location::Upload | Location::Readback => buffer.write(0, &vec![0; bytes as usize])?,
+            }
+        }
+        Ok(buffer)
     }
 }
 

@@ -6,6 +6,7 @@
 mod faults;
 mod limits;
 mod memory;
+mod planning;
 mod planted_barriers;
 mod side_by_side;
 mod subgroups;

@@ -46,7 +46,7 @@ fn alternating_memory_is_recorded_once() {
     let (mut exec, source, target) = copier(&gpu, 2);
     let sources: Vec<DeviceBuffer> = (0..5).map(|i| word(&gpu, 10 + i)).collect();
     let targets: Vec<DeviceBuffer> = (0..3).map(|_| word(&gpu, 0)).collect();
-    let mut replay = |exec: &mut Executor, i: usize, j: usize| {
+    let replay = |exec: &mut Executor, i: usize, j: usize| {
         exec.alternate(source, &sources[i]).unwrap();
         exec.alternate(target, &targets[j]).unwrap();
         exec.submit(&[]).unwrap();

@@ -11,6 +11,7 @@ pub(crate) mod checkpoint;
 mod decision;
 mod expect;
 mod fit;
+mod graphs;
 mod grow;
 mod inputs;
 mod log;

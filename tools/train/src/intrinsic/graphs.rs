@@ -3,9 +3,10 @@
 use super::Intrinsic;
 use super::consistency::{Consistency, StepKind};
 use super::environment_updates::EnvironmentUpdates;
+use super::relit::Relit;
 use crate::error::{Result, TrainError};
 use crate::regions::Regions;
-use sgs_passes::pipeline::{COPIES, IntrinsicInputs, IntrinsicStep};
+use sgs_passes::pipeline::{COPIES, EnvironmentRefresh, IntrinsicInputs, IntrinsicStep, RelitView};
 
 impl Intrinsic {
     /// Returns the kind of a step, given the scene's data.
@@ -25,6 +26,28 @@ impl Intrinsic {
         let options = kind.options(&self.options);
         let step = IntrinsicStep::new(&self.device, &self.tuning, &self.inputs(kind), &self.status, options)?;
         self.execs[kind as usize] = Some(step);
+        Ok(())
+    }
+
+    /// Builds every graph that training may use, to plan or compile all of them: each kind of step, the update of the
+    /// environment map, and the images for providers.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn build_graphs(&mut self) -> Result<()> {
+        let steps = self.required.intrinsic.steps;
+        for kind in StepKind::ALL {
+            if (1..=steps).any(|step| self.kind(step) == kind) {
+                self.make(kind)?;
+            }
+        }
+        let (device, tuning, inputs) = (&self.device, &self.tuning, self.inputs(StepKind::Plain));
+        EnvironmentRefresh::new(device, tuning, &inputs, &self.status, &self.options)?;
+        if self.options.lights.is_some() && self.consistency.is_some() {
+            for shown in [Consistency::SHOWN, Relit::options(&self.bounds)] {
+                RelitView::new(device, tuning, &inputs, &self.options, &shown)?;
+            }
+        }
         Ok(())
     }
 

@@ -1,0 +1,97 @@
+//! Graphs of training: the published model and every choice that selects other kernels.
+
+use sgs_config::{Backward, Metallic, PRESETS, Settings, VisibilityKind, accuracy_named, overlay};
+use sgs_engine::Device;
+use sgs_scene::{Scene, Splats};
+use sgs_train::{Geometry, Intrinsic, TransportPlan};
+
+/// Returns the settings of every preset and of every level of accuracy.
+fn bases() -> anyhow::Result<Vec<Settings>> {
+    let mut all = Vec::new();
+    for preset in PRESETS {
+        all.push(Settings::from_table(preset.table()?)?);
+    }
+    for name in ["balanced", "fast"] {
+        let mut table = sgs_config::Preset::find("default")?.table()?;
+        overlay(&mut table, accuracy_named(name)?);
+        all.push(Settings::from_table(table)?);
+    }
+    Ok(all)
+}
+
+/// Returns the defaults, changed.
+fn with(change: impl FnOnce(&mut Settings)) -> Settings {
+    let mut s = Settings::default();
+    change(&mut s);
+    s
+}
+
+/// Reduces the tables of the visibility field, on whose size no kernel depends. Planning is then faster.
+pub fn smaller(s: &mut Settings) {
+    s.intrinsic.visibility.log2_table = s.intrinsic.visibility.log2_table.min(10);
+}
+
+/// Builds the graphs of the geometry stage.
+pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
+    let mut all = bases()?;
+    all.push(with(|s| s.geometry.backward = Backward::Splat));
+    if device.info().optional.float_atomics {
+        all.push(with(|s| s.geometry.backward = Backward::Atomic));
+    }
+    all.push(with(|s| s.geometry.dense_adam = true));
+    all.push(with(|s| s.geometry.semantic_geometry = false));
+    all.push(with(|s| s.geometry.semantics = false));
+    all.push(with(|s| (s.geometry.semantics, s.geometry.normals) = (false, false)));
+    all.push(with(|s| {
+        (s.geometry.semantics, s.geometry.normals) = (false, false);
+        (s.geometry.losses.depth_smooth, s.geometry.losses.depth_variance) = (0.0, 0.0);
+    }));
+    all.push(with(|s| s.geometry.densify.until = 0.0));
+    for s in &all {
+        Geometry::new(device, scene, s, None)?.build_graphs()?;
+    }
+    Ok(())
+}
+
+/// Builds the graphs of the intrinsic stage.
+pub fn intrinsic(device: &Device, scene: &Scene, splats: &Splats) -> anyhow::Result<()> {
+    let mut all = bases()?;
+    for kind in [VisibilityKind::Field, VisibilityKind::Traced, VisibilityKind::None] {
+        for (normals, metallic) in
+            [(0.0, Metallic::On), (1e-3, Metallic::On), (0.0, Metallic::Off), (1e-3, Metallic::Off)]
+        {
+            all.push(with(|s| {
+                s.intrinsic.visibility.kind = kind;
+                s.intrinsic.rates.normals = normals;
+                s.intrinsic.metallic = metallic;
+                // Independent of the lights, and slow to prepare.
+                s.intrinsic.environment.resolution = 0;
+            }));
+        }
+    }
+    all.push(with(|s| s.intrinsic.metallic = Metallic::On));
+    all.push(with(|s| s.intrinsic.metallic = Metallic::Off));
+    all.push(with(|s| s.intrinsic.lights.grid = 0));
+    // Planning starts no provider.
+    all.push(with(|s| {
+        (s.intrinsic.relight.provider, s.intrinsic.relight_from) = ("provider".into(), 1);
+        s.intrinsic.environment.resolution = 0;
+    }));
+    for s in &mut all {
+        // Changes the sizes of the model with the photographs, which show nothing here.
+        s.intrinsic.automatic.enabled = false;
+        smaller(s);
+        Intrinsic::planned(device, scene, s, splats)?.build_graphs()?;
+    }
+    Ok(())
+}
+
+/// Builds the graphs of the transport stage after its fit.
+pub fn transport(device: &Device, scene: &Scene, splats: &Splats) -> anyhow::Result<()> {
+    for metallic in [Metallic::On, Metallic::Off] {
+        let mut settings = with(|s| s.intrinsic.metallic = metallic);
+        smaller(&mut settings);
+        TransportPlan::of(device, scene, &settings, splats)?.training.build_graphs()?;
+    }
+    Ok(())
+}
