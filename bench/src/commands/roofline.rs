@@ -52,7 +52,9 @@ struct Target {
 const DATASHEETS: [(&str, f64, f64); 4] =
     [("4090", 1.008e12, 82.6e12), ("h100", 3.35e12, 66.9e12), ("h200", 4.8e12, 66.9e12), ("7900xtx", 0.96e12, 61.4e12)];
 
-/// Parts of the datasheet's rates that kernels reach, measured on an H100 (bench/results/nvidia-h100).
+/// Parts of the datasheet's rates that kernels reach.
+///
+/// Measured on an H100 (bench/results/nvidia-h100).
 const REACHED: (f64, f64) = (0.74, 0.88);
 
 fn target(name: &str) -> Result<Target, String> {
@@ -86,7 +88,7 @@ struct Predicted {
     targets: Vec<(f64, f64)>,
 }
 
-/// Share of its bound below which a pass waits for latencies rather than for bytes or operations.
+/// Share of the bound below which latencies determine the time of a pass.
 const LATENCY: f64 = 0.05;
 
 /// Predicts passes.
@@ -258,7 +260,7 @@ mod tests {
     fn table_has_the_slowest_passes_and_their_sum() {
         let report = report();
         let own = Target::of(&report).unwrap();
-        let predicted = predict(&passes_of(&report, Some("plan")).unwrap(), &own, &[own.clone()]);
+        let predicted = predict(&passes_of(&report, Some("plan")).unwrap(), &own, std::slice::from_ref(&own));
         let text = table(&predicted, "small", &[own], 2);
         let rows: Vec<&str> = text.lines().skip(2).map(|line| line.split(" |").next().unwrap()).collect();
         assert_eq!(rows, ["| sum", "| copy", "| 3 other passes", "| sum"]);
