@@ -363,17 +363,17 @@ fn steady_state_records_nothing() {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let splats = geometry(&gpu, &scene);
     for bytes in [0, 1] {
-        let mut s = settings(160);
+        let mut s = settings(210);
         s.intrinsic.surface_bytes = bytes;
         // Every third update of the environment map is a graph of its own.
         s.intrinsic.environment.every = 3;
         let mut training = Intrinsic::new(gpu.device(), &scene, &s, &splats).unwrap();
-        training.train(100, |_| {}, || true).unwrap();
+        training.train(150, |_| {}, || true).unwrap();
         let (before, memory) = (training.host_times(), gpu.device().memory_use().0);
         // Plain, cross-view and relight steps, in two slots each. All surfaces are stored, or one for all views.
         let views = if bytes == 0 { scene.split.train.len() } else { 1 };
         assert_eq!(before.recordings, 3 * 2 * views as u64, "surface_bytes = {bytes}");
-        training.train(160, |_| {}, || true).unwrap();
+        training.train(210, |_| {}, || true).unwrap();
         let after = training.host_times();
         assert_eq!((after.replays, after.recordings), (before.replays + 60, before.recordings));
         assert_eq!(gpu.device().memory_use().0, memory);
