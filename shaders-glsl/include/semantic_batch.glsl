@@ -11,7 +11,25 @@ const uint BATCH = SUBGROUP * TILES;
 // and direction of nothing.
 const float NOTHING = 1e-6; // squared
 
-float staged[TILES * SPREAD];  // as `f`; can be indexed by a variable, which leaves others in registers
+// Arrays that are indexed by a variable. Where private ones spill on GPUs, they lie in shared memory on wide subgroups, and
+// each lane uses words of its own. On processors private ones are faster.
+#ifdef STAGES_IN_SHARED
+const bool STAGES = SUBGROUP >= 16u;
+#else
+const bool STAGES = false;
+#endif
+shared float shared_staged[STAGES ? TILES * SPREAD * SUBGROUP : 1u];
+
+// Writes and reads an element of such an array, whose private form is `array_`.
+#define STAGED_AT(i_) shared_staged[(i_) * SUBGROUP + gl_SubgroupInvocationID]
+#define STAGE(array_, i_, value_)                                                                              \
+    {                                                                                                          \
+        if (STAGES) STAGED_AT(i_) = value_;                                                                    \
+        else array_[i_] = value_;                                                                              \
+    }
+#define STAGED(array_, i_) (STAGES ? STAGED_AT(i_) : array_[i_])
+
+float staged[TILES * SPREAD];  // as `f`
 float f[TILES * SPREAD];       // features brought to at most one; zero where not live
 float u[TILES * SPREAD];       // A^T A f', but for its last number
 float bias[TILES];             // factor of the bias: 1 over the divisor of the features; likewise
@@ -72,7 +90,7 @@ float product(uint t) {
 void bring() {
     EACH_TILE(t) {
         float x[SPREAD];
-        [[unroll]] for (uint k = 0u; k < SPREAD; k++) x[k] = staged[t * SPREAD + k];
+        [[unroll]] for (uint k = 0u; k < SPREAD; k++) x[k] = STAGED(staged, t * SPREAD + k);
         // Compared as integers: the bits of non-finite numbers are larger than those of finite ones.
         uint top[ACROSS];
         EACH_ITEM(n) {

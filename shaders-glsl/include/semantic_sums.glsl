@@ -11,13 +11,51 @@
 float a[TILES * SPREAD];  // the gradient by features, before the division by their divisor
 float row_sums[ROWS * HELD];  // the sums, columns over lanes; indexed by a variable
 float ending[ROWS];       // their last column: sums of this lane's own items
+// The same in shared memory on wide subgroups: summed over the sides, or over all lanes. So many rows take 16 KiB; more of them
+// stay private.
+const bool SHARES = SUBGROUP >= 16u && ROWS <= 128u;
+shared float shared_sums[SHARES ? ROWS * FEATURES : 1u], shared_ending[SHARES ? ROWS : 1u];
 float weights[TILES];     // of items, for absorb()
 uint label[TILES];        // for descend(): the items' classes, and
 float own[TILES];         // k before the cross-entropy
 
 void clear_sums() {
-    for (uint i = 0u; i < ROWS * HELD; i++) row_sums[i] = 0.0;
-    for (uint i = 0u; i < ROWS; i++) ending[i] = 0.0;
+    for (uint i = 0u; i < ROWS; i++) {
+        if (SHARES) {
+            if (gl_SubgroupInvocationID < ACROSS) {
+                EACH_HELD(h) shared_sums[(i * HELD + h) * ACROSS + gl_SubgroupInvocationID] = 0.0;
+            }
+            if (gl_SubgroupInvocationID == 0u) shared_ending[i] = 0.0;
+        } else {
+            EACH_HELD(h) row_sums[i * HELD + h] = 0.0;
+            ending[i] = 0.0;
+        }
+    }
+}
+
+// Adds to row i of the sums. A lane of the first side adds for the others, so that no two lanes write one word.
+void add_row(uint i, float sum[HELD]) {
+    EACH_HELD(h) {
+        if (SHARES) {
+            float whole = sum[h];
+            if (SIDES > 1u) whole += subgroupShuffleXor(whole, ACROSS);
+            if (gl_SubgroupInvocationID < ACROSS) {
+                shared_sums[(i * HELD + h) * ACROSS + gl_SubgroupInvocationID] += whole;
+            }
+        } else {
+            row_sums[i * HELD + h] += sum[h];
+        }
+    }
+}
+
+// Adds to the last column of row i.
+void add_ending(uint i, float end) {
+    if (SHARES) {
+        float whole = subgroupAdd(end);
+        if (gl_SubgroupInvocationID == 0u) shared_ending[i] += whole;
+    } else {
+        ending[i] += end;
+    }
 }
 
 // Adds weight times f' of each item to row i of the sums, and weight times the current row of `matrices` to its gradient.
@@ -35,8 +73,8 @@ void absorb(uint i) {
         }
         end = fma(weights[t], bias[t], end);
     }
-    EACH_HELD(h) row_sums[i * HELD + h] += sum[h];
-    ending[i] += end;
+    add_row(i, sum);
+    add_ending(i, end);
 }
 
 // Adds the gradient of the cross-entropy to `label`, times `weight`, and of k, which is `own` plus the share from the
@@ -87,7 +125,7 @@ float descend(float weight) {
                 float s = subgroupShuffle(f[at + g], lane_of(j)) * factor[t * ACROSS + n];
                 EACH_HELD(h) sum[h] = fma(s, f[at + h], sum[h]);
             }
-            EACH_HELD(h) row_sums[(g * ACROSS + j) * HELD + h] += sum[h];
+            add_row(g * ACROSS + j, sum);
         }
     }
     EACH_HELD(h) row[h] = 0.0;
@@ -102,15 +140,21 @@ void write_sums() {
     for (uint i = 0u; i < ROWS; i++) {
         uint to = (gl_WorkGroupID.x * ROWS + i) * PITCH;
         EACH_HELD(h) {
-            float sum = row_sums[i * HELD + h];
-            for (uint reach = ACROSS; reach < SUBGROUP; reach *= 2u) sum += subgroupShuffleXor(sum, reach);
+            float sum = 0.0;
+            if (SHARES) {
+                if (gl_SubgroupInvocationID < ACROSS) sum = shared_sums[(i * HELD + h) * ACROSS + gl_SubgroupInvocationID];
+            } else {
+                sum = row_sums[i * HELD + h];
+                for (uint reach = ACROSS; reach < SUBGROUP; reach *= 2u) sum += subgroupShuffleXor(sum, reach);
+            }
             if (gl_SubgroupInvocationID < ACROSS) {
                 partials[to + h * ACROSS + gl_SubgroupInvocationID] = sum;
                 uint mirror = (gl_WorkGroupID.x * ROWS + h * ACROSS + gl_SubgroupInvocationID) * PITCH + FEATURES;
                 if (i == FEATURES) partials[mirror] = sum;
             }
         }
-        float end = subgroupAdd(ending[i]);
+        float end = SHARES ? 0.0 : subgroupAdd(ending[i]);
+        if (SHARES && gl_SubgroupInvocationID == 0u) end = shared_ending[i];
         if (i >= FEATURES && subgroupElect()) partials[to + FEATURES] = end;
         if (gl_SubgroupInvocationID < PITCH - AUGMENTED) partials[to + AUGMENTED + gl_SubgroupInvocationID] = 0.0;
     }

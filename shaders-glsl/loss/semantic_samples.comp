@@ -27,9 +27,11 @@ OUT(float, grad_features);   // samples x 32
 OUT(float, partials);
 OUT(vec3, sums);             // by workgroup: 1 - cos, cross-entropy, excluded samples
 
+#define STAGES_IN_SHARED
 #include "semantic_sums.glsl"
 
-// Laid out like `staged`. Each use has its own array, since compile time grows with the square of an array's uses.
+// Laid out like `staged`. Each use has its own array, since compile time grows with the square of an array's uses; in shared
+// memory one use follows another.
 float staged_products[TILES * SPREAD], staged_rows[TILES * SPREAD], staged_gradients[TILES * SPREAD];
 
 // Interpolates features at the samples of a batch into `staged`.
@@ -51,7 +53,7 @@ void fetch(uint from, uint count) {
                 v += right > 0u ? across.y * down.x * image[at + right] : 0.0;
                 v += below > 0u ? across.x * down.y * image[at + below] : 0.0;
                 v += right > 0u && below > 0u ? across.y * down.y * image[at + right + below] : 0.0;
-                staged[t * SPREAD + n * HELD + h] = v;
+                STAGE(staged, t * SPREAD + n * HELD + h, v)
                 at += ACROSS;
             }
         }
@@ -66,7 +68,7 @@ void fetch_products(uint from, uint count) {
             SHORT for (uint h = 0u; h < HELD; h++) {
                 float x = 0.0;
                 for (uint p = 0u; p < PARTS; p++) x += products[p * push.largest * PITCH + at + h * ACROSS];
-                staged_products[t * SPREAD + n * HELD + h] = x;
+                STAGE(staged_products, t * SPREAD + n * HELD + h, x)
             }
         }
     }
@@ -79,7 +81,7 @@ void fetch_products(uint from, uint count) {
             uint i_ = from + t_ * SUBGROUP + lane_of(n_);                                                      \
             if (i_ < count) {                                                                                  \
                 SHORT for (uint h_ = 0u; h_ < HELD; h_++)                                                      \
-                    buffer_[i_ * pitch + h_ * ACROSS + column()] = array_[t_ * SPREAD + n_ * HELD + h_];       \
+                    buffer_[i_ * pitch + h_ * ACROSS + column()] = STAGED(array_, t_ * SPREAD + n_ * HELD + h_); \
             }                                                                                                  \
         }                                                                                                      \
     }
@@ -107,7 +109,7 @@ void main() {
         measure();
         fetch_products(from, count);
         EACH_TILE(t) {
-            [[unroll]] for (uint k = 0u; k < SPREAD; k++) a[t * SPREAD + k] = staged_products[t * SPREAD + k];
+            [[unroll]] for (uint k = 0u; k < SPREAD; k++) a[t * SPREAD + k] = STAGED(staged_products, t * SPREAD + k);
         }
         float along[TILES]; // s
         EACH_TILE(t) {
@@ -133,7 +135,7 @@ void main() {
         EACH_TILE(t) {
             EACH_ITEM(n) {
                 float s = subgroupShuffle(along[t], lane_of(n));
-                EACH_HELD(h) staged_rows[t * SPREAD + n * HELD + h] = s * f[t * SPREAD + n * HELD + h];
+                EACH_HELD(h) STAGE(staged_rows, t * SPREAD + n * HELD + h, s * f[t * SPREAD + n * HELD + h])
             }
             uint i = from + t * SUBGROUP + gl_SubgroupInvocationID;
             if (i < count) products[i * PITCH + FEATURES] = along[t] * bias[t];
@@ -141,7 +143,7 @@ void main() {
         WRITE_STAGED(products, PITCH, staged_rows)
         EACH_TILE(t) EACH_ITEM(n) {
             float by = subgroupShuffle(bias[t], lane_of(n));
-            EACH_HELD(h) staged_gradients[t * SPREAD + n * HELD + h] = by * a[t * SPREAD + n * HELD + h];
+            EACH_HELD(h) STAGE(staged_gradients, t * SPREAD + n * HELD + h, by * a[t * SPREAD + n * HELD + h])
         }
         WRITE_STAGED(grad_features, FEATURES, staged_gradients)
     }
