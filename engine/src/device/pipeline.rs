@@ -146,7 +146,7 @@ impl Pipelines {
     /// Compiles missing pipelines on all cores, then writes the on-disk cache.
     ///
     /// # Errors
-    /// The first error in the order of the kernels.
+    /// The first error that a kernel causes.
     pub fn compile(&self, compiler: Compiler<'_>, wanted: &[Wanted<'_>]) -> Result<()> {
         let missing: Vec<&Wanted<'_>> = {
             let there = self.lock();

@@ -163,6 +163,7 @@ impl Executor {
             return Err(Error::Host("the command buffer is null".into()));
         }
         let index = self.free_host_slot()?;
+        self.compile()?;
         let shared = &self.device.0;
         let name = &self.plan.name;
         let HostSlot { slot, descriptors, .. } = &self.host_slots[index];

@@ -59,6 +59,8 @@ pub struct Executor {
     slots: Vec<Slot>,
     /// Indices of the external buffers whose memory alternates.
     alternating: Vec<usize>,
+    /// Whether the kernels are compiled.
+    compiled: bool,
     next: usize,
     uniform_bytes: u64,
     /// Slots recorded into command buffers of a host.
@@ -157,6 +159,7 @@ impl Executor {
             uniform_offsets,
             slots: Vec::new(),
             alternating: Vec::new(),
+            compiled: false,
             next: 0,
             uniform_bytes,
             host_slots: Vec::new(),

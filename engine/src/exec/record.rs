@@ -57,12 +57,20 @@ impl Executor {
         self.record_barrier(commands, &merge(results, translate(&own)), &self.plan.exit)
     }
 
+    /// Compiles the kernels of the plan before its first recording.
+    pub(super) fn compile(&mut self) -> Result<()> {
+        if !self.compiled {
+            let wanted: Vec<_> = self.plan.passes.iter().filter_map(|pass| wanted(&pass.kind)).collect();
+            self.device.0.compile(&wanted)?;
+            self.compiled = true;
+        }
+        Ok(())
+    }
+
     /// Records the passes between entry and exit barrier.
     ///
     /// `descriptors`: pool for the descriptor sets.
     pub(super) fn body(&self, commands: vk::CommandBuffer, slot: &Slot, descriptors: vk::DescriptorPool) -> Result<()> {
-        let wanted: Vec<_> = self.plan.passes.iter().filter_map(|pass| wanted(&pass.kind)).collect();
-        self.device.0.compile(&wanted)?;
         self.prelude(commands);
         self.groups(commands, slot, descriptors)
     }

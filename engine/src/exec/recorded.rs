@@ -76,6 +76,7 @@ impl Executor {
                 ages.map_or(0, |(oldest, _)| oldest)
             }
         };
+        self.compile()?;
         self.slots[slot].recorded[at].memory = None;
         self.record(slot, at)?;
         self.host.recordings += 1;
