@@ -3,9 +3,11 @@
 
 struct Visible {
     uint gaussian;
+    uint at;             // its column 0
     vec3 mean;
     vec3 log_scale;
     vec4 rotation;
+    float opacity_logit;
     vec3 color;          // d/d(color), zero where the color was cut off at black
     vec3 direction;      // unit, camera to mean
     float inverse_range; // 1 / distance
@@ -50,11 +52,14 @@ Visible visible_splat(uint v) {
     [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);
     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) any_gradient |= magnitude_bits(colors[c]);
     s.touched = any_gradient != 0u;
-    s.mean = means[s.gaussian];
-    s.log_scale = log_scales[s.gaussian];
-    s.rotation = rotations[s.gaussian];
+    s.at = first_column(s.gaussian);
+    vec4 place = parameters[s.at];
+    s.mean = place.xyz;
+    s.opacity_logit = place.w;
+    s.log_scale = parameters[s.at + BLOCK].xyz;
+    s.rotation = parameters[s.at + 2u * BLOCK];
     Projection p;
-    project_splat(camera, s.mean, s.log_scale, s.rotation, opacity_logits[s.gaussian], p);
+    project_splat(camera, s.mean, s.log_scale, s.rotation, s.opacity_logit, p);
     uint at = v * CHANNEL_WORDS;
     vec3 stored_color = color_of_words(features[at], features[at + 1u], COLOR_BITS == 16u ? 0u : features[at + 2u]);
     s.color = vec3(stored_color.x > 0.0 ? colors[0] : 0.0, stored_color.y > 0.0 ? colors[1u % CHANNELS] : 0.0,
@@ -68,7 +73,7 @@ Visible visible_splat(uint v) {
     s.normal = vec3(0.0);
     if (HAS_NORMALS) {
         vec3 d = vec3(colors[3u % CHANNELS], colors[4u % CHANNELS], colors[5u % CHANNELS]);
-        vec3 raw = normals[s.gaussian];
+        vec3 raw = parameters[s.at + (COLUMNS - 1u) * BLOCK].xyz;
         float n = length(raw);
         // n / max(|n|, 1e-3): below the floor the map is linear.
         s.normal = n > 1e-3 ? (d - raw * (dot(raw, d) / (n * n))) / n : d * 1e3;

@@ -7,60 +7,77 @@
 #include "step.glsl"
 #include "work.glsl"
 #include "adam.glsl"
+#include "gaussian.glsl"
+#include "extra.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 1) const uint WIDTH = 1; // scalars of a Gaussian
-layout(constant_id = 2) const uint RATE = 0;  // which learning rate
-layout(constant_id = 3) const uint STRIDE = 0; // of the rows of gradients; 0: there are none, all are zero
-layout(constant_id = 4) const uint FIRST = 0;  // where this group's gradients begin in a row
-layout(constant_id = 5) const bool SPARSE = false; // an exactly-zero gradient leaves its scalar untouched
+layout(constant_id = 1) const bool EXTRA = false;       // whether other views left gradients; all are zero without
+layout(constant_id = 2) const bool SPARSE = false;      // an exactly-zero gradient leaves its scalar untouched
+layout(constant_id = 3) const bool HAS_NORMALS = false; // in the last column
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, live);
 IN(uint, flags);
-IN(uint, seen);      // nonzero for Gaussians that this pass must skip
-IN(float, gradients);
-INOUT(float, parameters);
-INOUT(vec2, moments);
+IN(uint, seen);  // nonzero for Gaussians that this pass must skip
+IN(float, extra); // [Gaussians * EXTRA_WIDTH]
+INOUT(vec4, parameters);
+INOUT(vec4, first_moments);
+INOUT(vec4, second_moments);
 INOUT(uint, skipped); // Gaussians whose gradients were not finite
 
-float learning_rate() {
-    switch (RATE) {
-    case 0: return params.step.lr_means;
-    case 1: return params.step.lr_scales;
-    case 2: return params.step.lr_rotations;
-    case 3: return params.step.lr_opacities;
-    case 4: return params.step.lr_sh0;
-    case 5: return params.step.lr_sh_rest;
-    case 6: return params.step.lr_normals;
-    default: return params.step.lr_semantics;
+void update(uint at, vec4 by_values, vec4 rates) {
+    vec4 values = parameters[at], first = first_moments[at], second = second_moments[at];
+    bool changed = false;
+    [[unroll]] for (uint j = 0u; j < 4u; ++j) {
+        if (SPARSE && is_zero(by_values[j])) continue;
+        // What never had a gradient stays exactly as it is.
+        if (is_zero(by_values[j]) && is_zero(first[j]) && is_zero(second[j])) continue;
+        float value = values[j];
+        vec2 moments = vec2(first[j], second[j]);
+        adam(value, moments, by_values[j], rates[j], params.step.correction1, params.step.correction2);
+        values[j] = value;
+        first[j] = moments.x;
+        second[j] = moments.y;
+        changed = true;
     }
+    if (!changed) return;
+    parameters[at] = values;
+    first_moments[at] = first;
+    second_moments[at] = second;
+}
+
+vec4 rates_of(uint column) {
+    if (column == 0u) return vec4(vec3(params.step.lr_means), params.step.lr_opacities);
+    if (column == 1u) return vec4(params.step.lr_scales);
+    if (column == 2u) return vec4(params.step.lr_rotations);
+    if (HAS_NORMALS && column == COLUMNS - 1u) return vec4(params.step.lr_normals);
+    if (column == HARMONICS) return vec4(vec3(params.step.lr_sh0), params.step.lr_sh_rest);
+    return vec4(params.step.lr_sh_rest);
 }
 
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= live[0].count || flags[0] != 0u || seen[i] != 0u) return;
-    if (STRIDE > 0u) {
-        bool finite = true;
-        for (uint k = 0u; k < WIDTH; ++k) finite = finite && is_finite(gradients[i * STRIDE + FIRST + k]);
-        if (!finite) {
-            atomicAdd(skipped[0], 1u);
-            return;
+    vec4 by_place = vec4(0.0), by_size = vec4(0.0), by_rotation = vec4(0.0);
+    bool finite = true;
+    if (EXTRA) {
+        float more[EXTRA_WIDTH];
+        [[unroll]] for (uint j = 0u; j < EXTRA_WIDTH; ++j) {
+            more[j] = extra[i * EXTRA_WIDTH + j];
+            finite = finite && is_finite(more[j]);
         }
+        by_place = vec4(more[0], more[1], more[2], more[10]);
+        by_size = vec4(more[3], more[4], more[5], 0.0);
+        by_rotation = vec4(more[6], more[7], more[8], more[9]);
+        if (!finite) atomicAdd(skipped[0], 1u);
     }
-    float lr = learning_rate();
-    for (uint k = 0u; k < WIDTH; ++k) {
-        float gradient = 0.0;
-        if (STRIDE > 0u) gradient = gradients[i * STRIDE + FIRST + k];
-        if (SPARSE && is_zero(gradient)) continue;
-        uint j = i * WIDTH + k;
-        vec2 m = moments[j];
-        // What never had a gradient stays exactly as it is.
-        if (is_zero(gradient) && is_zero(m.x) && is_zero(m.y)) continue;
-        float parameter = parameters[j];
-        adam(parameter, m, gradient, lr, params.step.correction1, params.step.correction2);
-        parameters[j] = parameter;
-        moments[j] = m;
+    uint at = first_column(i);
+    if (finite) {
+        update(at, by_place, rates_of(0u));
+        update(at + BLOCK, by_size, rates_of(1u));
+        update(at + 2u * BLOCK, by_rotation, rates_of(2u));
     }
+    if (SPARSE) return;
+    for (uint column = HARMONICS; column < COLUMNS; ++column) update(at + column * BLOCK, vec4(0.0), rates_of(column));
 }

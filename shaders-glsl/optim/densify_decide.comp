@@ -4,6 +4,7 @@
 #include "work.glsl"
 #include "adam.glsl"
 #include "densify.glsl"
+#include "gaussian.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
@@ -11,11 +12,7 @@ layout(local_size_x_id = 0) in;
 layout(scalar) uniform DensifyBlock { Densify densify; } params;
 
 IN(Work, live);
-IN(vec3, means);
-IN(vec3, log_scales);
-IN(vec4, rotations);
-IN(float, opacity_logits);
-IN(vec3, sh0);
+IN(vec4, parameters);
 IN(vec4, statistics);  // by Gaussian: sum of screen gradients, count, sum of weights, sum of gradients by the raw normal
 OUT(uint, verdicts);
 INOUT(uint, counters);
@@ -25,11 +22,12 @@ bool finite(vec3 v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= live[0].count) return;
-    vec3 log_scale = log_scales[i];
-    vec4 rotation = rotations[i];
-    float logit = opacity_logits[i];
-    bool valid = finite(means[i]) && finite(log_scale) && finite(rotation.xyz) && is_finite(rotation.w)
-              && is_finite(logit) && finite(sh0[i]);
+    uint at = first_column(i);
+    vec4 place = parameters[at], rotation = parameters[at + 2u * BLOCK];
+    vec3 log_scale = parameters[at + BLOCK].xyz;
+    float logit = place.w;
+    bool valid = finite(place.xyz) && finite(log_scale) && finite(rotation.xyz) && is_finite(rotation.w)
+              && is_finite(logit) && finite(parameters[at + HARMONICS * BLOCK].xyz);
     // Both clamped where the exponential of a 32-bit number still is one.
     float opacity = 1.0 / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
     float largest = exp(clamp(max(max(log_scale.x, log_scale.y), log_scale.z), -80.0, 80.0));

@@ -1,35 +1,39 @@
-// Densification, step 6: copies one parameter group. A moved Gaussian keeps its moments; a new one, including both
-// halves of a split, starts with zero moments.
+// Densification, step 6: copies the columns of Gaussians. A moved Gaussian keeps its moments; a new one, including both halves
+// of a split, starts with zero moments.
 #version 460
 #include "common.glsl"
 #include "work.glsl"
 #include "densify.glsl"
+#include "gaussian.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
-layout(constant_id = 1) const uint WIDTH = 3; // scalars of a Gaussian
 
 IN(Work, moves);
 IN(Move, entries);
-INOUT(float, parameters);
-INOUT(vec2, moments);
+INOUT(vec4, parameters);
+INOUT(vec4, first_moments);
+INOUT(vec4, second_moments);
 
 void main() {
-    uint count = moves[0].count * WIDTH;
+    uint count = moves[0].count * COLUMNS;
     uint stride = gl_NumWorkGroups.x * gl_NumWorkGroups.y * WORKGROUP;
     for (uint t = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x; t < count; t += stride) {
-        Move move = entries[t / WIDTH];
+        Move move = entries[t / COLUMNS];
         if (move.kind == PRUNE) continue;
-        uint k = t % WIDTH;
-        uint from = move.from * WIDTH + k, home = move.home * WIDTH + k;
-        float parameter = parameters[from];
+        uint column = t % COLUMNS * BLOCK;
+        uint from = first_column(move.from) + column, home = first_column(move.home) + column;
+        vec4 parameter = parameters[from];
         if (home != from) parameters[home] = parameter;
-        if (move.kind == SPLIT) moments[home] = vec2(0.0);
-        else if (home != from) moments[home] = moments[from];
+        if (move.kind == SPLIT) first_moments[home] = second_moments[home] = vec4(0.0);
+        else if (home != from) {
+            first_moments[home] = first_moments[from];
+            second_moments[home] = second_moments[from];
+        }
         if (move.child != NOWHERE) {
-            uint child = move.child * WIDTH + k;
+            uint child = first_column(move.child) + column;
             parameters[child] = parameter;
-            moments[child] = vec2(0.0);
+            first_moments[child] = second_moments[child] = vec4(0.0);
         }
     }
 }

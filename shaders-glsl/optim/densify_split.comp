@@ -6,6 +6,7 @@
 #include "splat.glsl"
 #include "random.glsl"
 #include "densify.glsl"
+#include "gaussian.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
@@ -14,9 +15,7 @@ layout(scalar) uniform DensifyBlock { Densify densify; } params;
 
 IN(Work, moves);
 IN(Move, entries);
-IN(vec4, rotations);
-INOUT(vec3, means);
-INOUT(vec3, log_scales);
+INOUT(vec4, parameters);
 
 const float LOG_SHRINK = 0.47000362924573558; // log 1.6
 
@@ -32,13 +31,13 @@ void main() {
     if (t >= moves[0].count) return;
     Move move = entries[t];
     if (move.kind != SPLIT) return;
-    vec3 mean = means[move.home];
-    vec3 log_scale = log_scales[move.home];
+    uint home = first_column(move.home), child = first_column(move.child);
+    vec4 place = parameters[home], size = parameters[home + BLOCK];
+    vec3 log_scale = size.xyz;
     float unused;
-    mat3 axes = quaternion_matrix(unit_quaternion(rotations[move.home], unused));
+    mat3 axes = quaternion_matrix(unit_quaternion(parameters[home + 2u * BLOCK], unused));
     vec3 scale = exp(clamp(log_scale, LOG_SCALE_MIN, LOG_SCALE_MAX));
-    means[move.home] = mean + axes * (scale * normal3(move.from, 0u));
-    means[move.child] = mean + axes * (scale * normal3(move.from, 1u));
-    log_scales[move.home] = log_scale - LOG_SHRINK;
-    log_scales[move.child] = log_scale - LOG_SHRINK;
+    parameters[home] = vec4(place.xyz + axes * (scale * normal3(move.from, 0u)), place.w);
+    parameters[child] = vec4(place.xyz + axes * (scale * normal3(move.from, 1u)), place.w);
+    parameters[home + BLOCK] = parameters[child + BLOCK] = vec4(log_scale - LOG_SHRINK, size.w);
 }

@@ -3,19 +3,22 @@
 #version 460
 #include "common.glsl"
 #include "work.glsl"
+#include "gaussian.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 
 IN(Work, live);
-INOUT(float, opacity_logits);
-OUT(vec2, opacity_logits_moments);
+INOUT(vec4, parameters);
+INOUT(vec4, first_moments);
+INOUT(vec4, second_moments);
 
 const float LOGIT = -4.5951198501345898; // of 0.01
 
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= live[0].count) return;
-    if (!(opacity_logits[i] <= LOGIT)) opacity_logits[i] = LOGIT; // NaN as well
-    opacity_logits_moments[i] = vec2(0.0);
+    uint at = first_column(i);
+    if (!(parameters[at].w <= LOGIT)) parameters[at].w = LOGIT; // NaN as well
+    first_moments[at].w = second_moments[at].w = 0.0;
 }

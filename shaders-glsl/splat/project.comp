@@ -5,6 +5,7 @@
 #include "step.glsl"
 #include "work.glsl"
 #include "splat.glsl"
+#include "gaussian.glsl"
 #include "sh.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;  // a multiple of 32
@@ -21,15 +22,7 @@ layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, gaussians);
-IN(vec3, means);
-IN(vec3, log_scales);
-IN(vec4, rotations);
-IN(float, opacity_logits);
-IN(vec3, sh0);
-IN(vec3, sh1);
-IN(vec3, sh2);
-IN(vec3, sh3);
-IN(vec3, normals);
+IN(vec4, parameters);
 IN(uint, visible_bits);
 IN(uint, block_offsets);
 OUT(uint, splat_ids);
@@ -38,18 +31,22 @@ OUT(Splat, splats);
 OUT(uint, features);
 OUT(uint, tile_counts);
 
-vec3 color_of(uint i, vec3 mean) {
+// `at`: column 0 of the Gaussian. Columns of bands above the active degree are not read.
+vec3 color_of(uint at, vec3 mean) {
     Camera camera = params.step.camera;
     uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
-    vec3 color = SH0 * sh0[i];
-    if (SH_DEGREE > 0u) {
-        vec3 away = mean - camera.position;
-        vec3 d = away * inversesqrt(max(dot(away, away), 1e-30));
-        float b[16];
-        sh_basis(d, degree, b);
-        if (SH_DEGREE >= 1u) [[unroll]] for (uint k = 0u; k < 3u; ++k) color += b[1u + k] * sh1[3u * i + k];
-        if (SH_DEGREE >= 2u) [[unroll]] for (uint k = 0u; k < 5u; ++k) color += b[4u + k] * sh2[5u * i + k];
-        if (SH_DEGREE >= 3u) [[unroll]] for (uint k = 0u; k < 7u; ++k) color += b[9u + k] * sh3[7u * i + k];
+    vec3 away = mean - camera.position;
+    vec3 d = away * inversesqrt(max(dot(away, away), 1e-30));
+    float basis[16];
+    sh_basis(d, degree, basis);
+    vec3 color = vec3(0.0);
+    [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
+        if (4u * c >= harmonic_numbers(degree)) continue;
+        vec4 values = parameters[at + (HARMONICS + c) * BLOCK];
+        [[unroll]] for (uint j = 0u; j < 4u; ++j) {
+            uint number = 4u * c + j;
+            if (number < harmonic_numbers(SH_DEGREE)) color[number % 3u] += basis[number / 3u] * values[j];
+        }
     }
     color += 0.5;
     // A splat with colors that are not finite shows black rather than poisoning every pixel it touches.
@@ -90,9 +87,10 @@ void main() {
     uint v = block_offsets[block] + bitCount(bits & (bit - 1u));
     for (uint w = block * (WORKGROUP / 32u); w < word; ++w) v += bitCount(visible_bits[w]);
     Camera camera = params.step.camera;
-    vec3 mean = means[i];
+    uint from = first_column(i);
+    vec4 place = parameters[from], size = parameters[from + BLOCK], rotation = parameters[from + 2u * BLOCK];
     Projection p;
-    bool projects = project_splat(camera, mean, log_scales[i], rotations[i], opacity_logits[i], p);
+    bool projects = project_splat(camera, place.xyz, size.xyz, rotation, place.w, p);
     if (!projects) {
         // Its slot is taken: a footprint that touches no tile.
         p.point = vec3(0.0, 0.0, camera.near);
@@ -107,7 +105,7 @@ void main() {
     tile_counts[v] = projects ? count_tiles(p.splat, limit, box) : 0u;
     uint at = v * CHANNEL_WORDS;
     if (HAS_COLORS) {
-        vec3 color = color_of(i, mean);
+        vec3 color = color_of(from, place.xyz);
         if (COLOR_BITS == 16u) {
             features[at] = pack_halves(color.xy);
             features[at + 1u] = pack_halves(vec2(color.z, 0.0));
@@ -120,7 +118,7 @@ void main() {
         }
     }
     if (HAS_NORMALS) {
-        vec3 n = normals[i];
+        vec3 n = parameters[from + (COLUMNS - 1u) * BLOCK].xyz;
         n /= max(length(n), 1e-3);
         features[at] = floatBitsToUint(n.x);
         features[at + 1u] = floatBitsToUint(n.y);

@@ -5,6 +5,7 @@
 #include "step.glsl"
 #include "work.glsl"
 #include "splat.glsl"
+#include "gaussian.glsl"
 #include "sh.glsl"
 #include "project_bwd.glsl"
 
@@ -31,23 +32,8 @@ IN(uint, features);
 IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);
-IN(vec3, means);
-IN(vec3, log_scales);
-IN(vec4, rotations);
-IN(float, opacity_logits);
-IN(vec3, sh1);
-IN(vec3, sh2);
-IN(vec3, sh3);
-IN(vec3, normals);
-OUT(vec3, grad_means);
-OUT(vec3, grad_log_scales);
-OUT(vec4, grad_rotations);
-OUT(float, grad_opacity_logits);
-OUT(vec3, grad_sh0);
-OUT(vec3, grad_sh1);
-OUT(vec3, grad_sh2);
-OUT(vec3, grad_sh3);
-OUT(vec3, grad_normals);
+IN(vec4, parameters);
+OUT(vec4, gradients);    // in the columns of the parameters
 OUT(vec2, grad_means2d); // by visible splat, pixels
 OUT(float, pose_partials); // [workgroups * 12]: rows of the rotation, then the translation
 
@@ -64,32 +50,28 @@ void main() {
     vec3 translation = vec3(0.0);
     if (real) {
         Visible s = visible_splat(v);
-        uint i = s.gaussian;
         uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
         float basis[16];
         sh_basis(s.direction, degree, basis);
         float s_dot[16];
         [[unroll]] for (uint k = 0u; k < 16u; ++k) s_dot[k] = 0.0;
-        grad_sh0[i] = SH0 * s.color;
-        if (SH_DEGREE >= 1u) [[unroll]] for (uint k = 0u; k < 3u; ++k) {
-            grad_sh1[3u * i + k] = basis[1u + k] * s.color;
-            s_dot[1u + k] = dot(sh1[3u * i + k], s.color);
-        }
-        if (SH_DEGREE >= 2u) [[unroll]] for (uint k = 0u; k < 5u; ++k) {
-            grad_sh2[5u * i + k] = basis[4u + k] * s.color;
-            s_dot[4u + k] = dot(sh2[5u * i + k], s.color);
-        }
-        if (SH_DEGREE >= 3u) [[unroll]] for (uint k = 0u; k < 7u; ++k) {
-            grad_sh3[7u * i + k] = basis[9u + k] * s.color;
-            s_dot[9u + k] = dot(sh3[7u * i + k], s.color);
+        [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
+            uint at = s.at + (HARMONICS + c) * BLOCK;
+            vec4 values = parameters[at], by_values = vec4(0.0);
+            [[unroll]] for (uint j = 0u; j < 4u; ++j) {
+                uint number = 4u * c + j;
+                if (number >= harmonic_numbers(SH_DEGREE)) continue;
+                by_values[j] = basis[number / 3u] * s.color[number % 3u];
+                s_dot[number / 3u] += values[j] * s.color[number % 3u];
+            }
+            gradients[at] = by_values;
         }
         vec3 by_direction = direction_to_mean(s, degree, s_dot);
-        grad_means[i] = s.gradient.mean + by_direction;
-        grad_log_scales[i] = s.gradient.log_scale;
-        grad_rotations[i] = s.gradient.rotation;
-        grad_opacity_logits[i] = s.gradient.opacity_logit;
+        gradients[s.at] = vec4(s.gradient.mean + by_direction, s.gradient.opacity_logit);
+        gradients[s.at + BLOCK] = vec4(s.gradient.log_scale, 0.0);
+        gradients[s.at + 2u * BLOCK] = s.gradient.rotation;
         grad_means2d[v] = s.gradient.mean2d;
-        if (HAS_NORMALS) grad_normals[i] = s.normal;
+        if (HAS_NORMALS) gradients[s.at + (COLUMNS - 1u) * BLOCK] = vec4(s.normal, 0.0);
         if (POSE) {
             // The camera stands at -W^T t, and the direction moves against it: d/dt = W by_direction,
             // d/dW = t by_direction^T (as rows).

@@ -8,6 +8,7 @@
 #include "work.glsl"
 #include "adam.glsl"
 #include "splat.glsl"
+#include "gaussian.glsl"
 #include "sh.glsl"
 #include "project_bwd.glsl"
 #include "extra.glsl"
@@ -38,39 +39,31 @@ IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);
 IN(float, extra); // [Gaussians * EXTRA_WIDTH]
-INOUT(vec3, means);
-INOUT(vec3, log_scales);
-INOUT(vec4, rotations);
-INOUT(float, opacity_logits);
-INOUT(vec3, sh0);
-INOUT(vec3, sh1);
-INOUT(vec3, sh2);
-INOUT(vec3, sh3);
-INOUT(vec3, normals);
-INOUT(vec2, means_moments);
-INOUT(vec2, log_scales_moments);
-INOUT(vec2, rotations_moments);
-INOUT(vec2, opacity_logits_moments);
-INOUT(vec2, sh0_moments);
-INOUT(vec2, sh1_moments);
-INOUT(vec2, sh2_moments);
-INOUT(vec2, sh3_moments);
-INOUT(vec2, normals_moments);
+INOUT(vec4, parameters);
+INOUT(vec4, first_moments);  // in the columns of the parameters
+INOUT(vec4, second_moments);
 INOUT(vec4, statistics);  // by Gaussian: sum of screen gradients, count, sum of weights, sum of gradients by the raw normal
 INOUT(uint, skipped);     // splats whose gradients were not finite
 OUT(uint, seen);          // by Gaussian: whether it was updated here; with `extra`, also if it was skipped here
 
 #include "splat_sum.glsl"
 
-// One vector of a group: N scalars from `at`.
-#define UPDATE(group, N, value, gradient, at, rate)                                                        \
-    [[unroll]] for (uint j_ = 0u; j_ < N; ++j_) {                                                          \
-        float p_ = value[j_];                                                                              \
-        vec2 m_ = group##_moments[(at) + j_];                                                              \
-        adam(p_, m_, gradient[j_], rate, params.step.correction1, params.step.correction2);                \
-        value[j_] = p_;                                                                                    \
-        group##_moments[(at) + j_] = m_;                                                                   \
+// One step of a column; numbers outside the mask stay as they are.
+void update(uint at, vec4 values, vec4 by_values, vec4 rates, bvec4 mask) {
+    vec4 first = first_moments[at], second = second_moments[at];
+    [[unroll]] for (uint j = 0u; j < 4u; ++j) {
+        if (!mask[j]) continue;
+        float value = values[j];
+        vec2 moments = vec2(first[j], second[j]);
+        adam(value, moments, by_values[j], rates[j], params.step.correction1, params.step.correction2);
+        values[j] = value;
+        first[j] = moments.x;
+        second[j] = moments.y;
     }
+    parameters[at] = values;
+    first_moments[at] = first;
+    second_moments[at] = second;
+}
 
 void main() {
     uint v = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
@@ -122,51 +115,30 @@ void main() {
     sh_basis(s.direction, degree, basis);
     float s_dot[16];
     [[unroll]] for (uint k = 0u; k < 16u; ++k) s_dot[k] = 0.0;
-    vec3 c0 = sh0[i];
-    vec3 g0 = SH0 * s.color;
-    UPDATE(sh0, 3u, c0, g0, 3u * i, params.step.lr_sh0)
-    sh0[i] = c0;
     // Bands above the active degree have no gradient yet and stay as they are.
-    if (SH_DEGREE >= 1u && degree >= 1u) [[unroll]] for (uint k = 0u; k < 3u; ++k) {
-        vec3 c = sh1[3u * i + k];
-        s_dot[1u + k] = dot(c, s.color);
-        vec3 g = basis[1u + k] * s.color;
-        UPDATE(sh1, 3u, c, g, 9u * i + 3u * k, params.step.lr_sh_rest)
-        sh1[3u * i + k] = c;
-    }
-    if (SH_DEGREE >= 2u && degree >= 2u) [[unroll]] for (uint k = 0u; k < 5u; ++k) {
-        vec3 c = sh2[5u * i + k];
-        s_dot[4u + k] = dot(c, s.color);
-        vec3 g = basis[4u + k] * s.color;
-        UPDATE(sh2, 3u, c, g, 15u * i + 3u * k, params.step.lr_sh_rest)
-        sh2[5u * i + k] = c;
-    }
-    if (SH_DEGREE >= 3u && degree >= 3u) [[unroll]] for (uint k = 0u; k < 7u; ++k) {
-        vec3 c = sh3[7u * i + k];
-        s_dot[9u + k] = dot(c, s.color);
-        vec3 g = basis[9u + k] * s.color;
-        UPDATE(sh3, 3u, c, g, 21u * i + 3u * k, params.step.lr_sh_rest)
-        sh3[7u * i + k] = c;
+    [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
+        if (4u * c >= harmonic_numbers(degree)) continue;
+        uint at = s.at + (HARMONICS + c) * BLOCK;
+        vec4 values = parameters[at], by_values = vec4(0.0), rates;
+        bvec4 mask;
+        [[unroll]] for (uint j = 0u; j < 4u; ++j) {
+            uint number = 4u * c + j;
+            mask[j] = number < harmonic_numbers(degree);
+            rates[j] = number < 3u ? params.step.lr_sh0 : params.step.lr_sh_rest;
+            if (number >= harmonic_numbers(SH_DEGREE)) continue;
+            by_values[j] = basis[number / 3u] * s.color[number % 3u];
+            if (mask[j]) s_dot[number / 3u] += values[j] * s.color[number % 3u];
+        }
+        update(at, values, by_values, rates, mask);
     }
     gm += direction_to_mean(s, degree, s_dot);
-    vec3 mean = s.mean;
-    UPDATE(means, 3u, mean, gm, 3u * i, params.step.lr_means)
-    means[i] = mean;
-    vec3 log_scale = s.log_scale;
-    UPDATE(log_scales, 3u, log_scale, gs, 3u * i, params.step.lr_scales)
-    log_scales[i] = log_scale;
-    vec4 rotation = s.rotation;
-    UPDATE(rotations, 4u, rotation, gr, 4u * i, params.step.lr_rotations)
-    rotations[i] = rotation;
-    float logit = opacity_logits[i];
-    vec2 m = opacity_logits_moments[i];
-    adam(logit, m, go, params.step.lr_opacities, params.step.correction1,
-         params.step.correction2);
-    opacity_logits[i] = logit;
-    opacity_logits_moments[i] = m;
+    update(s.at, vec4(s.mean, s.opacity_logit), vec4(gm, go), vec4(vec3(params.step.lr_means), params.step.lr_opacities),
+           bvec4(true));
+    vec4 size = parameters[s.at + BLOCK];
+    update(s.at + BLOCK, size, vec4(gs, 0.0), vec4(params.step.lr_scales), bvec4(true, true, true, false));
+    update(s.at + 2u * BLOCK, s.rotation, gr, vec4(params.step.lr_rotations), bvec4(true));
     if (HAS_NORMALS) {
-        vec3 n = normals[i];
-        UPDATE(normals, 3u, n, s.normal, 3u * i, params.step.lr_normals)
-        normals[i] = n;
+        uint at = s.at + (COLUMNS - 1u) * BLOCK;
+        update(at, parameters[at], vec4(s.normal, 0.0), vec4(params.step.lr_normals), bvec4(true, true, true, false));
     }
 }

@@ -8,6 +8,7 @@
 #include "work.glsl"
 #include "adam.glsl"
 #include "splat.glsl"
+#include "gaussian.glsl"
 #include "project_bwd.glsl"
 #include "extra.glsl"
 
@@ -22,10 +23,7 @@ IN(uint, entry_starts);
 IN(uint, tile_counts);
 IN(float, entry_features); // [entries * (6 + FEATURES)], moments first
 IN(uint, entry_flags);
-IN(vec3, means);
-IN(vec3, log_scales);
-IN(vec4, rotations);
-IN(float, opacity_logits);
+IN(vec4, parameters);
 INOUT(float, extra); // [Gaussians * EXTRA_WIDTH]; splats that cover no selected pixel are unchanged
 
 void main() {
@@ -42,9 +40,11 @@ void main() {
     [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);
     if (any_gradient == 0u) return;
     uint i = splat_ids[v];
-    vec3 mean = means[i], log_scale = log_scales[i];
+    uint at = first_column(i);
+    vec4 place = parameters[at];
+    vec3 mean = place.xyz, log_scale = parameters[at + BLOCK].xyz;
     Projection p;
-    project_splat(params.step.camera, mean, log_scale, rotations[i], opacity_logits[i], p);
+    project_splat(params.step.camera, mean, log_scale, parameters[at + 2u * BLOCK], place.w, p);
     SplatGradient g = project_gradient(params.step.camera, p, mean, log_scale, moments, 0.0);
     float values[EXTRA_WIDTH] = float[](g.mean.x, g.mean.y, g.mean.z, g.log_scale.x, g.log_scale.y, g.log_scale.z,
                                         g.rotation.x, g.rotation.y, g.rotation.z, g.rotation.w, g.opacity_logit);

@@ -7,6 +7,7 @@
 #include "step.glsl"
 #include "work.glsl"
 #include "splat.glsl"
+#include "gaussian.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256; // a multiple of 32
 layout(constant_id = 1) const uint SUBGROUP = 32;
@@ -14,10 +15,7 @@ layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, gaussians);
-IN(vec3, means);
-IN(vec3, log_scales);
-IN(vec4, rotations);
-IN(float, opacity_logits);
+IN(vec4, parameters);
 OUT(uint, visible_bits); // by Gaussian, 32 a word
 OUT(uint, block_counts);
 
@@ -38,8 +36,10 @@ void main() {
     uint i = block * WORKGROUP + gl_SubgroupID * SUBGROUP + gl_SubgroupInvocationID;
     bool visible = false;
     if (i < gaussians[0].count) {
+        uint at = first_column(i);
+        vec4 place = parameters[at], size = parameters[at + BLOCK], rotation = parameters[at + 2u * BLOCK];
         Projection p;
-        if (project_splat(params.step.camera, means[i], log_scales[i], rotations[i], opacity_logits[i], p)) {
+        if (project_splat(params.step.camera, place.xyz, size.xyz, rotation, place.w, p)) {
             visible = !box_is_empty(splat_box(p.splat, exponent_limit(p.splat), params.step.camera.size));
         }
     }

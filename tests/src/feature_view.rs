@@ -13,7 +13,6 @@ use sgs_passes::splat::{
     Channels, Entries, EntryFeatures, Screen, Visible, Wanted, blend_features, blend_features_bwd, intersect, project,
     wanted_words,
 };
-use sgs_shaders::structs::Work;
 
 const WIDE: usize = SEMANTIC_FEATURES as usize;
 
@@ -104,9 +103,5 @@ pub fn declare(gpu: &Gpu, g: &mut Graph, view: &View, handles: &Handles, flags: 
 
 /// Returns the contents of the buffers of Gaussians.
 pub fn gaussian_inputs(g: &Gaussians, handles: &Handles) -> Vec<(Buffer, Vec<u8>)> {
-    let n = g.len() as u32;
-    let data = scenes::data(g);
-    let mut inputs: Vec<_> = handles.model.groups().map(|x| (handles.group(x), bytes(data.group(x)))).collect();
-    inputs.push((handles.work, bytes(&[Work { x: n.div_ceil(256), y: 1, z: 1, count: n }])));
-    inputs
+    handles.contents(&scenes::data(g))
 }

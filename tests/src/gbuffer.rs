@@ -168,11 +168,8 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
         (provided.albedo, single(&raw.albedo)),
         (provided.roughness, single(&raw.roughness)),
         (requested.materials, bytes(&four)),
-        (handles.work, bytes(&[n.div_ceil(256).max(1), 1, 1, n])),
     ];
-    for group in model.groups() {
-        inputs.push((handles.group(group), bytes(data.group(group))));
-    }
+    inputs.extend(handles.contents(&data));
     if let (Some(metallic), Some(gradient)) = (provided.metallic, requested.metallic) {
         inputs.push((metallic, single(&raw.metallic)));
         inputs.push((gradient, bytes(&one)));

@@ -179,15 +179,15 @@ impl Case {
         if self.features_move {
             sums.features = wide.map(|(_, _, left, _)| left);
         }
-        let groups = Group::ALL.map(|group| {
-            let count = if model.has(group) { u64::from(n * group.width()) } else { 1 };
-            g.external(format!("grad_{}", group.name()), 4 * count.max(3))
-        });
+        let into_parameters = g.external("grad_parameters", model.column_bytes(n));
+        let features = u64::from(SEMANTIC_FEATURES * if model.semantics { n } else { 1 });
+        let into_features = g.external("grad_semantics", 4 * features);
         let pose = g.external("pose", 48);
-        let into = Gradients { groups, means2d: g.external("means2d", 8 * u64::from(n)), pose: Some(pose) };
+        let means2d = g.external("means2d", 8 * u64::from(n));
+        let into = Gradients { parameters: into_parameters, means2d, pose: Some(pose) };
         project_bwd(&mut g, &t, &screen, &handles, &visible, &sums, &into).unwrap();
         if let Some((_, _, left, _)) = &wide {
-            features_bwd(&mut g, &t, &visible, left, groups[Group::Semantics as usize]).unwrap();
+            features_bwd(&mut g, &t, &visible, left, into_features).unwrap();
         }
 
         let mut camera = scenes::gpu_camera(&self.camera);
@@ -200,13 +200,11 @@ impl Case {
             ..Default::default()
         };
         let single = |v: &[f64]| bytemuck::cast_slice(&v.iter().map(|x| *x as f32).collect::<Vec<_>>()).to_vec();
-        let work = sgs_shaders::structs::Work { x: n.div_ceil(256), y: 1, z: 1, count: n };
         let mut inputs = vec![
             (step, bytemuck::bytes_of(&uniform).to_vec()),
             (flags, vec![0; 4]),
             (gradient.image, single(&self.image)),
             (gradient.transmittance, single(&self.transmittance)),
-            (handles.work, bytemuck::bytes_of(&work).to_vec()),
         ];
         if let Some((requested, gradient, ..)) = wide {
             let mut words = vec![0_u32; wanted_words(pixels) as usize];
@@ -218,30 +216,20 @@ impl Case {
                 weights.map(|(i, x)| if wants(i / SEMANTIC_FEATURES as usize) { *x as f32 } else { f32::NAN });
             inputs.push((gradient, bytemuck::cast_slice(&weights.collect::<Vec<_>>()).to_vec()));
         }
-        for group in model.groups() {
-            inputs.push((handles.group(group), bytemuck::cast_slice(data.group(group)).to_vec()));
-        }
+        inputs.extend(handles.contents(&data));
         // The kernels write gradients only for visible Gaussians, so the buffers start at zero.
-        inputs.extend(
-            groups
-                .iter()
-                .zip(Group::ALL)
-                .filter(|(_, g)| model.has(*g))
-                .map(|(b, group)| (*b, vec![0; 4 * (n * group.width()) as usize])),
-        );
+        inputs.push((into_parameters, vec![0; model.column_bytes(n) as usize]));
+        inputs.push((into_features, vec![0; 4 * features as usize]));
         let out = gpu.run(g, &inputs);
         assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
         if let Some((.., image)) = wide {
             self.check_features(&out.get::<f32>(image));
         }
-        let all = Group::ALL.map(|group| {
-            if model.has(group) {
-                out.get::<f32>(groups[group as usize])[..(n * group.width()) as usize].to_vec()
-            } else {
-                vec![]
-            }
-        });
-        (all.to_vec(), out.get(pose))
+        let mut all = model.from_columns(&out.get::<f32>(into_parameters), n as usize);
+        if model.semantics {
+            all.groups[Group::Semantics as usize] = out.get(into_features);
+        }
+        (all.groups.to_vec(), out.get(pose))
     }
 }
 

@@ -62,16 +62,14 @@ pub fn one(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
         inputs.push((from, content));
         Ok(())
     };
-    for group in w.model.groups() {
-        restore(group.name(), what.parameters[group as usize], bytes(w.start.group(group)))?;
-    }
+    restore("parameters", handles.parameters, bytes(&w.model.to_columns(&w.start)))?;
     restore("statistics", what.statistics, bytes(&statistics))?;
-    restore("count", what.live, bytes(&[work_of(count as u32)]))?;
+    restore("count", handles.work, bytes(&[work_of(count as u32)]))?;
     densify(&mut g, c.tuning, &what)?;
     let mut rig = Rig::new(c.device, g, inputs, true)?;
     let (times, _) = rig.measure(c.warmup, c.repeats)?;
     let stats: DensifyStats = rig.get(stats_buffer)?[0];
-    let live: Work = rig.get(what.live)?[0];
+    let live: Work = rig.get(handles.work)?[0];
     check(&stats, &live, &w.start, &statistics, &settings)?;
     let moved = f64::from(stats.cloned + 2 * stats.split) + f64::from(stats.pruned);
     let counts = Counts { gaussians: count as f64, moved, ..Default::default() };

@@ -5,7 +5,7 @@ use sgs_engine::Device;
 use sgs_engine::graph::{Buffer, Graph, Slice};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Camera, Step};
-use sgs_passes::scene::{GaussianData, Gaussians, Handles, Model};
+use sgs_passes::scene::{GaussianData, Gaussians, Model};
 use sgs_passes::splat::{Channels, Entries, Screen, Visible, intersect, project};
 use sgs_shaders::structs::{Splat, Work};
 
@@ -81,7 +81,7 @@ impl Subject<'_> {
         let visible = project(&mut g, &t, &screen, &handles, self.channels)?;
         let entries = intersect(&mut g, &t, &screen, &visible, capacity, flags)?;
         g.copy("out.wanted", entries.wanted, required)?;
-        let mut inputs = gaussian_inputs(&handles, self.model, self.data);
+        let mut inputs = handles.contents(self.data);
         let mut camera = self.camera;
         camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
         let values = Step { camera, step: 1, sh_degree: self.model.sh_degree, ..Default::default() };
@@ -101,13 +101,6 @@ impl View {
         self.graph.copy(format!("out.{name}"), Slice { bytes, ..what }, output)?;
         Ok(output)
     }
-}
-
-/// Returns the contents of the Gaussians' buffers.
-pub fn gaussian_inputs(handles: &Handles, model: Model, data: &GaussianData) -> Vec<(Buffer, Vec<u8>)> {
-    let mut inputs = vec![(handles.work, bytes(&[work_of(data.len() as u32)]))];
-    inputs.extend(model.groups().map(|g| (handles.group(g), bytes(data.group(g)))));
-    inputs
 }
 
 /// Returns a count with the dispatch arguments for 256 elements per workgroup.

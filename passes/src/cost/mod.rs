@@ -139,7 +139,7 @@ fn elements(pass: &str, c: &Counts) -> f64 {
         "depth_sort" | "entry_scan" => c.visible,
         "tile_sort" => c.entries,
         owner if owner.starts_with("densify") => c.gaussians,
-        "adam" | "adam_unseen" => {
+        "adam" => {
             let group = parts.next().and_then(|name| Group::ALL.into_iter().find(|g| g.name() == name));
             group.map_or(c.elements, |g| f64::from(g.width()) * c.gaussians)
         }

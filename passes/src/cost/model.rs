@@ -6,8 +6,8 @@ use super::{Cost, Counts, Stage};
 /// rotation 60. Rows of the Jacobian 20, covariance and determinant 35, triangular factor 25, four exponentials 16.
 const PROJECT: f64 = 204.0;
 
-/// Bytes of the parameters that projection reads. Mean 3, log scale 3, quaternion 4, opacity 1.
-const SHAPE_BYTES: f64 = 44.0;
+/// Bytes of the three columns that projection reads. Mean 3, opacity 1, log scale 3 and an unused number, quaternion 4.
+const SHAPE_BYTES: f64 = 48.0;
 
 /// Operations of the backward pass of projection. Covariance 60, Jacobian 50, matrices 115, quaternion 50, the forward
 /// values recomputed 204.
@@ -41,7 +41,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "project_count" => ((SHAPE_BYTES + 0.125) * n, PROJECT * n),
         "project" => {
             let degree = spec("SH_DEGREE");
-            let read = 12.0 * (degree + 1.0).powi(2) + 12.0 * spec("HAS_NORMALS");
+            // Whole columns of four numbers.
+            let read = 16.0 * (0.75 * (degree + 1.0).powi(2)).ceil() + 16.0 * spec("HAS_NORMALS");
             // Id, depth, number of tiles, footprint, features. Tiles are counted row by row: about 3 rows of 30.
             let written = 12.0 + SPLAT_BYTES + 4.0 * words;
             (0.125 * n + (SHAPE_BYTES + read + written) * v, (PROJECT + harmonics(degree) + 90.0) * v)
@@ -70,15 +71,22 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "photometric_bwd" => ((36.0 + 4.0 * channels + 4.0 + 12.0) * p, 3.0 * (3.0 * 11.0 * 4.0 + 20.0) * p),
         "geometry_loss" => (56.0 * p, 450.0 * p),
         "project_bwd_adam" => {
-            // Every scalar of a visible Gaussian and both its moments, read and written.
-            let gaussian = 24.0 * c.width + 12.0 + 4.0 * words + 32.0 * spec("STATISTICS");
+            // Every column of a visible Gaussian and of both its moments, read and written.
+            let gaussian = 96.0 * spec("COLUMNS") + 12.0 + 4.0 * words + 32.0 * spec("STATISTICS");
             let arithmetic = PROJECT_BWD + 2.0 * harmonics(spec("SH_DEGREE")) + ADAM * c.width;
             let summed = if spec("REDUCED") > 0.0 { v } else { e };
             (gradients * summed + gaussian * v, (6.0 + channels) * summed + arithmetic * v)
         }
         // Elements that a view does not see, counted as if no element was visible.
-        "adam" | "adam_unseen" => (28.0 * elements, ADAM * elements),
-        "opacity_reset" => (16.0 * n, 4.0 * n),
+        "adam" => (28.0 * elements, ADAM * elements),
+        // Only place, shape and opacity where zero gradients move nothing; gradients of other views are rows of 11.
+        "adam_unseen" => {
+            let columns = if spec("SPARSE") > 0.0 { 3.0 } else { spec("COLUMNS") };
+            ((96.0 * columns + 44.0 * spec("EXTRA") + 4.0) * n, 4.0 * ADAM * columns * n)
+        }
+        "adam_unseen_features" => (24.0 * spec("WIDTH") * n, ADAM * spec("WIDTH") * n),
+        // One number of a column; memory moves in larger pieces.
+        "opacity_reset" => (96.0 * n, 4.0 * n),
         // A single workgroup, which takes little time.
         "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),
         _ => {
@@ -124,18 +132,19 @@ fn primitive(s: &Stage<'_>, n: f64) -> Option<Cost> {
     Some(Cost { bytes, operations })
 }
 
-/// Returns the cost of a densification kernel. 72 bytes of parameters and statistics decide; flags, ranks and lists
+/// Returns the cost of a densification kernel. 80 bytes of parameters and statistics decide; flags, ranks and lists
 /// follow; then the copies.
 fn densify(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let n = c.gaussians;
     let bytes = match s.kernel {
-        "densify_decide" => 76.0 * n,
+        "densify_decide" => 84.0 * n,
         "densify_flags" => 16.0 * n,
         "densify_slots" => 8.0 * n + 4.0 * c.moved,
         "densify_assign" => 16.0 * n + 20.0 * c.moved,
-        // A scalar and its moments are read once and written up to twice.
-        "densify_move" => (16.0 + 36.0 * (s.specs)("WIDTH")) * c.moved,
-        "densify_split" => 80.0 * c.moved,
+        // A column or a feature, and its moments, are read once and written up to twice.
+        "densify_move" => (16.0 + 144.0 * (s.specs)("COLUMNS")) * c.moved,
+        "densify_move_features" => (16.0 + 36.0 * (s.specs)("WIDTH")) * c.moved,
+        "densify_split" => 112.0 * c.moved,
         _ => return None,
     };
     Some(Cost { bytes, operations: bytes / 4.0 })

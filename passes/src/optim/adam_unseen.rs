@@ -1,76 +1,89 @@
 //! `adam_unseen`: Adam for Gaussians that the fused update of a step did not move.
 //!
 //! Gaussians with gradients from other views follow them. Otherwise the gradient is zero. Dense Adam lets their moments
-//! decay and continues to move them, as in 3DGS (Kerbl et al. 2023); sparse Adam leaves them unchanged. A Gaussian with
-//! a non-finite gradient in the group is skipped in this group and counted. Cost per scalar of an unseen Gaussian: 12
-//! bytes read, 12 written, and 4 more read for a gradient.
+//! decay and continues to move them, as in 3DGS (Kerbl et al. 2023); sparse Adam leaves them unchanged. If a gradient of a
+//! Gaussian is not finite, its place, shape and opacity are skipped, and it is counted. Semantic features are a pass of
+//! their own, and only dense Adam moves them.
+//!
+//! Cost per column of an unseen Gaussian: 48 bytes read, 48 written if anything moves. Per feature: 12 read, 12 written.
 
 use crate::Tuning;
 use crate::kernel::stage;
-use crate::optim::Rate;
+use crate::scene::{Group, Handles, MomentHandles};
+use crate::splat::ExtraGradients;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
-use sgs_shaders::adam_unseen as kernel;
+use sgs_shaders::{adam_unseen as kernel, adam_unseen_features as rows};
 
-/// Gradients of a group, stored in rows by Gaussian.
-#[derive(Clone, Copy, Debug)]
-pub struct Rows {
-    /// Buffer of the rows.
-    pub buffer: Buffer,
-    /// Scalars per row.
-    pub stride: u32,
-    /// Position of the group's first scalar in a row.
-    pub first: u32,
-}
-
-/// Inputs for a parameter group, and a record of its updated Gaussians.
+/// Inputs, and a record of the Gaussians that were updated.
 #[derive(Clone, Copy, Debug)]
 pub struct AdamUnseen {
     /// Uniform `Step`: learning rates and bias corrections.
     pub step: Buffer,
-    /// Number of Gaussians, a `Work`.
-    pub live: Buffer,
     /// Flag word. If it is not zero, the step changes nothing.
     pub flags: Buffer,
     /// One word per Gaussian: not zero if it was already updated or skipped.
     pub seen: Buffer,
-    /// Scalars per Gaussian.
-    pub width: u32,
-    /// Learning rate of the group, which must not be constant.
-    pub rate: Rate,
-    /// Parameters.
-    pub parameters: Buffer,
-    /// First and second moments.
-    pub moments: Buffer,
     /// Gradients from other views. Without them all gradients are zero.
-    pub gradients: Option<Rows>,
+    pub extra: Option<ExtraGradients>,
     /// Whether a zero gradient leaves its scalar and moments unchanged.
     pub sparse: bool,
     /// Counter of skipped Gaussians.
     pub skipped: Buffer,
 }
 
-/// Adds the Adam pass of a parameter group.
+/// Adds the Adam pass of all groups but the semantic features.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
-pub fn adam_unseen(g: &mut Graph, t: &Tuning, name: &str, a: &AdamUnseen) -> Result<(), GraphError> {
+pub fn adam_unseen(
+    g: &mut Graph,
+    t: &Tuning,
+    gaussians: &Handles,
+    moments: &MomentHandles,
+    a: &AdamUnseen,
+) -> Result<(), GraphError> {
     let bindings = kernel::Bindings {
         params: a.step.into(),
-        live: a.live.into(),
+        live: gaussians.work.into(),
         flags: a.flags.into(),
         seen: a.seen.into(),
-        parameters: a.parameters.into(),
-        moments: a.moments.into(),
-        gradients: a.gradients.map_or(a.seen, |r| r.buffer).into(),
+        extra: a.extra.map_or(a.seen, |e| e.buffer).into(),
+        parameters: gaussians.parameters.into(),
+        first_moments: moments.first.into(),
+        second_moments: moments.second.into(),
         skipped: a.skipped.into(),
     };
     let specs = kernel::Specs {
         workgroup: t.workgroup,
-        width: a.width,
-        rate: a.rate.index(),
-        stride: a.gradients.map_or(0, |r| r.stride),
-        first: a.gradients.map_or(0, |r| r.first),
+        columns: gaussians.model.columns(),
+        extra: a.extra.is_some(),
         sparse: a.sparse,
+        has_normals: gaussians.model.normals,
     };
-    stage(g, name, &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch_indirect(a.live, 0)
+    stage(g, "adam_unseen", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(gaussians.work, 0)
+}
+
+/// Adds the pass of dense Adam for the semantic features of Gaussians that a step did not see.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn adam_unseen_features(
+    g: &mut Graph,
+    t: &Tuning,
+    gaussians: &Handles,
+    moments: &MomentHandles,
+    a: &AdamUnseen,
+) -> Result<(), GraphError> {
+    let bindings = rows::Bindings {
+        params: a.step.into(),
+        live: gaussians.work.into(),
+        flags: a.flags.into(),
+        seen: a.seen.into(),
+        features: gaussians.semantics.into(),
+        moments: moments.semantics.into(),
+    };
+    let specs = rows::Specs { workgroup: t.workgroup, width: Group::Semantics.width() };
+    stage(g, "adam_unseen_features", &rows::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(gaussians.work, 0)
 }

@@ -20,21 +20,22 @@
 //! Passes: `densify_decide` writes verdicts and a histogram of gradient strengths. `densify_plan` computes totals and,
 //! if the cap applies, the cut-off. `densify_flags` and prefix sums of three flags rank the pruned Gaussians, the
 //! strong ones and those at the cut-off. `densify_slots` lists the holes, `densify_assign` the copies and their
-//! targets. `densify_move` copies group by group, `densify_split` makes the halves of splits. Finally the statistics
+//! targets. `densify_move` copies columns, `densify_move_features` features, `densify_split` makes the halves of splits. Finally the statistics
 //! are cleared.
 //!
-//! Cost per Gaussian: 72 bytes of parameters and statistics read; 100 bytes of flags, ranks and lists read and written.
+//! Cost per Gaussian: 80 bytes of parameters and statistics read; 100 bytes of flags, ranks and lists read and written.
 //! Cloned, split and moved Gaussians add 12 bytes read and 12 to 24 written per scalar (59 scalars with all bands of
 //! spherical harmonics). Memory: 36 bytes per Gaussian of the capacity, during the passes.
 
 use crate::Tuning;
 use crate::kernel::{splat_specs, stage};
 use crate::prim::{Count, Records, ScanShape, exclusive_scan};
-use crate::scene::{Group, Handles, Model};
+use crate::scene::{Group, Handles, MomentHandles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::structs::{DensifyPlan, Move, Work};
 use sgs_shaders::{
-    densify_assign, densify_decide, densify_flags, densify_move, densify_plan, densify_slots, densify_split,
+    densify_assign, densify_decide, densify_flags, densify_move, densify_move_features, densify_plan, densify_slots,
+    densify_split,
 };
 
 /// Words of the counters: five, and the histogram of gradient strengths.
@@ -43,18 +44,12 @@ const COUNTERS: u64 = 5 + 2048;
 /// Inputs of densification.
 #[derive(Clone, Copy, Debug)]
 pub struct Densify {
-    /// Parameter groups of the model.
-    pub model: Model,
-    /// Largest number of Gaussians.
-    pub capacity: u32,
-    /// Parameters, by position in [`Group::ALL`].
-    pub parameters: [Buffer; Group::COUNT],
-    /// Moments, by position in [`Group::ALL`].
-    pub moments: [Buffer; Group::COUNT],
+    /// Gaussians with their moments.
+    pub gaussians: Handles,
+    /// Their moments.
+    pub moments: MomentHandles,
     /// By Gaussian: sum of screen gradients, their number, sum of blending weights, sum of gradients by the raw normal.
     pub statistics: Buffer,
-    /// Number of Gaussians, a `Work`.
-    pub live: Buffer,
     /// Uniform `Densify`: thresholds, cap, seed.
     pub settings: Buffer,
     /// Results, a `DensifyStats`.
@@ -65,19 +60,12 @@ impl Densify {
     /// Returns the inputs for Gaussians declared for training. Without moments or statistics returns `None`.
     pub fn of(gaussians: &Handles, settings: Buffer, stats: Buffer) -> Option<Densify> {
         Some(Densify {
-            model: gaussians.model,
-            capacity: gaussians.capacity,
-            parameters: gaussians.parameters,
+            gaussians: *gaussians,
             moments: gaussians.moments?,
             statistics: gaussians.statistics?,
-            live: gaussians.work,
             settings,
             stats,
         })
-    }
-
-    fn group(&self, group: Group) -> Buffer {
-        self.parameters[group as usize]
     }
 }
 
@@ -121,7 +109,7 @@ impl Lists {
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn densify(g: &mut Graph, tuning: Tuning, a: &Densify) -> Result<(), GraphError> {
-    let lists = Lists::new(g, a.capacity);
+    let lists = Lists::new(g, a.gaussians.capacity);
     decide(g, tuning, a, &lists)?;
     rank(g, tuning, a, &lists)?;
     assign(g, tuning, a, &lists)?;
@@ -135,24 +123,20 @@ fn decide(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(
     g.fill("densify_clear", lists.counters, 0)?;
     let bindings = densify_decide::Bindings {
         params: a.settings.into(),
-        live: a.live.into(),
-        means: a.group(Group::Means).into(),
-        log_scales: a.group(Group::LogScales).into(),
-        rotations: a.group(Group::Rotations).into(),
-        opacity_logits: a.group(Group::OpacityLogits).into(),
-        sh0: a.group(Group::Sh0).into(),
+        live: a.gaussians.work.into(),
+        parameters: a.gaussians.parameters.into(),
         statistics: a.statistics.into(),
         verdicts: lists.verdicts.into(),
         counters: lists.counters.into(),
     };
-    let specs = densify_decide::Specs { workgroup };
+    let specs = densify_decide::Specs { workgroup, columns: a.gaussians.model.columns() };
     stage(g, "densify_decide", &densify_decide::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch_indirect(a.live, 0)?;
+        .dispatch_indirect(a.gaussians.work, 0)?;
 
     let bindings = densify_plan::Bindings {
         params: a.settings.into(),
         counters: lists.counters.into(),
-        live: a.live.into(),
+        live: a.gaussians.work.into(),
         verdicts: lists.verdicts.into(),
         before: lists.before.into(),
         moves: lists.moves.into(),
@@ -161,7 +145,7 @@ fn decide(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(
     };
     let scan_block = ScanShape::from(tuning).block();
     let specs = densify_plan::Specs { workgroup, per_group: workgroup, scan_block };
-    let push = densify_plan::Push { capacity: a.capacity };
+    let push = densify_plan::Push { capacity: a.gaussians.capacity };
     let (kernel, push) = (&densify_plan::KERNEL, bytemuck::bytes_of(&push));
     stage(g, "densify_plan", kernel, bindings.entries(), specs.entries(), push).dispatch([1, 1, 1])
 }
@@ -180,7 +164,7 @@ fn rank(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(),
     stage(g, "densify_flags", &densify_flags::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(lists.before, 0)?;
     let group_sizes = [tuning.workgroup, ScanShape::from(tuning).block(), 0, 0];
-    let count = Count::Gpu(Records { slice: lists.before.into(), group_sizes, max: a.capacity });
+    let count = Count::Gpu(Records { slice: lists.before.into(), group_sizes, max: a.gaussians.capacity });
     for (name, flags) in
         [("densify_holes", lists.holes), ("densify_strong", lists.strong), ("densify_ties", lists.ties)]
     {
@@ -219,30 +203,39 @@ fn assign(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(
         .dispatch_indirect(lists.before, 0)
 }
 
-/// Adds the passes that copy every group. The last pass separates the halves of each split.
+/// Adds the passes that copy the Gaussians. The last pass separates the halves of each split.
 fn copy(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
     let Tuning { workgroup, .. } = tuning;
-    for group in a.model.groups() {
-        let bindings = densify_move::Bindings {
+    let bindings = densify_move::Bindings {
+        moves: lists.moves.into(),
+        entries: lists.entries.into(),
+        parameters: a.gaussians.parameters.into(),
+        first_moments: a.moments.first.into(),
+        second_moments: a.moments.second.into(),
+    };
+    let columns = a.gaussians.model.columns();
+    let specs = densify_move::Specs { workgroup, columns };
+    stage(g, "densify_move", &densify_move::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(lists.moves, 0)?;
+    if a.gaussians.model.semantics {
+        let bindings = densify_move_features::Bindings {
             moves: lists.moves.into(),
             entries: lists.entries.into(),
-            parameters: a.group(group).into(),
-            moments: a.moments[group as usize].into(),
+            features: a.gaussians.semantics.into(),
+            moments: a.moments.semantics.into(),
         };
-        let specs = densify_move::Specs { workgroup, width: group.width() };
-        let name = format!("densify_move.{}", group.name());
-        stage(g, &name, &densify_move::KERNEL, bindings.entries(), specs.entries(), &[])
+        let specs = densify_move_features::Specs { workgroup, width: Group::Semantics.width() };
+        let kernel = &densify_move_features::KERNEL;
+        stage(g, "densify_move_features", kernel, bindings.entries(), specs.entries(), &[])
             .dispatch_indirect(lists.moves, 0)?;
     }
     let bindings = densify_split::Bindings {
         params: a.settings.into(),
         moves: lists.moves.into(),
         entries: lists.entries.into(),
-        rotations: a.group(Group::Rotations).into(),
-        means: a.group(Group::Means).into(),
-        log_scales: a.group(Group::LogScales).into(),
+        parameters: a.gaussians.parameters.into(),
     };
-    let specs = splat_specs!(densify_split, tuning, { workgroup, });
+    let specs = splat_specs!(densify_split, tuning, { workgroup, columns, });
     stage(g, "densify_split", &densify_split::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(lists.moves, 0)
 }

@@ -8,7 +8,7 @@ pub mod opacity_reset;
 mod trainable;
 
 pub use adam::{Adam, EPSILON, Rate, adam};
-pub use adam_unseen::{AdamUnseen, Rows, adam_unseen};
+pub use adam_unseen::{AdamUnseen, adam_unseen, adam_unseen_features};
 pub use decoder::decoder_step;
 pub use densify::{Densify, densify};
 pub use opacity_reset::opacity_reset;

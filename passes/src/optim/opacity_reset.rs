@@ -5,26 +5,27 @@
 
 use crate::Tuning;
 use crate::kernel::stage;
-use sgs_engine::graph::{Buffer, Graph, GraphError};
+use crate::scene::{Handles, MomentHandles};
+use sgs_engine::graph::{Graph, GraphError};
 use sgs_shaders::opacity_reset;
 
-/// Adds the pass. `live`: number of Gaussians, a `Work`.
+/// Adds the pass.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn opacity_reset(
     g: &mut Graph,
     tuning: Tuning,
-    live: Buffer,
-    opacity_logits: Buffer,
-    moments: Buffer,
+    gaussians: &Handles,
+    moments: &MomentHandles,
 ) -> Result<(), GraphError> {
     let bindings = opacity_reset::Bindings {
-        live: live.into(),
-        opacity_logits: opacity_logits.into(),
-        opacity_logits_moments: moments.into(),
+        live: gaussians.work.into(),
+        parameters: gaussians.parameters.into(),
+        first_moments: moments.first.into(),
+        second_moments: moments.second.into(),
     };
-    let specs = opacity_reset::Specs { workgroup: tuning.workgroup };
+    let specs = opacity_reset::Specs { workgroup: tuning.workgroup, columns: gaussians.model.columns() };
     stage(g, "opacity_reset", &opacity_reset::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch_indirect(live, 0)
+        .dispatch_indirect(gaussians.work, 0)
 }

@@ -3,7 +3,7 @@
 use crate::Tuning;
 use crate::optim::densify::{Densify, densify};
 use crate::optim::opacity_reset::opacity_reset;
-use crate::scene::{Gaussians, Group, Handles, Layout};
+use crate::scene::{Gaussians, Handles, Layout};
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Error, Location, Result};
@@ -78,8 +78,8 @@ impl OpacityReset {
     pub fn new(device: &Device, tuning: &Tuning, gaussians: &Gaussians) -> Result<Self> {
         let mut g = Graph::new("opacity_reset");
         let handles = gaussians.declare(&mut g, true);
-        let moments = handles.moments.ok_or_else(not_training)?[Group::OpacityLogits as usize];
-        opacity_reset(&mut g, *tuning, handles.work, handles.group(Group::OpacityLogits), moments)?;
+        let moments = handles.moments.ok_or_else(not_training)?;
+        opacity_reset(&mut g, *tuning, &handles, &moments)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         let mut exec = Executor::new(device, plan, ExecOptions { frames_in_flight: 1, ..Default::default() })?;
         gaussians.bind(&mut exec, &handles)?;

@@ -48,15 +48,17 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// Returns the number of scalars of a group. An absent group takes a placeholder of four scalars, which specialized
-    /// kernels never access.
-    fn scalars(&self, group: Group) -> u64 {
-        if self.model.has(group) { u64::from(self.capacity) * u64::from(group.width()) } else { 4 }
+    /// Returns the scalars of the semantic features. Without them, a placeholder of four that no kernel accesses.
+    fn features(&self) -> u64 {
+        match self.model.semantics {
+            true => u64::from(self.capacity) * u64::from(Group::Semantics.width()),
+            false => 4,
+        }
     }
 
     /// Returns the bytes of the parameters.
     pub fn parameter_bytes(&self) -> u64 {
-        Group::ALL.into_iter().map(|g| 4 * self.scalars(g)).sum()
+        self.model.column_bytes(self.capacity) + 4 * self.features()
     }
 
     /// Returns the bytes of Adam's moments.
@@ -76,13 +78,17 @@ impl Layout {
     /// Declares the buffers in a graph. Kernels may write them if `training`.
     pub fn declare(&self, g: &mut Graph, training: bool) -> Handles {
         let mut add = |name: &str, bytes: u64| if training { g.external(name, bytes) } else { g.input(name, bytes) };
-        let parameters = Group::ALL.map(|group| add(group.name(), 4 * self.scalars(group)));
-        let optimizer = self.training && training;
-        let moments = optimizer
-            .then(|| Group::ALL.map(|group| add(&format!("{}_moments", group.name()), 8 * self.scalars(group))));
-        let statistics = optimizer.then(|| add("statistics", self.statistics_bytes()));
+        let columns = self.model.column_bytes(self.capacity);
+        let parameters = add("parameters", columns);
+        let semantics = add("semantics", 4 * self.features());
+        let moments = (self.training && training).then(|| MomentHandles {
+            first: add("first_moments", columns),
+            second: add("second_moments", columns),
+            semantics: add("semantics_moments", 8 * self.features()),
+        });
+        let statistics = moments.is_some().then(|| add("statistics", self.statistics_bytes()));
         let work = add("gaussians", size_of::<Work>() as u64);
-        Handles { model: self.model, capacity: self.capacity, parameters, moments, statistics, work }
+        Handles { model: self.model, capacity: self.capacity, parameters, semantics, moments, statistics, work }
     }
 }
 
@@ -93,12 +99,25 @@ pub struct Gaussians {
     pub model: Model,
     /// Largest number of Gaussians.
     pub capacity: u32,
-    parameters: [DeviceBuffer; Group::COUNT],
-    /// Pairs of first and second moments; only for training.
-    moments: Option<[DeviceBuffer; Group::COUNT]>,
+    /// All groups but the semantic features, in columns.
+    parameters: DeviceBuffer,
+    semantics: DeviceBuffer,
+    /// Only for training.
+    moments: Option<Moments>,
     statistics: Option<DeviceBuffer>,
     work: DeviceBuffer,
 }
+
+/// Adam's moments.
+#[derive(Debug)]
+struct Moments {
+    /// First and second moments, in the columns of the parameters.
+    columns: [DeviceBuffer; 2],
+    /// Pairs of moments of the semantic features.
+    semantics: DeviceBuffer,
+}
+
+const MOMENTS: [&str; 2] = ["first_moments", "second_moments"];
 
 impl Gaussians {
     /// Creates the buffers. `training` adds moments and statistics.
@@ -116,25 +135,23 @@ impl Gaussians {
     pub fn with(device: &Device, model: Model, capacity: u32, training: bool, statistics: bool) -> Result<Gaussians> {
         let capacity = capacity.max(1);
         let layout = Layout { model, capacity, training, statistics };
-        let make = |suffix: &str, bytes: u64| -> Result<[DeviceBuffer; Group::COUNT]> {
-            let mut made = Vec::with_capacity(Group::COUNT);
-            for g in Group::ALL {
-                made.push(device.buffer(
-                    &format!("{}{suffix}", g.name()),
-                    layout.scalars(g) * bytes,
-                    Location::Device,
-                )?);
-            }
-            Ok(made.try_into().unwrap_or_else(|_| unreachable!("invariant: one is made for each group")))
+        let buffer = |name: &str, bytes: u64| device.buffer(name, bytes, Location::Device);
+        let columns = model.column_bytes(capacity);
+        let parameters = buffer("parameters", columns)?;
+        let semantics = buffer("semantics", 4 * layout.features())?;
+        let moments = match training {
+            true => Some(Moments {
+                columns: [buffer(MOMENTS[0], columns)?, buffer(MOMENTS[1], columns)?],
+                semantics: buffer("semantics_moments", 8 * layout.features())?,
+            }),
+            false => None,
         };
-        let parameters = make("", 4)?;
-        let moments = if training { Some(make("_moments", 8)?) } else { None };
         let statistics = match layout.statistics_bytes() {
             0 => None,
-            bytes => Some(device.buffer("statistics", bytes, Location::Device)?),
+            bytes => Some(buffer("statistics", bytes)?),
         };
-        let work = device.buffer("gaussians", size_of::<Work>() as u64, Location::Device)?;
-        let gaussians = Gaussians { model, capacity, parameters, moments, statistics, work };
+        let work = buffer("gaussians", size_of::<Work>() as u64)?;
+        let gaussians = Gaussians { model, capacity, parameters, semantics, moments, statistics, work };
         gaussians.reset_optimizer(device)?;
         device.upload(&gaussians.work, 0, bytemuck::bytes_of(&work_of(0)))?;
         Ok(gaussians)
@@ -145,8 +162,9 @@ impl Gaussians {
     /// # Errors
     /// If the device fails or the data exceeds the capacity.
     pub fn upload(&self, device: &Device, data: &GaussianData) -> Result<()> {
-        for g in self.model.groups() {
-            device.upload(&self.parameters[g as usize], 0, bytemuck::cast_slice(data.group(g)))?;
+        device.upload(&self.parameters, 0, bytemuck::cast_slice(&self.model.to_columns(data)))?;
+        if self.model.semantics {
+            device.upload(&self.semantics, 0, bytemuck::cast_slice(data.group(Group::Semantics)))?;
         }
         self.reset_optimizer(device)?;
         device.upload(&self.work, 0, bytemuck::bytes_of(&work_of(data.len() as u32)))
@@ -158,11 +176,17 @@ impl Gaussians {
     /// If the device fails.
     pub fn download(&self, device: &Device) -> Result<GaussianData> {
         let count = self.count(device)? as usize;
-        let mut data = GaussianData::default();
-        for g in self.model.groups() {
-            data.groups[g as usize] = device.download_as(&self.parameters[g as usize], count * g.width() as usize)?;
+        let mut data = self.model.from_columns(&self.columns(device, &self.parameters, count)?, count);
+        if self.model.semantics {
+            let features = count * Group::Semantics.width() as usize;
+            data.groups[Group::Semantics as usize] = device.download_as(&self.semantics, features)?;
         }
         Ok(data)
+    }
+
+    /// Returns the columns of the first `count` Gaussians.
+    fn columns(&self, device: &Device, buffer: &DeviceBuffer, count: usize) -> Result<Vec<f32>> {
+        device.download_as(buffer, self.model.column_bytes(count as u32) as usize / 4)
     }
 
     /// Returns Adam's moments and the densification statistics, for checkpoints. Moments are pairs, by group.
@@ -174,8 +198,12 @@ impl Gaussians {
         let mut data = GaussianData::default();
         let mut statistics = Vec::new();
         if let (Some(moments), Some(buffer)) = (&self.moments, &self.statistics) {
-            for g in self.model.groups() {
-                data.groups[g as usize] = device.download_as(&moments[g as usize], 2 * count * g.width() as usize)?;
+            let [first, second] = &moments.columns;
+            let (first, second) = (self.columns(device, first, count)?, self.columns(device, second, count)?);
+            data = self.model.moments_from_columns([&first, &second], count);
+            if self.model.semantics {
+                let pairs = 2 * count * Group::Semantics.width() as usize;
+                data.groups[Group::Semantics as usize] = device.download_as(&moments.semantics, pairs)?;
             }
             if self.has_statistics() {
                 statistics = device.download_as(buffer, count * STATISTICS as usize)?;
@@ -190,18 +218,22 @@ impl Gaussians {
     /// If the device fails.
     pub fn upload_optimizer(&self, device: &Device, moments: &GaussianData, statistics: &[f32]) -> Result<()> {
         if let (Some(buffers), Some(buffer)) = (&self.moments, &self.statistics) {
-            for g in self.model.groups() {
-                device.upload(&buffers[g as usize], 0, bytemuck::cast_slice(moments.group(g)))?;
+            let columns = self.model.moments_to_columns(moments);
+            for (to, from) in buffers.columns.iter().zip(&columns) {
+                device.upload(to, 0, bytemuck::cast_slice(from))?;
+            }
+            if self.model.semantics {
+                device.upload(&buffers.semantics, 0, bytemuck::cast_slice(moments.group(Group::Semantics)))?;
             }
             device.upload(buffer, 0, bytemuck::cast_slice(statistics))?;
         }
         Ok(())
     }
 
-    /// Grows the buffers to `capacity`, group by group. At any time only one buffer exists twice.
+    /// Grows the buffers to `capacity`, one after the other. At any time only one buffer exists twice.
     ///
     /// # Errors
-    /// If memory runs out. The Gaussians are unchanged then, though some groups take more memory.
+    /// If memory runs out. The Gaussians are unchanged then, though some buffers take more memory.
     pub fn grow(&mut self, device: &Device, capacity: u32) -> Result<()> {
         let old = self.layout();
         let layout = Layout { capacity: capacity.max(self.capacity), ..old };
@@ -212,11 +244,18 @@ impl Gaussians {
             *from = to;
             Ok(())
         };
-        for g in Group::ALL.into_iter().filter(|g| old.model.has(*g)) {
-            let (scalars, used) = (layout.scalars(g), old.scalars(g));
-            larger(g.name(), &mut self.parameters[g as usize], 4 * scalars, 4 * used)?;
+        let [columns, used] = [layout, old].map(|l| l.model.column_bytes(l.capacity));
+        let [features, used_features] = [layout, old].map(|l| l.features());
+        larger("parameters", &mut self.parameters, columns, used)?;
+        if let Some(moments) = &mut self.moments {
+            for (name, buffer) in MOMENTS.into_iter().zip(&mut moments.columns) {
+                larger(name, buffer, columns, used)?;
+            }
+        }
+        if old.model.semantics {
+            larger("semantics", &mut self.semantics, 4 * features, 4 * used_features)?;
             if let Some(moments) = &mut self.moments {
-                larger(&format!("{}_moments", g.name()), &mut moments[g as usize], 8 * scalars, 8 * used)?;
+                larger("semantics_moments", &mut moments.semantics, 8 * features, 8 * used_features)?;
             }
         }
         if let Some(statistics) = self.statistics.as_mut().filter(|_| old.statistics) {
@@ -226,32 +265,42 @@ impl Gaussians {
         Ok(())
     }
 
-    /// Returns the same Gaussians with another highest band of spherical harmonics. Added bands and their moments are
-    /// zero; removed bands are lost. Both objects share the other buffers.
+    /// Changes the highest band of spherical harmonics. Added bands and their moments are zero; removed bands are lost.
+    ///
+    /// The columns pass through host memory. The old buffers are released before the new ones are created, if nothing else
+    /// refers to them.
     ///
     /// # Errors
-    /// If memory runs out.
-    pub fn with_degree(&self, device: &Device, sh_degree: u32) -> Result<Gaussians> {
-        let model = Model { sh_degree, ..self.model };
-        let layout = Layout { model, ..self.layout() };
-        let changed = |old: &[DeviceBuffer; Group::COUNT], suffix: &str, bytes: u64| -> Result<_> {
-            let mut buffers = old.clone();
-            for g in Group::ALL.into_iter().filter(|g| model.has(*g) != self.model.has(*g)) {
-                let name = format!("{}{suffix}", g.name());
-                let buffer = device.buffer(&name, layout.scalars(g) * bytes, Location::Device)?;
-                device.fill(&buffer, 0)?;
-                buffers[g as usize] = buffer;
-            }
-            Ok(buffers)
-        };
-        Ok(Gaussians {
-            model,
-            capacity: self.capacity,
-            parameters: changed(&self.parameters, "", 4)?,
-            moments: self.moments.as_ref().map(|m| changed(m, "_moments", 8)).transpose()?,
-            statistics: self.statistics.clone(),
-            work: self.work.clone(),
-        })
+    /// If memory runs out. The Gaussians are unchanged then.
+    pub fn set_degree(&mut self, device: &Device, sh_degree: u32) -> Result<()> {
+        let (from, to) = (self.model, Model { sh_degree, ..self.model });
+        let moments = self.moments.iter().flat_map(|m| &m.columns);
+        let buffers: Vec<_> = std::iter::once(&self.parameters).chain(moments).collect();
+        let mut old = Vec::new();
+        for buffer in buffers {
+            old.push(self.columns(device, buffer, self.capacity as usize)?);
+        }
+        let new: Vec<_> = old.iter().map(|columns| from.converted(columns, &to)).collect();
+        if let Err(error) = self.replace_columns(device, &to, &new) {
+            self.replace_columns(device, &from, &old)?;
+            return Err(error);
+        }
+        self.model = to;
+        Ok(())
+    }
+
+    fn replace_columns(&mut self, device: &Device, model: &Model, columns: &[Vec<f32>]) -> Result<()> {
+        let moments = self.moments.iter_mut().flat_map(|m| &mut m.columns);
+        let mut buffers: Vec<_> = std::iter::once(&mut self.parameters).chain(moments).collect();
+        for buffer in &mut buffers {
+            **buffer = self.work.clone();
+        }
+        let names = ["parameters"].into_iter().chain(MOMENTS);
+        for ((buffer, name), columns) in buffers.into_iter().zip(names).zip(columns) {
+            *buffer = device.buffer(name, model.column_bytes(self.capacity), Location::Device)?;
+            device.upload(buffer, 0, bytemuck::cast_slice(columns))?;
+        }
+        Ok(())
     }
 
     /// Returns the current number of Gaussians. Waits for the device.
@@ -269,14 +318,14 @@ impl Gaussians {
 
     /// Returns the bytes of device memory for parameters, moments and statistics.
     pub fn bytes(&self) -> u64 {
-        let sum = |b: &[DeviceBuffer; Group::COUNT]| b.iter().map(DeviceBuffer::bytes).sum::<u64>();
-        sum(&self.parameters)
-            + self.moments.as_ref().map_or(0, sum)
-            + self.statistics.as_ref().map_or(0, DeviceBuffer::bytes)
+        let moments = self.moments.iter().flat_map(|m| m.columns.iter().chain([&m.semantics]));
+        let all = [&self.parameters, &self.semantics].into_iter().chain(moments).chain(&self.statistics);
+        all.map(DeviceBuffer::bytes).sum()
     }
 
     fn reset_optimizer(&self, device: &Device) -> Result<()> {
-        for buffer in self.moments.iter().flatten().chain(&self.statistics) {
+        let moments = self.moments.iter().flat_map(|m| m.columns.iter().chain([&m.semantics]));
+        for buffer in moments.chain(&self.statistics) {
             device.fill(buffer, 0)?;
         }
         Ok(())
@@ -298,13 +347,12 @@ impl Gaussians {
     /// # Errors
     /// If the plan was compiled for larger buffers.
     pub fn bind(&self, exec: &mut Executor, handles: &Handles) -> Result<()> {
-        for (handle, buffer) in handles.parameters.iter().zip(&self.parameters) {
-            exec.bind(*handle, buffer)?;
-        }
+        exec.bind(handles.parameters, &self.parameters)?;
+        exec.bind(handles.semantics, &self.semantics)?;
         if let (Some(handles), Some(buffers)) = (&handles.moments, &self.moments) {
-            for (handle, buffer) in handles.iter().zip(buffers) {
-                exec.bind(*handle, buffer)?;
-            }
+            exec.bind(handles.first, &buffers.columns[0])?;
+            exec.bind(handles.second, &buffers.columns[1])?;
+            exec.bind(handles.semantics, &buffers.semantics)?;
         }
         if let (Some(handle), Some(buffer)) = (handles.statistics, &self.statistics) {
             exec.bind(handle, buffer)?;
@@ -326,19 +374,40 @@ pub struct Handles {
     pub model: Model,
     /// Largest number of Gaussians.
     pub capacity: u32,
-    /// By position in [`Group::ALL`].
-    pub parameters: [Buffer; Group::COUNT],
-    /// Pairs of moments, by position in [`Group::ALL`].
-    pub moments: Option<[Buffer; Group::COUNT]>,
+    /// All groups but the semantic features, in columns of four numbers ([`Model::to_columns`]).
+    pub parameters: Buffer,
+    /// `[Gaussians * 32]` semantic features; a placeholder if the model has none.
+    pub semantics: Buffer,
+    /// Adam's moments.
+    pub moments: Option<MomentHandles>,
     /// Densification statistics.
     pub statistics: Option<Buffer>,
     /// Count and dispatch size.
     pub work: Buffer,
 }
 
+/// Buffers of Adam's moments in one graph.
+#[derive(Clone, Copy, Debug)]
+pub struct MomentHandles {
+    /// First moments, in the columns of the parameters.
+    pub first: Buffer,
+    /// Second moments, in the columns of the parameters.
+    pub second: Buffer,
+    /// `[Gaussians * 32]` pairs of moments of the semantic features.
+    pub semantics: Buffer,
+}
+
 impl Handles {
-    /// Returns the parameters of one group.
-    pub fn group(&self, group: Group) -> Buffer {
-        self.parameters[group as usize]
+    /// Returns buffers and contents that hold `data`, for graphs whose memory the caller owns.
+    pub fn contents(&self, data: &GaussianData) -> Vec<(Buffer, Vec<u8>)> {
+        let bytes = |values: &[f32]| bytemuck::cast_slice(values).to_vec();
+        let mut all = vec![
+            (self.parameters, bytes(&self.model.to_columns(data))),
+            (self.work, bytemuck::bytes_of(&work_of(data.len() as u32)).to_vec()),
+        ];
+        if self.model.semantics {
+            all.push((self.semantics, bytes(data.group(Group::Semantics))));
+        }
+        all
     }
 }

@@ -3,7 +3,7 @@
 //! Propagates gradients from features to the Gaussians' positions, shapes and opacities. The passes of such views add,
 //! one after the other, to rows by Gaussian that begin as zeros. The fused update of the training view
 //! ([`super::project_bwd_adam`]) reads the rows; [`crate::optim::adam_unseen()`] processes the Gaussians that it does
-//! not move. All groups share one buffer, since the fused update binds nearly as many buffers as every device allows.
+//! not move.
 //! If one gradient of a Gaussian is not finite, all of them become non-finite, so that all its groups are skipped
 //! alike.
 //!
@@ -13,7 +13,6 @@
 use super::{EntryFeatures, Screen, Visible};
 use crate::Tuning;
 use crate::kernel::{splat_specs, stage};
-use crate::optim::Rows;
 use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::project_bwd_features as kernel;
@@ -37,18 +36,6 @@ impl ExtraGradients {
         let buffer = g.transient("extra_gradients", 4 * u64::from(Self::WIDTH) * u64::from(capacity));
         g.fill("clear_extra_gradients", buffer, 0)?;
         Ok(ExtraGradients { buffer })
-    }
-
-    /// Returns the rows of one group. Features only move means, log scales, rotations and opacity logits.
-    pub fn of(&self, group: Group) -> Option<Rows> {
-        let first = match group {
-            Group::Means => 0,
-            Group::LogScales => 3,
-            Group::Rotations => 6,
-            Group::OpacityLogits => 10,
-            _ => return None,
-        };
-        Some(Rows { buffer: self.buffer, stride: Self::WIDTH, first })
     }
 }
 
@@ -74,13 +61,12 @@ pub fn project_bwd_features(
         tile_counts: visible.tile_counts.into(),
         entry_features: entries.values.into(),
         entry_flags: entries.flags.into(),
-        means: gaussians.group(Group::Means).into(),
-        log_scales: gaussians.group(Group::LogScales).into(),
-        rotations: gaussians.group(Group::Rotations).into(),
-        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
+        parameters: gaussians.parameters.into(),
         extra: into.buffer.into(),
     };
-    let specs = splat_specs!(kernel, t, { workgroup: t.workgroup, features: Group::Semantics.width(), });
+    let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
+        features: Group::Semantics.width(),
+        columns: gaussians.model.columns(), });
     stage(g, "project_bwd_features", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }

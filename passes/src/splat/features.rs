@@ -49,7 +49,7 @@ macro_rules! of_tiles {
             entry_splats: $entries.splats.into(),
             splats: $visible.splats.into(),
             splat_ids: $visible.ids.into(),
-            raw_features: $gaussians.group(Group::Semantics).into(),
+            raw_features: $gaussians.semantics.into(),
             pixel_mask: $wanted.pixels.into(),
             $($more)*
         }
@@ -255,7 +255,7 @@ pub fn features_bwd_adam(
         params: a.step.into(),
         flags: a.flags.into(),
         seen: a.seen.unwrap_or(visible.ids).into(),
-        parameters: gaussians.group(Group::Semantics).into(),
+        parameters: gaussians.semantics.into(),
         moments: a.moments.into(),
         skipped: a.skipped.into(),
     );

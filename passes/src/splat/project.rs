@@ -1,8 +1,9 @@
 //! `project`, `project_bwd` and its form fused with Adam: projection of Gaussians to splats.
 //!
-//! Cost per Gaussian of N: 44 bytes read and one bit written, which is read again. Cost per visible one: the 44 bytes
-//! again and 4 (d+1)² · 3 bytes of harmonics read, 36 + 4 C written (4 fewer with 16-bit colors). Backward, fused: the
-//! gradients of its entries read once (4 (6 + C) bytes each), 12 bytes read and 12 written per scalar.
+//! Cost per Gaussian of N: 48 bytes read and one bit written, which is read again. Cost per visible one: the 48 bytes
+//! again and the columns of harmonics read (16 bytes for every four of their 3 (d+1)² numbers), 36 + 4 C written (4 fewer
+//! with 16-bit colors). Backward, fused: the gradients of its entries read once (4 (6 + C) bytes each), 48 bytes read and
+//! 48 written per column: 720 each of parameters and moments with all bands.
 
 use super::{Channels, EntryFeatures, ExtraGradients, Screen, Statistic};
 use crate::Tuning;
@@ -63,14 +64,12 @@ pub fn project(
     let bindings = project_count::Bindings {
         params: screen.step.into(),
         gaussians: gaussians.work.into(),
-        means: gaussians.group(Group::Means).into(),
-        log_scales: gaussians.group(Group::LogScales).into(),
-        rotations: gaussians.group(Group::Rotations).into(),
-        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
+        parameters: gaussians.parameters.into(),
         visible_bits: visible_bits.into(),
         block_counts: block_counts.into(),
     };
-    let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroup: t.subgroup_size, });
+    let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroup: t.subgroup_size,
+        columns: gaussians.model.columns(), });
     stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(n, t.workgroup))?;
@@ -99,15 +98,7 @@ pub fn project(
     let bindings = kernel::Bindings {
         params: screen.step.into(),
         gaussians: gaussians.work.into(),
-        means: gaussians.group(Group::Means).into(),
-        log_scales: gaussians.group(Group::LogScales).into(),
-        rotations: gaussians.group(Group::Rotations).into(),
-        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
-        sh0: gaussians.group(Group::Sh0).into(),
-        sh1: gaussians.group(Group::Sh1).into(),
-        sh2: gaussians.group(Group::Sh2).into(),
-        sh3: gaussians.group(Group::Sh3).into(),
-        normals: gaussians.group(Group::Normals).into(),
+        parameters: gaussians.parameters.into(),
         visible_bits: visible_bits.into(),
         block_offsets: block_offsets.into(),
         splat_ids: visible.ids.into(),
@@ -117,6 +108,7 @@ pub fn project(
         tile_counts: visible.tile_counts.into(),
     };
     let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
+        columns: gaussians.model.columns(),
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
         channels: c,
         has_colors: channels.colors,
@@ -147,11 +139,13 @@ pub struct EntryGradients {
     pub reduced: bool,
 }
 
-/// All gradients of a step, by Gaussian. Passes write those of visible Gaussians only, so the caller clears them first.
+/// Gradients of a step. Passes write those of visible Gaussians only, so the caller clears them first.
 #[derive(Clone, Copy, Debug)]
 pub struct Gradients {
-    /// By position in [`Group::ALL`].
-    pub groups: [Buffer; Group::COUNT],
+    /// All groups but the semantic features, in the columns of the parameters ([`Model::from_columns`]).
+    ///
+    /// [`Model::from_columns`]: crate::scene::Model::from_columns
+    pub parameters: Buffer,
     /// Screen-space gradient of each visible splat, in pixels.
     pub means2d: Buffer,
     /// Optional gradient of world-to-camera: nine values of the rotation by rows, three of the translation.
@@ -173,7 +167,6 @@ pub fn project_bwd(
 ) -> Result<(), GraphError> {
     let parts = u64::from(visible.capacity).div_ceil(u64::from(t.workgroup));
     let partials = g.transient("pose_partials", 48 * if into.pose.is_some() { parts } else { 1 });
-    let grad = |group: Group| into.groups[group as usize].into();
     let bindings = bwd::Bindings {
         params: screen.step.into(),
         visible: visible.work.slice,
@@ -184,27 +177,13 @@ pub fn project_bwd(
         entry_gradients: entries.gradients.into(),
         entry_features: entries.features.map_or(entries.gradients, |f| f.values).into(),
         entry_flags: entries.features.map_or(visible.ids, |f| f.flags).into(),
-        means: gaussians.group(Group::Means).into(),
-        log_scales: gaussians.group(Group::LogScales).into(),
-        rotations: gaussians.group(Group::Rotations).into(),
-        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
-        sh1: gaussians.group(Group::Sh1).into(),
-        sh2: gaussians.group(Group::Sh2).into(),
-        sh3: gaussians.group(Group::Sh3).into(),
-        normals: gaussians.group(Group::Normals).into(),
-        grad_means: grad(Group::Means),
-        grad_log_scales: grad(Group::LogScales),
-        grad_rotations: grad(Group::Rotations),
-        grad_opacity_logits: grad(Group::OpacityLogits),
-        grad_sh0: grad(Group::Sh0),
-        grad_sh1: grad(Group::Sh1),
-        grad_sh2: grad(Group::Sh2),
-        grad_sh3: grad(Group::Sh3),
-        grad_normals: grad(Group::Normals),
+        parameters: gaussians.parameters.into(),
+        gradients: into.parameters.into(),
         grad_means2d: into.means2d.into(),
         pose_partials: partials.into(),
     };
     let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
+        columns: gaussians.model.columns(),
         subgroup: t.subgroup_size,
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
@@ -266,7 +245,6 @@ pub fn project_bwd_adam(
     let (Some(moments), Some(statistics)) = (gaussians.moments, gaussians.statistics) else {
         unreachable!("invariant: training declares moments and statistics");
     };
-    let m = |group: Group| moments[group as usize].into();
     let seen = adam.seen.unwrap_or_else(|| g.transient("seen", 4));
     let bindings = fused::Bindings {
         params: screen.step.into(),
@@ -280,29 +258,15 @@ pub fn project_bwd_adam(
         entry_features: entries.features.map_or(entries.gradients, |f| f.values).into(),
         entry_flags: entries.features.map_or(visible.ids, |f| f.flags).into(),
         extra: adam.extra.map_or(visible.ids, |e| e.buffer).into(),
-        means: gaussians.group(Group::Means).into(),
-        log_scales: gaussians.group(Group::LogScales).into(),
-        rotations: gaussians.group(Group::Rotations).into(),
-        opacity_logits: gaussians.group(Group::OpacityLogits).into(),
-        sh0: gaussians.group(Group::Sh0).into(),
-        sh1: gaussians.group(Group::Sh1).into(),
-        sh2: gaussians.group(Group::Sh2).into(),
-        sh3: gaussians.group(Group::Sh3).into(),
-        normals: gaussians.group(Group::Normals).into(),
-        means_moments: m(Group::Means),
-        log_scales_moments: m(Group::LogScales),
-        rotations_moments: m(Group::Rotations),
-        opacity_logits_moments: m(Group::OpacityLogits),
-        sh0_moments: m(Group::Sh0),
-        sh1_moments: m(Group::Sh1),
-        sh2_moments: m(Group::Sh2),
-        sh3_moments: m(Group::Sh3),
-        normals_moments: m(Group::Normals),
+        parameters: gaussians.parameters.into(),
+        first_moments: moments.first.into(),
+        second_moments: moments.second.into(),
         statistics: statistics.into(),
         skipped: adam.skipped.into(),
         seen: seen.into(),
     };
     let specs = splat_specs!(fused, t, { workgroup: t.workgroup,
+        columns: gaussians.model.columns(),
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
         has_normals: visible.channels.normals,

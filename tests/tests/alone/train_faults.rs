@@ -146,7 +146,7 @@ fn refused_gaussian_capacity_ends_densification() {
     assert!(grown > first && count > first, "{first} {grown} {count}");
     let calls = faults.take_record();
     let all: Vec<usize> =
-        (0..calls.len()).filter(|&n| calls[n].call == "vkAllocateMemory" && calls[n].what == "sh0_moments").collect();
+        (0..calls.len()).filter(|&n| calls[n].call == "vkAllocateMemory" && calls[n].what == "first_moments").collect();
     assert!(all.len() > 1, "{all:?}");
     // The call is counted among allocations alone, because a device need not create cached objects again.
     let like = calls[..all[1]].iter().filter(|c| c.call == "vkAllocateMemory").count();

@@ -5,7 +5,7 @@ use sgs_passes::optim::{Densify, densify, opacity_reset};
 use sgs_passes::reference::densify as reference;
 use sgs_passes::reference::densify::{Candidate, Origin, Settings};
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::scene::{Group, Model};
+use sgs_passes::scene::{GaussianData, Group, Layout, Model};
 use sgs_shaders::structs::{self, DensifyStats, Work};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
@@ -19,6 +19,8 @@ const SETTINGS: Settings = Settings {
     cap: usize::MAX,
     seed: 77,
 };
+
+const MODEL: Model = Model { sh_degree: 3, normals: true, semantics: false };
 
 /// Group whose first number encodes the index of the original Gaussian.
 ///
@@ -145,15 +147,11 @@ impl Scene {
     /// Returns the densified scene and the reported statistics.
     fn run(&self, gpu: &Gpu, s: &Settings) -> (Scene, DensifyStats) {
         let mut g = Graph::new("densify");
-        let parameters = std::array::from_fn(|i| g.external(Group::ALL[i].name(), 4 * self.parameters[i].len() as u64));
-        let moments = std::array::from_fn(|i| g.external("moments", 4 * self.moments[i].len() as u64));
-        let statistics = g.external("statistics", 4 * self.statistics.len() as u64);
-        let live = g.external("live", size_of::<Work>() as u64);
+        let layout = Layout { model: MODEL, capacity: self.capacity as u32, training: true, statistics: true };
+        let handles = layout.declare(&mut g, true);
         let stats = g.external("stats", size_of::<DensifyStats>() as u64);
         let settings = g.uniform("settings", size_of::<structs::Densify>() as u64);
-        let model = Model { sh_degree: 3, normals: true, ..Default::default() };
-        let capacity = self.capacity as u32;
-        let a = Densify { model, capacity, parameters, moments, statistics, live, settings, stats };
+        let a = Densify::of(&handles, settings, stats).unwrap();
         densify(&mut g, gpu.tuning(), &a).unwrap();
         let values = structs::Densify {
             grad_threshold: s.grad_threshold as f32,
@@ -165,22 +163,27 @@ impl Scene {
             cap: u32::try_from(s.cap).unwrap_or(u32::MAX),
             seed: s.seed,
         };
-        let mut inputs = vec![
+        let data = |groups: &[Vec<f32>; Group::COUNT]| GaussianData { groups: groups.clone() };
+        let [first, second] = MODEL.moments_to_columns(&data(&self.moments));
+        let inputs = [
             (settings, bytes(&[values])),
-            (live, bytes(&[work_of(self.count)])),
-            (statistics, bytes(&self.statistics)),
+            (handles.work, bytes(&[work_of(self.count)])),
+            (a.statistics, bytes(&self.statistics)),
+            (handles.parameters, bytes(&MODEL.to_columns(&data(&self.parameters)))),
+            (a.moments.first, bytes(&first)),
+            (a.moments.second, bytes(&second)),
         ];
-        inputs.extend(parameters.iter().zip(&self.parameters).map(|(&b, d)| (b, bytes(d))));
-        inputs.extend(moments.iter().zip(&self.moments).map(|(&b, d)| (b, bytes(d))));
         let out = gpu.run(g, &inputs);
-        let work: Work = out.get(live)[0];
+        let work: Work = out.get(handles.work)[0];
         assert_eq!(work, work_of(work.count as usize));
+        let columns = |buffer| out.get::<f32>(buffer);
+        let moments = [columns(a.moments.first), columns(a.moments.second)];
         let after = Scene {
             count: work.count as usize,
             capacity: self.capacity,
-            parameters: parameters.map(|b| out.get(b)),
-            moments: moments.map(|b| out.get(b)),
-            statistics: out.get(statistics),
+            parameters: MODEL.from_columns(&columns(handles.parameters), self.capacity).groups,
+            moments: MODEL.moments_from_columns([&moments[0], &moments[1]], self.capacity).groups,
+            statistics: out.get(a.statistics),
         };
         (after, out.get(stats)[0])
     }
@@ -423,21 +426,39 @@ fn densify_checks_can_fail() {
 #[test]
 fn opacity_reset_clamps_opacities_and_clears_moments() {
     let gpu = Gpu::new();
-    let (count, capacity) = (300, 400);
+    let (count, capacity) = (300, 400_u32);
     let mut rng = Pcg::new(2);
     let mut logits: Vec<f32> = (0..capacity).map(|_| (-4.6 + 3.0 * rng.normal()) as f32).collect();
     (logits[0], logits[1], logits[2]) = (f32::NAN, f32::INFINITY, f32::NEG_INFINITY);
-    let moments: Vec<f32> = (0..2 * capacity).map(|_| rng.normal() as f32).collect();
     let mut g = Graph::new("opacity_reset");
-    let live = g.input("live", size_of::<Work>() as u64);
-    let (l, m) = (g.external("logits", 4 * capacity), g.external("moments", 8 * capacity));
-    opacity_reset(&mut g, gpu.tuning(), live, l, m).unwrap();
-    let out = gpu.run(g, &[(live, bytes(&[work_of(count)])), (l, bytes(&logits)), (m, bytes(&moments))]);
+    let layout = Layout { model: MODEL, capacity, training: true, statistics: false };
+    let handles = layout.declare(&mut g, true);
+    let moments = handles.moments.unwrap();
+    opacity_reset(&mut g, gpu.tuning(), &handles, &moments).unwrap();
+    let mut random = || -> Vec<f32> { (0..MODEL.column_bytes(capacity) / 4).map(|_| rng.normal() as f32).collect() };
+    let before = [handles.parameters, moments.first, moments.second].map(|buffer| (buffer, random()));
+    let mut inputs = before.each_ref().map(|(buffer, columns)| (*buffer, bytes(columns)));
+    let mut data = MODEL.from_columns(&before[0].1, capacity as usize);
+    data.groups[Group::OpacityLogits as usize] = logits.clone();
+    inputs[0].1 = bytes(&MODEL.to_columns(&data));
+    let mut all = inputs.to_vec();
+    all.push((handles.work, bytes(&[work_of(count)])));
+    let out = gpu.run(g, &all);
+    let after = MODEL.from_columns(&out.get::<f32>(handles.parameters), capacity as usize);
+    for group in MODEL.groups().filter(|g| *g != Group::OpacityLogits) {
+        assert_eq!(after.group(group), data.group(group), "{}", group.name());
+    }
     let limit = (0.01_f32 / 0.99).ln();
-    for (i, (&after, &before)) in out.get::<f32>(l).iter().zip(&logits).enumerate() {
+    for (i, (&after, &before)) in after.group(Group::OpacityLogits).iter().zip(&logits).enumerate() {
         let expected = if i < count && (before > limit || before.is_nan()) { limit } else { before };
         assert!((after - expected).abs() < 1e-6 || after.to_bits() == expected.to_bits(), "{i}: {before} {after}");
     }
-    let after: Vec<f32> = out.get(m);
-    assert!(after[..2 * count].iter().all(|m| m.to_bits() == 0) && after[2 * count..] == moments[2 * count..]);
+    for (buffer, start) in &before[1..] {
+        let (was, is) = [start, &out.get::<f32>(*buffer)].map(|c| MODEL.from_columns(c, capacity as usize)).into();
+        for group in MODEL.groups() {
+            let kept = if group == Group::OpacityLogits { count } else { 0 };
+            assert!(is.group(group)[..kept].iter().all(|m| m.to_bits() == 0), "{}", group.name());
+            assert_eq!(is.group(group)[kept..], was.group(group)[kept..], "{}", group.name());
+        }
+    }
 }

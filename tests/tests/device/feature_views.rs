@@ -2,12 +2,12 @@
 //!
 //! Features are rendered in both views, and geometry receives gradients from both.
 
-use sgs_engine::graph::Graph;
+use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::optim::{Adam, AdamUnseen, EPSILON, Rate, adam, adam_unseen};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::project::Gaussians;
-use sgs_passes::scene::{Group, Layout, Model, SEMANTIC_FEATURES};
+use sgs_passes::scene::{GaussianData, Group, Layout, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, ExtraGradients, FusedAdam, Gradients, blend, blend_bwd, blend_debt,
     features_bwd, project, project_bwd, project_bwd_adam, project_bwd_features,
@@ -57,9 +57,10 @@ fn feature_gradients_of_two_views_match_reference() {
     let (mut compared, mut skipped) = (0, 0);
     for group in MOVED.into_iter().chain([Group::Semantics]) {
         let width = group.width() as usize;
-        let found: Vec<f32> = match extra.of(group) {
-            Some(r) => rows.chunks_exact(11).flat_map(|row| &row[r.first as usize..][..width]).copied().collect(),
-            None => out.get(semantics),
+        let first = MOVED.iter().take_while(|x| **x != group).map(|x| x.width() as usize).sum::<usize>();
+        let found: Vec<f32> = match group {
+            Group::Semantics => out.get(semantics),
+            _ => rows.chunks_exact(11).flat_map(|row| &row[first..][..width]).copied().collect(),
         };
         let scale = found.iter().fold(0.0_f64, |m, v| m.max(f64::from(v.abs())));
         assert!(scale > 0.0, "{} have no gradient", group.name());
@@ -216,8 +217,8 @@ impl Case {
         let pixel = BackwardKernel::Pixel;
         let mut sums = blend_bwd(&mut g, &t, &train.screen, &visible, &train.entries, &owed, pixel, false).unwrap();
         sums.features = Some(train.features);
-        let groups = Group::ALL.map(|x| g.external(format!("grad_{}", x.name()), 4 * u64::from(x.width()) * n as u64));
-        let into = Gradients { groups, means2d: g.external("means2d", 8 * n as u64), pose: None };
+        let training = g.external("grad_parameters", MODEL.column_bytes(n as u32));
+        let into = Gradients { parameters: training, means2d: g.external("means2d", 8 * n as u64), pose: None };
         project_bwd(&mut g, &t, &train.screen, &handles, &visible, &sums, &into).unwrap();
 
         let seen = g.transient("seen", 4 * capacity);
@@ -228,34 +229,15 @@ impl Case {
         project_bwd_adam(&mut g, &t, &train.screen, &handles, &visible, &sums, &fused).unwrap();
         let moments = handles.moments.unwrap();
         let step = train.screen.step;
-        for group in MODEL.groups().filter(|x| *x != Group::Semantics) {
-            let gradients = extra.of(group);
-            if gradients.is_none() && !self.dense {
-                continue;
-            }
-            let rest = AdamUnseen {
-                step,
-                live: handles.work,
-                flags: raised,
-                seen,
-                width: group.width(),
-                rate: match group {
-                    Group::Means => Rate::Means,
-                    Group::LogScales => Rate::Scales,
-                    Group::Rotations => Rate::Rotations,
-                    Group::OpacityLogits => Rate::Opacities,
-                    Group::Sh0 => Rate::Sh0,
-                    Group::Normals => Rate::Normals,
-                    _ => Rate::ShRest,
-                },
-                parameters: handles.group(group),
-                moments: moments[group as usize],
-                gradients,
-                sparse: !self.dense,
-                skipped: skipped[1],
-            };
-            adam_unseen(&mut g, &t, &format!("adam_unseen.{}", group.name()), &rest).unwrap();
-        }
+        let rest = AdamUnseen {
+            step,
+            flags: raised,
+            seen,
+            extra: Some(extra),
+            sparse: !self.dense,
+            skipped: skipped[1],
+        };
+        adam_unseen(&mut g, &t, &handles, &moments, &rest).unwrap();
         let of_features = Adam {
             step,
             live: handles.work,
@@ -267,8 +249,8 @@ impl Case {
             skip_zero: !self.dense,
             epsilon: EPSILON,
             gradients: semantics,
-            parameters: handles.group(Group::Semantics),
-            moments: moments[Group::Semantics as usize],
+            parameters: handles.semantics,
+            moments: moments.semantics,
             skipped: skipped[2],
         };
         adam(&mut g, t, "adam.semantics", &of_features).unwrap();
@@ -278,15 +260,27 @@ impl Case {
         inputs.extend([(flags, vec![0; 4]), (raised, bytes(&[self.flag]))]);
         inputs.extend([(gradient.image, bytes(&self.image)), (gradient.transmittance, vec![0; 4 * pixels as usize])]);
         inputs.extend(skipped.map(|b| (b, vec![0; 4])));
-        inputs.extend(groups.iter().zip(Group::ALL).map(|(b, x)| (*b, vec![0; 4 * x.width() as usize * n])));
-        inputs.extend(moments.iter().zip(&self.moments).map(|(b, m)| (*b, bytes(m))));
+        inputs.push((training, vec![0; MODEL.column_bytes(n as u32) as usize]));
+        let pairs = std::array::from_fn(|group| self.moments[group].as_flattened().to_vec());
+        let [first, second] = MODEL.moments_to_columns(&GaussianData { groups: pairs });
+        inputs.extend([(moments.first, bytes(&first)), (moments.second, bytes(&second))]);
+        inputs.push((moments.semantics, bytes(&self.moments[Group::Semantics as usize])));
         let out = gpu.run(g, &inputs);
         assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
-        let scalars = |x: Group| if MODEL.has(x) { n * x.width() as usize } else { 0 };
+        let groups = |buffer, features: Option<Buffer>| {
+            let mut data = MODEL.from_columns(&out.get::<f32>(buffer), n);
+            if let Some(features) = features {
+                data.groups[Group::Semantics as usize] = out.get::<f32>(features)[..WIDE * n].to_vec();
+            }
+            data.groups.to_vec()
+        };
+        let columns = [moments.first, moments.second].map(|buffer| out.get::<f32>(buffer));
+        let mut pairs = MODEL.moments_from_columns([&columns[0], &columns[1]], n);
+        pairs.groups[Group::Semantics as usize] = out.get::<f32>(moments.semantics)[..2 * WIDE * n].to_vec();
         Left {
-            parameters: Group::ALL.map(|x| out.get::<f32>(handles.group(x))[..scalars(x)].to_vec()).to_vec(),
-            moments: Group::ALL.map(|x| out.get::<[f32; 2]>(moments[x as usize])[..scalars(x)].to_vec()).to_vec(),
-            training: Group::ALL.map(|x| out.get::<f32>(groups[x as usize])[..scalars(x)].to_vec()).to_vec(),
+            parameters: groups(handles.parameters, Some(handles.semantics)),
+            moments: pairs.groups.map(|pairs| pairs.as_chunks::<2>().0.to_vec()).to_vec(),
+            training: groups(training, None),
             extra: out.get::<f32>(extra.buffer)[..11 * n].to_vec(),
             semantics: out.get::<f32>(semantics)[..WIDE * n].to_vec(),
             skipped: skipped.map(|b| out.get::<u32>(b)[0]),
@@ -453,7 +447,7 @@ fn gradients_that_are_not_finite_move_nothing_and_are_counted() {
             }
             match seen[i] {
                 true => expected[0] += u32::from(training || extra),
-                false => expected[1] += MOVED.len() as u32 * u32::from(extra),
+                false => expected[1] += u32::from(extra),
             }
         }
         assert!(expected[0] > 0 && expected[2] > 0 && (!in_other || expected[1] > 0), "{expected:?}");

@@ -160,7 +160,7 @@ impl Fused {
         features_bwd(&mut g, &t, &d.visible, &d.features, into).unwrap();
         let raised = g.input("raised", 4);
         let seen = self.seen.as_ref().map(|_| g.input("seen", 4 * n as u64));
-        let moments = handles.moments.unwrap()[Group::Semantics as usize];
+        let moments = handles.moments.unwrap().semantics;
         let skipped = g.external("skipped", 4);
         let a = FeatureAdam { step: d.screen.step, flags: raised, moments, skipped, seen };
         features_bwd_adam(&mut g, &t, &handles, &d.visible, &d.features, &a).unwrap();
@@ -173,7 +173,7 @@ impl Fused {
         assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
 
         let gradients = out.get::<f32>(into);
-        let found = &out.get::<f32>(handles.group(Group::Semantics))[..WIDE * n];
+        let found = &out.get::<f32>(handles.semantics)[..WIDE * n];
         let found_moments = &out.get::<[f32; 2]>(moments)[..WIDE * n];
         let data = scenes::data(&self.scene);
         let visible = sgs_passes::reference::project::project(&self.scene, &self.view.camera, 0, false);

@@ -89,7 +89,7 @@ fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, dense: bool) {
     let mut uniform = Step { camera: scenes::gpu_camera(&camera), ..Default::default() };
     uniform.camera.tiles = [size[0].div_ceil(t.tile[0]), size[1].div_ceil(t.tile[1])];
     let data = scenes::data(&scene);
-    let mut inputs: Vec<_> = model.groups().map(|x| (handles.group(x), bytes(data.group(x)))).collect();
+    let mut inputs = handles.contents(&data);
     inputs.push((handles.work, bytes(&[Work { x: n.div_ceil(256), y: 1, z: 1, count: n }])));
     inputs.push((step, bytes(&[uniform])));
     inputs.push((flags, vec![0; 4]));

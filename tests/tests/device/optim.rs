@@ -4,6 +4,7 @@ use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
 use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::rng::Pcg;
+use sgs_passes::scene::{GaussianData, Group as Columns, Layout, Model};
 use sgs_shaders::structs::{Step, Work};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
@@ -183,62 +184,102 @@ fn adam_check_can_fail() {
     assert_close("parameters", &expected, &parameters, Tolerance::new(1e-8, 2e-7));
 }
 
-/// Tests dense Adam's pass over unseen Gaussians. Seen Gaussians stay unchanged, unseen ones decay like the reference,
-/// and those with zero moments do not move. A raised flag stops every update.
+/// Learning rates of unseen Gaussians; each group has its own.
+fn rate(group: Columns) -> f64 {
+    0.1 * (1.0 + f64::from(group as u32))
+}
+
+/// Tests dense Adam's passes over unseen Gaussians. Seen Gaussians stay unchanged, unseen ones decay like the reference,
+/// and those with zero moments do not move. A raised flag stops every update. So does sparse Adam without gradients.
 #[test]
 fn unseen_gaussians_decay_as_in_reference() {
-    use sgs_passes::optim::{AdamUnseen, adam_unseen};
+    use sgs_passes::optim::{AdamUnseen, adam_unseen, adam_unseen_features};
     let gpu = Gpu::new();
-    for (width, live, flag) in [(3usize, 700usize, 0u32), (21, 333, 0), (1, 5, 0), (4, 300, 8)] {
-        let mut group = Group::random(width, live, live + 9, 5);
-        group.moments[..width].fill([0.0; 2]);
-        let seen: Vec<u32> = (0..group.capacity as u32).map(|i| i % 3 / 2).collect();
+    for (degree, normals, live, flag, sparse) in
+        [(0, true, 700, 0, false), (1, false, 333, 0, false), (2, true, 5, 0, false), (3, true, 300, 8, false)]
+            .into_iter()
+            .chain([(3, false, 65, 0, false), (3, true, 64, 0, true)])
+    {
+        let model = Model { sh_degree: degree, normals, semantics: true };
+        let capacity = live + 9;
+        let group = |g: Columns| Group::random(g.width() as usize, live, capacity, 5 + g as u32);
+        let mut groups: Vec<_> = model.groups().map(|g| (g, group(g))).collect();
+        groups.iter_mut().for_each(|(_, group)| group.moments[..group.width].fill([0.0; 2]));
+        let seen: Vec<u32> = (0..capacity as u32).map(|i| i % 3 / 2).collect();
         let mut g = Graph::new("adam_unseen");
-        let words = 4 * (width * group.capacity) as u64;
+        let layout = Layout { model, capacity: capacity as u32, training: true, statistics: false };
+        let handles = layout.declare(&mut g, true);
+        let moments = handles.moments.unwrap();
         let a = AdamUnseen {
             step: g.uniform("step", size_of::<Step>() as u64),
-            live: g.input("live", size_of::<Work>() as u64),
             flags: g.input("flags", 4),
-            seen: g.input("seen", 4 * group.capacity as u64),
-            width: width as u32,
-            rate: Rate::Scales,
-            parameters: g.external("parameters", words),
-            moments: g.external("moments", 2 * words),
-            gradients: None,
-            sparse: false,
+            seen: g.input("seen", 4 * capacity as u64),
+            extra: None,
+            sparse,
             skipped: g.external("skipped", 4),
         };
-        adam_unseen(&mut g, &gpu.tuning(), "adam_unseen", &a).unwrap();
-        let rates = reference::Rates::at(0.25, 4);
+        adam_unseen(&mut g, &gpu.tuning(), &handles, &moments, &a).unwrap();
+        if !sparse {
+            adam_unseen_features(&mut g, &gpu.tuning(), &handles, &moments, &a).unwrap();
+        }
+        let rates = reference::Rates::at(1.0, 4);
         let step = Step {
-            lr_scales: rates.lr as f32,
+            lr_means: rate(Columns::Means) as f32,
+            lr_scales: rate(Columns::LogScales) as f32,
+            lr_rotations: rate(Columns::Rotations) as f32,
+            lr_opacities: rate(Columns::OpacityLogits) as f32,
+            lr_sh0: rate(Columns::Sh0) as f32,
+            lr_sh_rest: rate(Columns::Sh1) as f32,
+            lr_normals: rate(Columns::Normals) as f32,
+            lr_semantics: rate(Columns::Semantics) as f32,
             correction1: rates.correction1 as f32,
             correction2: rates.correction2 as f32,
             ..Default::default()
         };
         let work = Work { x: (live as u32).div_ceil(256), y: 1, z: 1, count: live as u32 };
-        let inputs = [
+        let mut data = GaussianData::default();
+        let mut pairs = GaussianData::default();
+        for (g, group) in &groups {
+            data.groups[*g as usize] = group.parameters.clone();
+            pairs.groups[*g as usize] = group.moments.as_flattened().to_vec();
+        }
+        let [first, second] = model.moments_to_columns(&pairs);
+        let mut inputs = handles.contents(&data);
+        inputs.retain(|(buffer, _)| *buffer != handles.work);
+        inputs.extend([
+            (handles.work, bytes(&[work])),
+            (moments.first, bytes(&first)),
+            (moments.second, bytes(&second)),
+            (moments.semantics, bytes(pairs.group(Columns::Semantics))),
             (a.step, bytes(&[step])),
-            (a.live, bytes(&[work])),
             (a.flags, bytes(&[flag])),
             (a.seen, bytes(&seen)),
-            (a.parameters, bytes(&group.parameters)),
-            (a.moments, bytes(&group.moments)),
-        ];
+        ]);
         let out = gpu.run(g, &inputs);
-        let (parameters, moments) = (out.get::<f32>(a.parameters), out.get::<[f32; 2]>(a.moments));
-        let mut expected = Vec::new();
-        for (j, (p, m)) in group.parameters.iter().zip(&group.moments).enumerate() {
-            let i = j / width;
-            if flag != 0 || i >= live || seen[i] != 0 || *m == [0.0; 2] {
-                assert_eq!((parameters[j].to_bits(), moments[j]), (p.to_bits(), *m), "scalar {j} was touched");
-                expected.push(f64::from(*p));
-            } else {
-                let (p, m) = reference::adam(f64::from(*p), m.map(f64::from), 0.0, rates);
-                assert_close("moments", &m, &moments[j], Tolerance::new(1e-12, 1e-6));
-                expected.push(p);
+        let mut after = model.from_columns(&out.get::<f32>(handles.parameters), capacity);
+        after.groups[Columns::Semantics as usize] = out.get(handles.semantics);
+        let columns = [moments.first, moments.second].map(|buffer| out.get::<f32>(buffer));
+        let mut after_pairs = model.moments_from_columns([&columns[0], &columns[1]], capacity);
+        after_pairs.groups[Columns::Semantics as usize] = out.get(moments.semantics);
+        for (which, group) in &groups {
+            let parameters = after.group(*which);
+            let moments = after_pairs.group(*which).as_chunks::<2>().0;
+            let shared = if matches!(which, Columns::Sh2 | Columns::Sh3) { Columns::Sh1 } else { *which };
+            let rates = reference::Rates { lr: f64::from(rate(shared) as f32), ..rates };
+            let mut expected = Vec::new();
+            for (j, (p, m)) in group.parameters.iter().zip(&group.moments).enumerate() {
+                let i = j / group.width;
+                if flag != 0 || sparse || i >= live || seen[i] != 0 || *m == [0.0; 2] {
+                    let same = (parameters[j].to_bits(), moments[j]) == (p.to_bits(), *m);
+                    assert!(same, "{} {j} was touched", which.name());
+                    expected.push(f64::from(*p));
+                } else {
+                    let (p, m) = reference::adam(f64::from(*p), m.map(f64::from), 0.0, rates);
+                    assert_close("moments", &m, &moments[j], Tolerance::new(1e-12, 1e-6));
+                    expected.push(p);
+                }
             }
+            assert_close(which.name(), &expected, parameters, Tolerance::new(1e-6, 1e-5));
         }
-        assert_close("parameters", &expected, &parameters, Tolerance::new(1e-6, 1e-5));
     }
 }

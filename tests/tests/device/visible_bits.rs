@@ -3,7 +3,7 @@
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_passes::kernel::stage;
 use sgs_passes::pipeline::Step;
-use sgs_passes::scene::{GaussianData, Group};
+use sgs_passes::scene::{GaussianData, Model};
 use sgs_passes::{Accuracy, Tuning};
 use sgs_shaders::structs::{Splat, Work};
 use sgs_shaders::{project, project_count};
@@ -12,6 +12,7 @@ use sgs_tests::{Gpu, scenes};
 const COUNT: usize = 700;
 const WORKGROUP: usize = 256;
 const BLOCKS: usize = COUNT.div_ceil(WORKGROUP);
+const MODEL: Model = Model { sh_degree: 0, normals: false, semantics: false };
 
 /// Results of the second pass, by visible splat.
 #[derive(Debug, PartialEq)]
@@ -56,37 +57,34 @@ impl Case {
     }
 
     /// Declares the buffers that both passes read.
-    fn declare(&self, g: &mut Graph) -> (Buffer, Buffer, [Buffer; 5], Inputs) {
+    fn declare(&self, g: &mut Graph) -> (Buffer, Buffer, Buffer, Inputs) {
         let step = g.uniform("step", size_of::<Step>() as u64);
         let work = g.input("gaussians", 16);
-        let shape = [Group::Means, Group::LogScales, Group::Rotations, Group::OpacityLogits, Group::Sh0];
-        let groups = shape.map(|group| g.input(group.name(), 4 * self.data.group(group).len() as u64));
+        let parameters = g.input("parameters", MODEL.column_bytes(COUNT as u32));
         let record = Work { x: BLOCKS as u32, y: 1, z: 1, count: COUNT as u32 };
-        let mut inputs =
-            vec![(step, bytemuck::bytes_of(&self.step).to_vec()), (work, bytemuck::bytes_of(&record).to_vec())];
-        let values = groups.iter().zip(shape);
-        inputs.extend(values.map(|(b, group)| (*b, bytemuck::cast_slice(self.data.group(group)).to_vec())));
-        (step, work, groups, inputs)
+        let inputs = vec![
+            (step, bytemuck::bytes_of(&self.step).to_vec()),
+            (work, bytemuck::bytes_of(&record).to_vec()),
+            (parameters, bytemuck::cast_slice(&MODEL.to_columns(&self.data)).to_vec()),
+        ];
+        (step, work, parameters, inputs)
     }
 
     /// Returns the bits and counts of the first pass.
     fn count(&self) -> (Vec<u32>, Vec<u32>) {
         let t = self.tuning();
         let mut g = Graph::new("count");
-        let (step, work, [means, log_scales, rotations, opacity_logits, _], inputs) = self.declare(&mut g);
+        let (step, work, parameters, inputs) = self.declare(&mut g);
         let visible_bits = g.external("visible_bits", (BLOCKS * WORKGROUP / 8) as u64);
         let block_counts = g.external("block_counts", 4 * BLOCKS as u64);
         let bindings = project_count::Bindings {
             params: step,
             gaussians: work,
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
+            parameters,
             visible_bits,
             block_counts,
         };
-        let specs = project_count::Specs { workgroup: t.workgroup, subgroup: t.subgroup_size, ..Default::default() };
+        let specs = project_count::Specs { workgroup: t.workgroup, subgroup: t.subgroup_size, columns: MODEL.columns(), ..Default::default() };
         let bound = bindings.entries().map(|(name, buffer)| (name, buffer.into()));
         stage(&mut g, "project_count", &project_count::KERNEL, bound, specs.entries(), &[])
             .subgroup_size(Some(t.subgroup_size))
@@ -100,10 +98,9 @@ impl Case {
     fn project(&self, bits: &[u32]) -> Projected {
         let t = self.tuning();
         let mut g = Graph::new("project");
-        let (step, work, [means, log_scales, rotations, opacity_logits, sh0], mut inputs) = self.declare(&mut g);
+        let (step, work, parameters, mut inputs) = self.declare(&mut g);
         let visible_bits = g.input("visible_bits", 4 * bits.len() as u64);
         let block_offsets = g.input("block_offsets", 4 * BLOCKS as u64);
-        let idle = g.input("idle", 48);
         let n = COUNT as u64;
         let [splat_ids, depth_keys, tile_counts] =
             ["splat_ids", "depth_keys", "tile_counts"].map(|name| g.external(name, 4 * n));
@@ -112,15 +109,7 @@ impl Case {
         let bindings = project::Bindings {
             params: step,
             gaussians: work,
-            means,
-            log_scales,
-            rotations,
-            opacity_logits,
-            sh0,
-            sh1: idle,
-            sh2: idle,
-            sh3: idle,
-            normals: idle,
+            parameters,
             visible_bits,
             block_offsets,
             splat_ids,
@@ -131,6 +120,7 @@ impl Case {
         };
         let specs = project::Specs {
             workgroup: t.workgroup,
+            columns: MODEL.columns(),
             sh_degree: 0,
             tile_width: t.tile[0],
             tile_height: t.tile[1],

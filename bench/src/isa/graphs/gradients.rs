@@ -8,7 +8,7 @@ use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::Step;
-use sgs_passes::scene::{Gaussians, Group, Model};
+use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, Gradients, Screen, blend, blend_bwd, blend_debt, intersect, project, project_bwd,
 };
@@ -41,12 +41,9 @@ pub fn build(device: &Device) -> anyhow::Result<()> {
         };
         let owed = blend_debt(&mut g, &t, &screen, channels.count(), &blended, &gradient)?;
         let sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, BackwardKernel::Pixel, false)?;
-        let groups = Group::ALL.map(|group| {
-            let scalars = if model.has(group) { u64::from(gaussians.capacity * group.width()) } else { 4 };
-            g.external(format!("grad_{}", group.name()), 4 * scalars)
-        });
+        let parameters = g.external("grad_parameters", model.column_bytes(gaussians.capacity));
         let means2d = g.external("means2d", 8 * u64::from(gaussians.capacity));
-        let into = Gradients { groups, means2d, pose: Some(g.external("pose", 48)) };
+        let into = Gradients { parameters, means2d, pose: Some(g.external("pose", 48)) };
         project_bwd(&mut g, &t, &screen, &handles, &visible, &sums, &into)?;
         let plan = Arc::new(g.compile(&CompileOptions::default())?);
         Executor::new(device, plan, ExecOptions::default())?;

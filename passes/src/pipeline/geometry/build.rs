@@ -11,7 +11,7 @@ use crate::loss::{
     GeometryLoss, Photometric, SemanticLoss, decoder_gradient, geometry_loss, loss_sum, photometric, photometric_bwd,
     photometric_bwd_in_place, semantic_loss, semantic_prepare, semantic_sum, wanted_samples,
 };
-use crate::optim::{Adam, AdamUnseen, EPSILON, Rate, adam as adam_pass, adam_unseen, decoder_step};
+use crate::optim::{Adam, AdamUnseen, EPSILON, Rate, adam as adam_pass, adam_unseen, adam_unseen_features, decoder_step};
 use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
 use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles};
@@ -102,7 +102,7 @@ pub(super) fn build(
     let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics, seen, extra };
     project_bwd_adam(g, t, &screen, gaussians, &view.visible, &entry_gradients, &adam)?;
     if let (Some(meaning), Some(moments)) = (&meaning, gaussians.moments) {
-        let moments = moments[Group::Semantics as usize];
+        let moments = moments.semantics;
         match &meaning.pseudo {
             None => {
                 let seen = seen.filter(|_| o.dense_adam);
@@ -122,7 +122,7 @@ pub(super) fn build(
                     skip_zero: !o.dense_adam,
                     epsilon: EPSILON,
                     gradients: pseudo.grad_features,
-                    parameters: gaussians.group(Group::Semantics),
+                    parameters: gaussians.semantics,
                     moments,
                     skipped: status.skipped,
                 };
@@ -264,20 +264,6 @@ fn meaning(g: &mut Graph, t: &Tuning, all: &MeaningInputs<'_>, stats: Buffer) ->
     Ok(Meaning { entries, pseudo })
 }
 
-/// Returns the learning rate of a group.
-fn rate(group: Group) -> Rate {
-    match group {
-        Group::Means => Rate::Means,
-        Group::LogScales => Rate::Scales,
-        Group::Rotations => Rate::Rotations,
-        Group::OpacityLogits => Rate::Opacities,
-        Group::Sh0 => Rate::Sh0,
-        Group::Sh1 | Group::Sh2 | Group::Sh3 => Rate::ShRest,
-        Group::Normals => Rate::Normals,
-        Group::Semantics => Rate::Semantics,
-    }
-}
-
 /// Step of Gaussians that the view does not see.
 struct UnseenStep {
     step: Buffer,
@@ -297,25 +283,10 @@ struct UnseenStep {
 fn unseen(g: &mut Graph, t: &Tuning, gaussians: &Handles, status: &StatusHandles, all: &UnseenStep) -> Built<()> {
     let &UnseenStep { step, seen, extra, dense, features_done } = all;
     let Some(moments) = gaussians.moments else { return Ok(()) };
-    for group in gaussians.model.groups() {
-        let gradients = extra.and_then(|e| e.of(group));
-        if (!dense && gradients.is_none()) || (features_done && group == Group::Semantics) {
-            continue;
-        }
-        let rest = AdamUnseen {
-            step,
-            live: gaussians.work,
-            flags: status.flags,
-            seen,
-            width: group.width(),
-            rate: rate(group),
-            parameters: gaussians.group(group),
-            moments: moments[group as usize],
-            gradients,
-            sparse: !dense,
-            skipped: status.skipped,
-        };
-        adam_unseen(g, t, &format!("adam_unseen.{}", group.name()), &rest)?;
+    let rest = AdamUnseen { step, flags: status.flags, seen, extra, sparse: !dense, skipped: status.skipped };
+    adam_unseen(g, t, gaussians, &moments, &rest)?;
+    if dense && gaussians.model.semantics && !features_done {
+        adam_unseen_features(g, t, gaussians, &moments, &rest)?;
     }
     Ok(())
 }

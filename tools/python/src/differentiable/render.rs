@@ -109,7 +109,8 @@ struct BackwardHandles {
     flags: Buffer,
     wanted: Buffer,
     gradient: Blended,
-    groups: Vec<Buffer>,
+    /// Gradients of the parameters, and in screen space.
+    gradients: [Buffer; 2],
     pose: Buffer,
 }
 
@@ -141,25 +142,20 @@ fn declare(
     };
     let owed = blend_debt(g, t, &screen, channels.count(), &blended, &gradient)?;
     let sums = blend_bwd(g, t, &screen, &visible, &entries, &owed, BackwardKernel::Pixel, false)?;
-    let mut groups = Vec::new();
-    for group in Group::ALL {
-        let scalars = if gaussians.model.has(group) { u64::from(gaussians.capacity * group.width()) } else { 4 };
-        let buffer = g.external(format!("grad_{}", group.name()), 4 * scalars.max(4));
-        // The pass writes gradients of visible Gaussians only.
-        g.fill(format!("clear_{}", group.name()), buffer, 0)?;
-        groups.push(buffer);
-    }
+    let parameters = g.external("grad_parameters", gaussians.model.column_bytes(gaussians.capacity));
+    // The pass writes gradients of visible Gaussians only.
+    g.fill("clear_gradients", parameters, 0)?;
     let pose = g.external("pose", 48);
     let into = Gradients {
-        groups: Group::ALL.map(|group| groups[group as usize]),
+        parameters,
         means2d: g.external("means2d", 8 * u64::from(gaussians.capacity)),
         pose: Some(pose),
     };
     project_bwd(g, t, &screen, &handles, &visible, &sums, &into)?;
     g.copy("copy_wanted", entries.wanted, wanted)?;
     // The screen-space gradients are bound like the others, and read by nobody.
-    groups.push(into.means2d);
-    Ok(BackwardHandles { step, gaussians: handles, flags, wanted, gradient, groups, pose })
+    let gradients = [parameters, into.means2d];
+    Ok(BackwardHandles { step, gaussians: handles, flags, wanted, gradient, gradients, pose })
 }
 
 impl Backward {
@@ -170,9 +166,9 @@ impl Backward {
         let mut g = Graph::new("render_gradients");
         let handles =
             declare(&mut g, &tuning, &gaussians, channels, size, capacity).map_err(sgs_engine::Error::from)?;
-        let BackwardHandles { flags, wanted, gradient, groups, pose, .. } = &handles;
+        let BackwardHandles { flags, wanted, gradient, gradients, pose, .. } = &handles;
         let mut external = vec![*flags, *wanted, gradient.image, gradient.transmittance, *pose];
-        external.extend(groups);
+        external.extend(gradients);
         let mut replay = Replay::new(device, g, &external)?;
         gaussians.bind(&mut replay.exec, &handles.gaussians)?;
         let key = (inputs.model, channels, count, size);
@@ -194,11 +190,10 @@ impl Backward {
         if word(self.handles.flags)?[0] != 0 {
             return Ok(Err(word(self.handles.wanted)?[0]));
         }
-        let mut all = Vec::new();
-        for group in GROUPS {
-            let count = if inputs.model.has(group) { inputs.data.len() * group.width() as usize } else { 0 };
-            all.push(self.replay.download(self.handles.groups[group as usize], count)?);
-        }
+        let floats = inputs.model.column_bytes(inputs.data.len() as u32) as usize / 4;
+        let columns: Vec<f32> = self.replay.download(self.handles.gradients[0], floats)?;
+        let found = inputs.model.from_columns(&columns, inputs.data.len());
+        let all = GROUPS.iter().map(|group| found.group(*group).to_vec()).collect();
         Ok(Ok((all, self.replay.download(self.handles.pose, 12)?)))
     }
 }

@@ -129,7 +129,8 @@ impl Geometry {
                     self.decide_band(step, band, contribution.as_ref(), band <= chosen, on_report);
                 }
                 if chosen < tried {
-                    self.gaussians = self.gaussians.with_degree(&self.device, chosen)?;
+                    self.forget_steps();
+                    self.gaussians.set_degree(&self.device, chosen)?;
                 }
             }
         }
@@ -148,11 +149,8 @@ impl Geometry {
             if !self.fits(&Layout { model, ..layout }, self.options.entry_capacity)? {
                 continue;
             }
-            match self.gaussians.with_degree(&self.device, degree) {
-                Ok(more) => {
-                    self.gaussians = more;
-                    return Ok(degree);
-                }
+            match self.gaussians.set_degree(&self.device, degree) {
+                Ok(()) => return Ok(degree),
                 Err(error) if error.is_out_of_memory() => {}
                 Err(error) => return Err(error.into()),
             }
