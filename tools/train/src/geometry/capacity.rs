@@ -1,7 +1,7 @@
 //! Capacity for Gaussians and tile entries.
 
 use sgs_engine::Device;
-use sgs_passes::scene::Model;
+use sgs_passes::scene::{BLOCK, Group, Model};
 
 /// Exponent of tile entries as a function of the number of Gaussians. Below 1, because densification adds Gaussians
 /// that are smaller than the existing ones. Measured on the White Room, fox and a synthetic room, for 2 to 4 times as
@@ -12,10 +12,12 @@ const POWER: f64 = 0.6;
 /// densifications.
 const RESERVE: f64 = 1.25;
 
-/// Returns the most Gaussians for which no group exceeds the device's bindings.
+/// Returns the most Gaussians for which no buffer exceeds the device's bindings. Columns take whole blocks of Gaussians.
 pub(super) fn most_by_binding(device: &Device, model: Model) -> u32 {
-    let widest = model.groups().map(|g| u64::from(g.width()) * 8).max().unwrap_or(8);
-    u32::try_from(device.info().largest_binding() / widest).unwrap_or(u32::MAX)
+    let pairs = if model.semantics { 8 * u64::from(Group::Semantics.width()) } else { 0 };
+    let widest = model.column_bytes(BLOCK) / u64::from(BLOCK);
+    let most = device.info().largest_binding() / widest.max(pairs);
+    u32::try_from(most / u64::from(BLOCK) * u64::from(BLOCK)).unwrap_or(u32::MAX)
 }
 
 /// Returns the initial capacity. 1.5 times the count and at least 2^14, so that densification rarely has to grow
