@@ -1,5 +1,6 @@
 //! Device for tests: validation on, outputs poisoned; any message fails the test.
 
+use crate::emulated::Emulated;
 use crate::pool::{self, finished, leftovers};
 use crate::turn::{Share, Turn, turn};
 use sgs_engine::device::PipelineInfo;
@@ -15,6 +16,8 @@ use std::sync::Arc;
 pub struct Gpu {
     /// Present until the drop.
     device: Option<Device>,
+    /// Present if the emulator runs the graphs.
+    emulated: Option<Emulated>,
     // Last field, so that others wait until the device is closed or back in the pool.
     right: Right,
 }
@@ -56,7 +59,7 @@ impl Gpu {
     /// thread has at most one such device at a time.
     pub fn new() -> Gpu {
         let ((device, tests), share) = pool::take();
-        Gpu { device: Some(device), right: Right::Pool { tests, _share: share } }
+        Gpu { device: Some(device), emulated: Emulated::wanted(), right: Right::Pool { tests, _share: share } }
     }
 
     /// Opens a device of its own, without pipelines and with a peak of memory of zero.
@@ -64,7 +67,7 @@ impl Gpu {
     /// Waits until no other test uses a device with validation, and keeps others from it ([`turn()`]).
     pub fn fresh() -> Gpu {
         let turn = turn();
-        Gpu { device: Some(pool::open()), right: Right::Own { _turn: turn } }
+        Gpu { device: Some(pool::open()), emulated: Emulated::wanted(), right: Right::Own { _turn: turn } }
     }
 
     /// Returns the device.
@@ -93,6 +96,9 @@ impl Gpu {
     /// Runs a graph like [`Gpu::run`], with several replays in sequence.
     pub fn run_times(&self, graph: Graph, inputs: &[(Buffer, Vec<u8>)], replays: usize) -> Outputs {
         let plan = Arc::new(graph.compile(&CompileOptions::default()).unwrap_or_else(|e| panic!("{e}")));
+        if let Some(emulated) = &self.emulated {
+            return Outputs { contents: emulated.run(&plan, inputs, replays) };
+        }
         let options = ExecOptions { poison: true, ..Default::default() };
         let mut exec = Executor::new(self.device(), plan.clone(), options).unwrap_or_else(|e| panic!("{e}"));
         let provided = |i: usize| inputs.iter().find(|(b, _)| b.index() == i).map(|(_, d)| d.as_slice());

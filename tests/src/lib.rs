@@ -10,6 +10,7 @@ pub mod cli;
 pub mod compare;
 pub mod drawn;
 pub mod emitting;
+pub mod emulated;
 pub mod environment;
 pub mod feature_view;
 pub mod field;

@@ -6,7 +6,7 @@
 
 use crate::turn::{Share, share, turn};
 use sgs_engine::device::ObjectKind;
-use sgs_engine::{Device, DeviceOptions};
+use sgs_engine::{Device, DeviceOptions, PlannedGpu};
 use std::sync::{Condvar, Mutex, MutexGuard, OnceLock};
 use std::time::Duration;
 
@@ -41,10 +41,19 @@ struct State {
 
 /// Opens the device that `SGS_TEST_DEVICE` names, or the best one, with validation.
 ///
-/// The caller has the turn.
+/// The caller has the turn. If the emulator runs the graphs, the device plans for a GPU with its lanes.
 pub(crate) fn open() -> Device {
     let select = std::env::var("SGS_TEST_DEVICE").ok();
-    Device::open(&DeviceOptions { select, validation: true, ..Default::default() }).unwrap_or_else(|e| panic!("{e}"))
+    let plan_for =
+        emulated_lanes().map(|subgroup_size| PlannedGpu { subgroup_size, float_atomics: true, matrices: Vec::new() });
+    let options = DeviceOptions { select, validation: true, plan_for, ..Default::default() };
+    Device::open(&options).unwrap_or_else(|e| panic!("{e}"))
+}
+
+/// Returns the lanes of the emulator, if `SGS_TEST_EMULATE` asks for it.
+pub(crate) fn emulated_lanes() -> Option<u32> {
+    let lanes = std::env::var("SGS_TEST_EMULATE").ok()?;
+    Some(lanes.parse().unwrap_or_else(|_| panic!("SGS_TEST_EMULATE is \"{lanes}\"; use 8, 16, 32 or 64")))
 }
 
 /// Takes a device from the pool, with the number of tests that it has run. Waits while other tests use all devices.
