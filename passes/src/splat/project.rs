@@ -117,6 +117,8 @@ pub fn project(
         tile_counts: visible.tile_counts.into(),
     };
     let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
+        subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
         channels: c,
         has_colors: channels.colors,
@@ -126,7 +128,9 @@ pub fn project(
         color_bits,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1], });
-    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(n, t.workgroup))?;
+    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch(groups(n, t.workgroup))?;
     Ok(visible)
 }
 
@@ -206,6 +210,7 @@ pub fn project_bwd(
     };
     let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
         subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
         has_normals: visible.channels.normals,
@@ -303,6 +308,8 @@ pub fn project_bwd_adam(
         seen: seen.into(),
     };
     let specs = splat_specs!(fused, t, { workgroup: t.workgroup,
+        subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
         has_normals: visible.channels.normals,
@@ -316,6 +323,7 @@ pub fn project_bwd_adam(
         extra: adam.extra.is_some(),
         color_bits: visible.color_bits, });
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }
 
