@@ -12,6 +12,9 @@ pub struct Tuning {
     pub workgroup: u32,
     /// Columns and rows of a tile. A subgroup covers a whole number of its rows.
     pub tile: [u32; 2],
+    /// Largest number of tiles of a splat that one lane processes alone. The subgroup processes larger splats one after
+    /// the other, with all lanes. `u32::MAX` leaves every splat to one lane.
+    pub large_tiles: u32,
     /// Workgroups of one subgroup that occupy the device. Work whose split requires an additional sum is split into
     /// about this many parts.
     pub workers: u32,
@@ -40,6 +43,9 @@ impl Tuning {
             subgroup_size,
             workgroup: 256,
             tile: [width, 16],
+            // A lane needs longer for its tiles than the subgroup for the same splat from a few per lane on. Fewer would
+            // cost more where all lanes have such splats, since the subgroup then processes as many one by one.
+            large_tiles: 4 * subgroup_size,
             workers: 512,
             rounds: u32::MAX,
             matrices: None,

@@ -143,6 +143,8 @@ PixelBox splat_box(Splat s, float limit, uvec2 size) {
     return PixelBox(ivec2(low), ivec2(high));
 }
 
+const PixelBox EMPTY_BOX = PixelBox(ivec2(1), ivec2(0));
+
 bool box_is_empty(PixelBox b) { return b.low.x > b.high.x || b.low.y > b.high.y; }
 
 // Pixels of row y whose centers lie in the footprint, unclipped; empty if x > y.
@@ -157,10 +159,13 @@ ivec2 splat_row(Splat s, float limit, int y) {
     return ivec2(clamp(ceil(middle - half_width), -1.0, 1e6), clamp(floor(middle + half_width), -2.0, 1e6));
 }
 
+// The row of pixels that holds the center, or one far outside of the image.
+int splat_center_row(Splat s) { return int(floor(clamp(s.mean.y, -1e6, 1e6))); }
+
 // Whether a pixel center of columns [x0, x1] and rows [y0, y1] lies in the footprint, trying the row nearest to the
 // center first: interior tiles of a large splat answer at once.
 bool splat_touches(Splat s, float limit, int x0, int x1, int y0, int y1) {
-    int first = clamp(int(floor(clamp(s.mean.y, -1e6, 1e6))), y0, y1);
+    int first = clamp(splat_center_row(s), y0, y1);
     ivec2 row = splat_row(s, limit, first);
     bool touched = max(row.x, x0) <= min(row.y, x1);
     for (int y = y0; y <= y1 && !touched; ++y) {

@@ -1,5 +1,47 @@
-// Shared part of the kernels of project_bwd: sums one visible splat's gradients over its entries in order and takes them
-// back through projection. Included after the buffers and constants that it names are declared.
+// Shared part of the kernels of project_bwd: sums one visible splat's gradients over its entries and takes them back
+// through projection. Included after large_splats.glsl, and after the buffers and constants that it names are declared.
+
+// Of an entry: moments, colors, weight, and the statistic's own moments.
+const uint SUMS = 6u + CHANNELS + WEIGHTS + STATISTIC_FLOATS;
+
+void add_entry_gradients(inout float sums[SUMS], uint e) {
+    [[unroll]] for (uint j = 0u; j < SUMS; ++j) sums[j] += entry_gradients[e * SUMS + j];
+}
+
+// Moments that came through features; the features' own gradients are summed elsewhere (features_bwd).
+void add_entry_features(inout float sums[SUMS], uint e) {
+    if (entry_flags[e] == 0u) return;
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) sums[j] += entry_features[e * (6u + FEATURES) + j];
+}
+
+// Sums over the entries of the splat of each lane. A lane adds those of a small splat in order. All lanes together add
+// those of a large one, each every SUBGROUP-th entry. Where entries' gradients have been added up already (REDUCED), each
+// splat has one.
+void sum_entries(uint v, bool there, out float sums[SUMS]) {
+    [[unroll]] for (uint j = 0u; j < SUMS; ++j) sums[j] = 0.0;
+    uint first = there ? entry_starts[v] : 0u, count = there ? tile_counts[v] : 0u;
+    bool large = count > LARGE_TILES;
+    if (REDUCED && there) add_entry_gradients(sums, v);
+    uint own = large ? 0u : count;
+    if (!REDUCED) for (uint e = first; e < first + own; ++e) add_entry_gradients(sums, e);
+    if (FEATURES > 0u) for (uint e = first; e < first + own; ++e) add_entry_features(sums, e);
+    if (REDUCED && FEATURES == 0u) return;
+    uvec4 votes = subgroupBallot(large);
+    while (any(notEqual(votes, uvec4(0u)))) {
+        uint lane = next_large(votes);
+        uint begin = subgroupShuffle(first, lane), end = begin + subgroupShuffle(count, lane);
+        float part[SUMS];
+        [[unroll]] for (uint j = 0u; j < SUMS; ++j) part[j] = 0.0;
+        for (uint e = begin + gl_SubgroupInvocationID; e < end; e += SUBGROUP) {
+            if (!REDUCED) add_entry_gradients(part, e);
+            if (FEATURES > 0u) add_entry_features(part, e);
+        }
+        [[unroll]] for (uint j = 0u; j < SUMS; ++j) {
+            float total = lane_tree_sum(part[j]);
+            if (lane == gl_SubgroupInvocationID) sums[j] += total;
+        }
+    }
+}
 
 struct Visible {
     uint gaussian;
@@ -18,35 +60,20 @@ struct Visible {
     bool touched;        // anything but zeros
 };
 
-Visible visible_splat(uint v) {
+// `sums` are the splat's of `sum_entries`.
+Visible visible_splat(uint v, float sums[SUMS]) {
     Camera camera = params.step.camera;
     Visible s;
     s.gaussian = splat_ids[v];
     float moments[6];
     float colors[CHANNELS];
-    [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] = 0.0;
-    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] = 0.0;
-    s.weight = 0.0;
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] = sums[j];
+    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] = sums[6u + c];
+    s.weight = WEIGHTS > 0u ? sums[(6u + CHANNELS) % SUMS] : 0.0;
     vec2 statistic = vec2(0.0);
-    uint first = entry_starts[v], last = first + tile_counts[v];
-    // Where entries' gradients have been added up already, each splat has one.
-    uint from = REDUCED ? v : first, to = REDUCED ? v + 1u : last;
-    for (uint e = from; e < to; ++e) {
-        uint at = e * (6u + CHANNELS + WEIGHTS + STATISTIC_FLOATS);
-        [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_gradients[at + j];
-        [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) colors[c] += entry_gradients[at + 6u + c];
-        if (WEIGHTS > 0u) s.weight += entry_gradients[at + 6u + CHANNELS];
-        if (STATISTIC_FLOATS > 0u) {
-            uint from_statistic = at + 6u + CHANNELS + WEIGHTS;
-            statistic += vec2(entry_gradients[from_statistic], entry_gradients[from_statistic + 1u]);
-        }
-    }
-    // Moments that came through features; the features' own gradients are summed elsewhere (features_bwd).
-    if (FEATURES > 0u) {
-        for (uint e = first; e < last; ++e) {
-            if (entry_flags[e] == 0u) continue;
-            [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_features[e * (6u + FEATURES) + j];
-        }
+    if (STATISTIC_FLOATS > 0u) {
+        const uint own = 6u + CHANNELS + WEIGHTS;
+        statistic = vec2(sums[own % SUMS], sums[(own + 1u) % SUMS]);
     }
     uint any_gradient = 0u;
     [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);

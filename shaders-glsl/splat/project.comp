@@ -9,6 +9,7 @@
 #include "sh.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;  // a multiple of 32
+layout(constant_id = 1) const uint SUBGROUP = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;    // stored bands
 layout(constant_id = 3) const uint CHANNELS = 3;     // rgb, normal, z and z², each if any
 layout(constant_id = 4) const bool HAS_NORMALS = false;
@@ -19,6 +20,8 @@ layout(constant_id = 8) const bool HAS_COLORS = true;
 layout(constant_id = 9) const uint DEPTH_BITS = 31;  // of the keys that splats are sorted by
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
+#include "large_splats.glsl"
+#include "large_tiles.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, gaussians);
@@ -30,6 +33,8 @@ OUT(uint, depth_keys);
 OUT(Splat, splats);
 OUT(uint, features);
 OUT(uint, tile_counts);
+
+const uint NO_SLOT = 0xffffffffu;
 
 // `at`: column 0 of the Gaussian. Columns of bands above the active degree are not read.
 vec3 color_of(uint at, vec3 mean) {
@@ -63,7 +68,7 @@ uint depth_key(float z, float near) {
     return min(above >> (28u - DEPTH_BITS), (1u << DEPTH_BITS) - 1u);
 }
 
-uint count_tiles(Splat s, float limit, PixelBox box) {
+uint count_own_tiles(Splat s, float limit, PixelBox box) {
     int width = int(TILE_WIDTH), height = int(TILE_HEIGHT);
     uint count = 0u;
     for (int ty = box.low.y / height; ty <= box.high.y / height; ++ty) {
@@ -75,15 +80,32 @@ uint count_tiles(Splat s, float limit, PixelBox box) {
                                         min(ty * height + height - 1, box.high.y)));
         }
     }
+    return count;
+}
+
+// Tiles of each lane's footprint: a lane counts those of a small one, all lanes together those of a large one.
+uint count_tiles(Footprint own) {
+    bool large = is_large(own);
+    uint count = large ? 0u : count_own_tiles(own.splat, own.limit, own.box);
+    uvec4 votes = subgroupBallot(large);
+    while (any(notEqual(votes, uvec4(0u)))) {
+        uint lane = next_large(votes);
+        Footprint f = footprint_of_lane(own, lane);
+        uint found = 0u;
+        WALK_TILES(f, found += subgroupBallotBitCount(subgroupBallot(touched));)
+        if (lane == gl_SubgroupInvocationID) count = found;
+    }
     return min(count, (1u << 19) - 1u);
 }
 
-void main() {
+// Writes everything but the number of tiles of this lane's splat. Returns its slot, or NO_SLOT if there is none.
+uint project_own(out Footprint footprint) {
+    footprint = Footprint(Splat(vec2(0.0), vec3(1.0, 0.0, 1.0), 0.0), 0.0, EMPTY_BOX);
     uint block = folded_workgroup();
     uint i = block * WORKGROUP + gl_LocalInvocationID.x;
-    if (i >= gaussians[0].count) return;
+    if (i >= gaussians[0].count) return NO_SLOT;
     uint word = i / 32u, bit = 1u << (i % 32u), bits = visible_bits[word];
-    if ((bits & bit) == 0u) return;
+    if ((bits & bit) == 0u) return NO_SLOT;
     uint v = block_offsets[block] + bitCount(bits & (bit - 1u));
     for (uint w = block * (WORKGROUP / 32u); w < word; ++w) v += bitCount(visible_bits[w]);
     Camera camera = params.step.camera;
@@ -102,7 +124,7 @@ void main() {
     splat_ids[v] = i;
     depth_keys[v] = depth_key(p.point.z, camera.near);
     splats[v] = p.splat;
-    tile_counts[v] = projects ? count_tiles(p.splat, limit, box) : 0u;
+    footprint = Footprint(p.splat, limit, projects ? box : EMPTY_BOX);
     uint at = v * CHANNEL_WORDS;
     if (HAS_COLORS) {
         vec3 color = color_of(from, place.xyz);
@@ -130,4 +152,12 @@ void main() {
         features[at] = floatBitsToUint(z);
         features[at + 1u] = floatBitsToUint(z * z);
     }
+    return v;
+}
+
+void main() {
+    Footprint footprint;
+    uint v = project_own(footprint);
+    uint count = count_tiles(footprint);
+    if (v != NO_SLOT) tile_counts[v] = count;
 }

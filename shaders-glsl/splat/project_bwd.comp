@@ -22,6 +22,7 @@ layout(constant_id = 12) const bool REDUCED = false; // whether gradients are by
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
 #include "statistic.glsl"
+#include "large_splats.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
@@ -46,10 +47,12 @@ shared float pose_sums[12 * SUBGROUPS];
 void main() {
     uint v = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     bool real = v < visible[0].count;
+    float sums[SUMS];
+    sum_entries(v, real, sums);
     mat3 rows = mat3(0.0);
     vec3 translation = vec3(0.0);
     if (real) {
-        Visible s = visible_splat(v);
+        Visible s = visible_splat(v, sums);
         uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
         float basis[16];
         sh_basis(s.direction, degree, basis);

@@ -14,6 +14,7 @@
 #include "extra.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
+layout(constant_id = 1) const uint SUBGROUP = 32;
 layout(constant_id = 2) const uint SH_DEGREE = 3;
 layout(constant_id = 3) const uint CHANNELS = 3;
 layout(constant_id = 4) const bool HAS_NORMALS = false;
@@ -27,6 +28,7 @@ layout(constant_id = 12) const bool REDUCED = false; // whether gradients are by
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
 #include "statistic.glsl"
+#include "large_splats.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
@@ -66,9 +68,13 @@ void update(uint at, vec4 values, vec4 by_values, vec4 rates, bvec4 mask) {
 }
 
 void main() {
+    if (flags[0] != 0u) return;
     uint v = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
-    if (v >= visible[0].count || flags[0] != 0u) return;
-    Visible s = visible_splat(v);
+    bool there = v < visible[0].count;
+    float sums[SUMS];
+    sum_entries(v, there, sums);
+    if (!there) return;
+    Visible s = visible_splat(v, sums);
     uint i = s.gaussian;
     if (STATISTICS && by_workgroup(params.step.gather_statistics) != 0u) {
         float screen = length(s.statistic * 0.5 * vec2(params.step.camera.size));

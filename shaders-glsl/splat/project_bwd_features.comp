@@ -14,7 +14,9 @@
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const uint FEATURES = 32;
+layout(constant_id = 2) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
+#include "large_splats.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
@@ -26,16 +28,38 @@ IN(uint, entry_flags);
 IN(vec4, parameters);
 INOUT(float, extra); // [Gaussians * EXTRA_WIDTH]; splats that cover no selected pixel are unchanged
 
+void add_entry(inout float moments[6], uint e) {
+    if (entry_flags[e] == 0u) return;
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_features[e * (6u + FEATURES) + j];
+}
+
+// Moments of the splat of each lane. A lane adds those of a small splat's entries in order; all lanes together add those
+// of a large one's, each every SUBGROUP-th.
+void sum_moments(uint first, uint count, out float moments[6]) {
+    [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] = 0.0;
+    bool large = count > LARGE_TILES;
+    uint last = large ? first : first + count;
+    for (uint e = first; e < last; ++e) add_entry(moments, e);
+    uvec4 votes = subgroupBallot(large);
+    while (any(notEqual(votes, uvec4(0u)))) {
+        uint lane = next_large(votes);
+        uint begin = subgroupShuffle(first, lane), end = begin + subgroupShuffle(count, lane);
+        float part[6];
+        [[unroll]] for (uint j = 0u; j < 6u; ++j) part[j] = 0.0;
+        for (uint e = begin + gl_SubgroupInvocationID; e < end; e += SUBGROUP) add_entry(part, e);
+        [[unroll]] for (uint j = 0u; j < 6u; ++j) {
+            float total = lane_tree_sum(part[j]);
+            if (lane == gl_SubgroupInvocationID) moments[j] = total;
+        }
+    }
+}
+
 void main() {
     uint v = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
-    if (v >= visible[0].count) return;
+    bool there = v < visible[0].count;
     float moments[6];
-    [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] = 0.0;
-    uint first = entry_starts[v], last = first + tile_counts[v];
-    for (uint e = first; e < last; ++e) {
-        if (entry_flags[e] == 0u) continue;
-        [[unroll]] for (uint j = 0u; j < 6u; ++j) moments[j] += entry_features[e * (6u + FEATURES) + j];
-    }
+    sum_moments(there ? entry_starts[v] : 0u, there ? tile_counts[v] : 0u, moments);
+    if (!there) return;
     uint any_gradient = 0u;
     [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);
     if (any_gradient == 0u) return;

@@ -18,6 +18,8 @@ pub struct Gpu {
     device: Option<Device>,
     /// Present if the emulator runs the graphs.
     emulated: Option<Emulated>,
+    /// Replaces the number of the tuning.
+    large_tiles: Option<u32>,
     // Last field, so that others wait until the device is closed or back in the pool.
     right: Right,
 }
@@ -59,7 +61,8 @@ impl Gpu {
     /// thread has at most one such device at a time.
     pub fn new() -> Gpu {
         let ((device, tests), share) = pool::take();
-        Gpu { device: Some(device), emulated: Emulated::wanted(), right: Right::Pool { tests, _share: share } }
+        let right = Right::Pool { tests, _share: share };
+        Gpu { device: Some(device), emulated: Emulated::wanted(), large_tiles: None, right }
     }
 
     /// Opens a device of its own, without pipelines and with a peak of memory of zero.
@@ -67,7 +70,16 @@ impl Gpu {
     /// Waits until no other test uses a device with validation, and keeps others from it ([`turn()`]).
     pub fn fresh() -> Gpu {
         let turn = turn();
-        Gpu { device: Some(pool::open()), emulated: Emulated::wanted(), right: Right::Own { _turn: turn } }
+        let right = Right::Own { _turn: turn };
+        Gpu { device: Some(pool::open()), emulated: Emulated::wanted(), large_tiles: None, right }
+    }
+
+    /// Returns the same device with another [`Tuning::large_tiles`].
+    ///
+    /// With 0 the lanes process every splat together.
+    pub fn with_large_tiles(mut self, tiles: u32) -> Gpu {
+        self.large_tiles = Some(tiles);
+        self
     }
 
     /// Returns the device.
@@ -77,7 +89,8 @@ impl Gpu {
 
     /// Returns kernel sizes for the device.
     pub fn tuning(&self) -> Tuning {
-        Tuning::for_device(self.device().info())
+        let tuning = Tuning::for_device(self.device().info());
+        Tuning { large_tiles: self.large_tiles.unwrap_or(tuning.large_tiles), ..tuning }
     }
 
     /// Returns the subgroup size of the device.

@@ -133,6 +133,27 @@ pub fn hard(seed: u64) -> Gaussians {
     g
 }
 
+/// Returns Gaussians that cover a large part of the view or all of it.
+///
+/// They are faint, so that all of them show. Some are spherical, some long and slanted, some flat. Every fourth covers
+/// the whole view.
+pub fn large(count: usize, degree: usize, seed: u64) -> Gaussians {
+    let mut g = ordinary(count, degree, false, seed);
+    let mut r = Rng::new(seed + 100);
+    for i in 0..count {
+        let z = g.means[3 * i + 2];
+        let scale = match i % 4 {
+            0 => [3.0; 3],
+            1 => [r.between(-0.5, 0.5), -5.0, -5.0],
+            2 => [-1.0, -0.5, -6.0],
+            _ => [r.between(-1.5, -0.5); 3],
+        };
+        g.log_scales[3 * i..3 * i + 3].copy_from_slice(&scale.map(|s| single(s + z.ln())));
+        g.opacity_logits[i] = single(r.between(-3.0, -1.0));
+    }
+    g
+}
+
 /// Adds a rectangle of flat Gaussians that face along z.
 ///
 /// The Gaussians are so opaque and dense that nothing shines through. `low` and `high` are two corners of the rectangle

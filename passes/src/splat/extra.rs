@@ -65,8 +65,11 @@ pub fn project_bwd_features(
         extra: into.buffer.into(),
     };
     let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
-        features: Group::Semantics.width(),
-        columns: gaussians.model.columns(), });
+        columns: gaussians.model.columns(),
+        subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
+        features: Group::Semantics.width(), });
     stage(g, "project_bwd_features", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }

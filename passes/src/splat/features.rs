@@ -218,7 +218,12 @@ pub fn features_bwd(
     into: Buffer,
 ) -> Result<(), GraphError> {
     let bindings = of_splats!(kernel, (visible, entries), grad_features: into.into(),);
-    let specs = kernel::Specs { workgroup: t.workgroup, features: Group::Semantics.width(), subgroup: t.subgroup_size };
+    let specs = kernel::Specs {
+        workgroup: t.workgroup,
+        features: Group::Semantics.width(),
+        subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
+    };
     stage(g, "features_bwd", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
@@ -263,6 +268,7 @@ pub fn features_bwd_adam(
         workgroup: t.workgroup,
         features: Group::Semantics.width(),
         subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
         dense: a.seen.is_some(),
     };
     stage(g, "features_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])

@@ -71,9 +71,13 @@ pub fn intersect(
         entry_splats: splats.into(),
         entry_starts: starts.into(),
     };
-    let specs =
-        splat_specs!(kernel, t, { workgroup: t.workgroup, tile_width: screen.tile[0], tile_height: screen.tile[1], });
+    let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
+        subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
+        tile_width: screen.tile[0],
+        tile_height: screen.tile[1], });
     stage(g, "intersect", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
     let tiles = screen.tiles();
     // One value more than the tiles, for entries that a driver's rounding may leave over.

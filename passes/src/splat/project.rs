@@ -109,6 +109,8 @@ pub fn project(
     };
     let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
         columns: gaussians.model.columns(),
+        subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
         channels: c,
         has_colors: channels.colors,
@@ -118,7 +120,9 @@ pub fn project(
         color_bits,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1], });
-    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch(groups(n, t.workgroup))?;
+    stage(g, "project", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch(groups(n, t.workgroup))?;
     Ok(visible)
 }
 
@@ -185,6 +189,7 @@ pub fn project_bwd(
     let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
         columns: gaussians.model.columns(),
         subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
         has_normals: visible.channels.normals,
@@ -267,6 +272,8 @@ pub fn project_bwd_adam(
     };
     let specs = splat_specs!(fused, t, { workgroup: t.workgroup,
         columns: gaussians.model.columns(),
+        subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
         sh_degree: gaussians.model.sh_degree,
         channels: visible.channels.count(),
         has_normals: visible.channels.normals,
@@ -280,6 +287,7 @@ pub fn project_bwd_adam(
         extra: adam.extra.is_some(),
         color_bits: visible.color_bits, });
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }
 

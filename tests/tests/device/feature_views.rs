@@ -29,7 +29,16 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
 /// The tested passes add to existing gradients.
 #[test]
 fn feature_gradients_of_two_views_match_reference() {
-    let gpu = Gpu::new();
+    check_gradients(&Gpu::new());
+}
+
+/// The lanes sum the entries of every splat together.
+#[test]
+fn feature_gradients_summed_by_all_lanes_match_reference() {
+    check_gradients(&Gpu::new().with_large_tiles(0));
+}
+
+fn check_gradients(gpu: &Gpu) {
     let t = gpu.tuning();
     let scene = scenes::with_semantics(scenes::ordinary(10, 0, false, 21), 22);
     let views = [View::new([19, 17], 0.0, 1), View::new([14, 20], 0.6, 2)];
@@ -43,7 +52,7 @@ fn feature_gradients_of_two_views_match_reference() {
     let semantics = g.external("grad_semantics", 4 * (WIDE * n) as u64);
     let mut inputs = gaussian_inputs(&scene, &handles);
     for view in &views {
-        let d = declare(&gpu, &mut g, view, &handles, flags, Step::default());
+        let d = declare(gpu, &mut g, view, &handles, flags, Step::default());
         project_bwd_features(&mut g, &t, &d.screen, &handles, &d.visible, &d.features, &extra).unwrap();
         features_bwd(&mut g, &t, &d.visible, &d.features, semantics).unwrap();
         inputs.extend(d.inputs);
@@ -390,10 +399,19 @@ fn step_values() -> Step {
 
 #[test]
 fn two_view_step_matches_adam_on_summed_gradients() {
-    let gpu = Gpu::new();
+    check_step(&Gpu::new());
+}
+
+/// The lanes sum the entries of every splat together.
+#[test]
+fn two_view_step_by_all_lanes_matches_adam_on_summed_gradients() {
+    check_step(&Gpu::new().with_large_tiles(0));
+}
+
+fn check_step(gpu: &Gpu) {
     for dense in [false, true] {
         let case = Case::new(dense);
-        let left = case.run(&gpu);
+        let left = case.run(gpu);
         let classes = case.check(&left, true);
         assert!(classes.iter().all(|c| *c > 3), "{classes:?}");
         assert_eq!(left.skipped, [0; 3]);

@@ -55,7 +55,16 @@ fn largest(found: &[f32], blended: &Blended) -> f64 {
 /// in the features, so expected gradients are sums of the reference's weights.
 #[test]
 fn features_of_hard_splats_match_reference() {
-    let gpu = Gpu::new();
+    check_hard(&Gpu::new());
+}
+
+/// The lanes sum the entries of every splat together.
+#[test]
+fn features_summed_by_all_lanes_match_reference() {
+    check_hard(&Gpu::new().with_large_tiles(0));
+}
+
+fn check_hard(gpu: &Gpu) {
     for (seed, size) in [(1, [50, 37]), (2, [64, 48]), (3, [9, 50])] {
         let scene = scenes::with_semantics(scenes::hard(seed), seed + 7);
         let mut view = View::new(size, 0.0, seed + 3);
@@ -65,7 +74,7 @@ fn features_of_hard_splats_match_reference() {
                 weights.fill(0.0);
             }
         }
-        let (image, gradient) = run(&gpu, &scene, &view);
+        let (image, gradient) = run(gpu, &scene, &view);
         let off = largest(&image, &truth);
         println!("seed {seed}: largest {off:.2e}");
         assert!(off < 2e-3, "seed {seed}: largest difference {off}");
@@ -210,9 +219,18 @@ impl Fused {
 
 #[test]
 fn fused_feature_update_matches_adam() {
-    let gpu = Gpu::new();
+    check_fused(&Gpu::new());
+}
+
+/// The lanes sum the entries of every splat together.
+#[test]
+fn feature_update_by_all_lanes_matches_adam() {
+    check_fused(&Gpu::new().with_large_tiles(0));
+}
+
+fn check_fused(gpu: &Gpu) {
     for dense in [false, true] {
-        let [moved, still, bad] = Fused::new(11, dense).check(&gpu, false);
+        let [moved, still, bad] = Fused::new(11, dense).check(gpu, false);
         assert!(moved > 300 && still > 300, "{moved} moved, {still} had no gradient");
         assert_eq!(bad, 0);
     }

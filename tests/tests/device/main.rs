@@ -18,6 +18,7 @@ mod graph;
 mod hazards;
 mod image;
 mod image_graph;
+mod large_splats;
 mod learned_normals;
 mod lights;
 mod lights_regularize;

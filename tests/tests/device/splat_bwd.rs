@@ -123,6 +123,35 @@ fn gradients_with_semantic_features_match_reference() {
     check(&gpu, &Case::new(g, [21, 18], true), BackwardKernel::Pixel);
 }
 
+/// Tests splats of so many tiles that all lanes sum their entries.
+#[test]
+fn gradients_of_large_splats_match_reference() {
+    let gpu = Gpu::new();
+    // More than one full-screen splat per subgroup, and tiles across and down beyond the lanes of narrow subgroups.
+    let large = Case::new(scenes::large(5, 0, 3), [210, 163], true);
+    let [across, down] = [0, 1].map(|k| large.camera.size[k].div_ceil(gpu.tuning().tile[k]));
+    println!("{} tiles, {} are large", across * down, gpu.tuning().large_tiles);
+    for which in kernels(&gpu) {
+        check(&gpu, &large, which);
+    }
+    let g = scenes::with_semantics(scenes::large(2, 0, 4), 6);
+    check(&gpu, &Case::new(g, [137, 141], false), BackwardKernel::Pixel);
+}
+
+/// Tests the sums of large splats at splats of no tile to a few.
+#[test]
+fn gradients_summed_by_all_lanes_match_reference() {
+    let gpu = Gpu::new().with_large_tiles(0);
+    for which in kernels(&gpu) {
+        check(&gpu, &Case::new(scenes::ordinary(12, 3, true, 5), [24, 19], true), which);
+        check(&gpu, &Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false), which);
+    }
+    let g = scenes::with_semantics(scenes::ordinary(9, 0, true, 5), 6);
+    for which in kernels(&gpu) {
+        check(&gpu, &Case::new(g.clone(), [21, 18], true), which);
+    }
+}
+
 /// Tests features that may not move geometry. All other gradients equal those without features bit for bit. Gradients
 /// of the features equal those with moving geometry.
 #[test]

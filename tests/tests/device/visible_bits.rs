@@ -121,6 +121,8 @@ impl Case {
         let specs = project::Specs {
             workgroup: t.workgroup,
             columns: MODEL.columns(),
+            subgroup: t.subgroup_size,
+            large_tiles: t.large_tiles,
             sh_degree: 0,
             tile_width: t.tile[0],
             tile_height: t.tile[1],
@@ -128,6 +130,7 @@ impl Case {
         };
         let bound = bindings.entries().map(|(name, buffer)| (name, buffer.into()));
         stage(&mut g, "project", &project::KERNEL, bound, specs.entries(), &[])
+            .subgroup_size(Some(t.subgroup_size))
             .dispatch([BLOCKS as u32, 1, 1])
             .unwrap();
         let ones = bits.chunks(WORKGROUP / 32).map(|block| block.iter().map(|w| w.count_ones()).sum::<u32>());
