@@ -57,7 +57,17 @@ fn names(report: &Value) -> Vec<&str> {
 fn stages_are_checked_and_have_a_cost_model() {
     let report = succeeds(&[&["passes", "--normals", "--elements", "5003"], &TINY[..]].concat());
     let names = names(&report);
-    for stage in ["scan.scan_down", "project", "blend", "blend_bwd", "blend_bwd_splat", "photometric_bwd", "adam"] {
+    for stage in [
+        "scan.scan_down",
+        "project",
+        "blend",
+        "blend_bwd",
+        "blend_bwd_splat",
+        "blend_buckets",
+        "blend_bwd_bucket",
+        "photometric_bwd",
+        "adam",
+    ] {
         assert!(names.contains(&stage), "{stage} is not among {names:?}");
     }
     for pass in report["passes"].as_array().unwrap() {

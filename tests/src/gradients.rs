@@ -11,8 +11,8 @@ use sgs_passes::reference::blend::{Blended as RenderedImage, blend_at};
 use sgs_passes::reference::project::{Camera, Gaussians, project_at};
 use sgs_passes::scene::{Gaussians as GpuGaussians, Group, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
-    BackwardKernel, Blended, Channels, Gradients, Screen, Wanted, blend, blend_bwd, blend_debt, blend_features,
-    blend_features_bwd, features_bwd, intersect, project, project_bwd, wanted_words,
+    BackwardKernel, Blended, Channels, Gradients, Screen, Wanted, blend_bwd, blend_debt, blend_features,
+    blend_features_bwd, blend_for, features_bwd, intersect, project, project_bwd, wanted_words,
 };
 
 /// Scene, view and loss weights; the loss is the dot product of weights and render.
@@ -159,12 +159,13 @@ impl Case {
             image: g.external("image", 4 * c * screen.pixels()),
             transmittance: g.external("transmittance", 4 * screen.pixels()),
         };
-        blend(&mut g, &t, &screen, &visible, &entries, &blended).unwrap();
+        let buckets = blend_for(&mut g, &t, &screen, &visible, &entries, &blended, which).unwrap();
         let gradient = Blended {
             image: g.input("grad_image", 4 * c * screen.pixels()),
             transmittance: g.input("grad_transmittance", 4 * screen.pixels()),
         };
-        let owed = blend_debt(&mut g, &t, &screen, channels.count(), &blended, &gradient).unwrap();
+        let mut owed = blend_debt(&mut g, &t, &screen, channels.count(), &blended, &gradient).unwrap();
+        owed.buckets = buckets;
         let mut sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, which, true).unwrap();
         let pixels = screen.pixels();
         let wide = model.semantics.then(|| {

@@ -94,6 +94,8 @@ pub enum Backward {
     Pixel,
     /// One splat per lane.
     Splat,
+    /// Splats of a bucket of entries per lane.
+    Bucket,
     /// One pixel per lane; atomic sums.
     Atomic,
 }
@@ -103,6 +105,7 @@ impl From<Backward> for BackwardKernel {
         match b {
             Backward::Pixel => BackwardKernel::Pixel,
             Backward::Splat => BackwardKernel::Splat,
+            Backward::Bucket => BackwardKernel::Bucket,
             Backward::Atomic => BackwardKernel::Atomic,
         }
     }

@@ -14,7 +14,7 @@ use crate::stats::Summary;
 use anyhow::{Context as _, ensure};
 use sgs_engine::graph::Buffer;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::splat::{BackwardKernel, Blended, blend, blend_bwd, blend_debt};
+use sgs_passes::splat::{BackwardKernel, Blended, blend_bwd, blend_debt, blend_for};
 use sgs_shaders::structs::Work;
 
 /// Maximum relative error of the identity: sums of millions of single-precision products.
@@ -36,6 +36,7 @@ impl Outcome {
         match self.which {
             BackwardKernel::Pixel => "blend_bwd",
             BackwardKernel::Splat => "blend_bwd_splat",
+            BackwardKernel::Bucket => "blend_bwd_bucket",
             BackwardKernel::Atomic => "blend_bwd_atomic",
         }
     }
@@ -67,15 +68,18 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let s = subject(c);
     let counts = counts(&s)?;
     let mut outcomes: Vec<Outcome> = Vec::new();
-    for which in [BackwardKernel::Pixel, BackwardKernel::Splat, BackwardKernel::Atomic] {
+    use BackwardKernel::{Atomic, Bucket, Pixel, Splat};
+    for which in [Pixel, Splat, Bucket, Atomic] {
         if !which.runs_on(c.device.info()) {
             continue;
         }
         let (mut rig, outputs) = build(c, &s, which)?;
         let (times, _) = rig.measure(c.warmup, c.repeats)?;
-        let times: Vec<_> = times.into_iter().filter(|t| t.name.starts_with("blend_bwd")).collect();
+        // Checkpoints belong to the kernel that needs them.
+        let times: Vec<_> = times.into_iter().filter(|t| t.name.starts_with("blend_b")).collect();
         add_passes(report, rig.plan(), &times, &counts, &c.ceiling);
-        let time = times.first().map(|t| Summary::of(&t.nanoseconds)).unwrap_or_default();
+        let backward = times.iter().find(|t| t.name.starts_with("blend_bwd"));
+        let time = backward.map(|t| Summary::of(&t.nanoseconds)).unwrap_or_default();
         outcomes.push(read(&rig, &outputs, s.channels.count() as usize, which, time)?);
     }
     let row = 6 + s.channels.count() as usize;
@@ -109,12 +113,13 @@ fn build(c: &Context<'_>, s: &Subject<'_>, which: BackwardKernel) -> anyhow::Res
             image: v.graph.external("image", 4 * channels * pixels),
             transmittance: v.graph.external("transmittance", 4 * pixels),
         };
-        blend(&mut v.graph, &c.tuning, &v.screen, &v.visible, &v.entries, &into)?;
+        let buckets = blend_for(&mut v.graph, &c.tuning, &v.screen, &v.visible, &v.entries, &into, which)?;
         let gradient = Blended {
             image: v.graph.input("grad_image", 4 * channels * pixels),
             transmittance: v.graph.input("grad_transmittance", 4 * pixels),
         };
-        let owed = blend_debt(&mut v.graph, &c.tuning, &v.screen, s.channels.count(), &into, &gradient)?;
+        let mut owed = blend_debt(&mut v.graph, &c.tuning, &v.screen, s.channels.count(), &into, &gradient)?;
+        owed.buckets = buckets;
         let sums = blend_bwd(&mut v.graph, &c.tuning, &v.screen, &v.visible, &v.entries, &owed, which, false)?;
         v.inputs.push((gradient.image, bytes(&image_gradient(channels * pixels))));
         let (e, n) = (u64::from(v.entries.capacity), u64::from(v.visible.capacity));

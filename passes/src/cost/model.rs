@@ -54,6 +54,20 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         // A pair: distance 2, factor 5, square 3, exponential 4, opacity and thresholds 3, transmittance 3; 2 per
         // channel.
         "blend" => (fetched * e + 4.0 * (channels + 1.0) * p, (20.0 + 2.0 * channels) * c.pairs),
+        // Also the checkpoints: the state of a tile's pixels before each bucket of entries.
+        "blend_buckets" => {
+            let checkpoints = 4.0 * (channels + 1.0) * checkpoint_pixels(s) * e;
+            (fetched * e + 4.0 * (channels + 1.0) * p + checkpoints, (20.0 + 2.0 * channels) * c.pairs)
+        }
+        // Reads the checkpoints, and for each bucket the gradients and debts of its tile. Pixels run 1 + SUBGROUP / pixels
+        // times as long as there are pixels, because the lanes start one after the other.
+        "blend_bwd_bucket" => {
+            let pixels = spec("TILE_WIDTH") * spec("TILE_HEIGHT");
+            let rounds = 1.0 + spec("SUBGROUP") / pixels.max(1.0);
+            let states = 8.0 * (channels + 1.0) * checkpoint_pixels(s) * e;
+            let operations = (45.0 + 4.0 * channels + 8.0 * own) * rounds * c.pairs;
+            ((fetched + gradients) * e + states, operations)
+        }
         // As above, and weights and debts 8, the derivative of alpha 8, six moments 9; 4 per channel.
         "blend_bwd" | "blend_bwd_splat" => {
             ((fetched + gradients) * e + 4.0 * (channels + 1.0) * p, (45.0 + 4.0 * channels + 8.0 * own) * c.pairs)
@@ -103,6 +117,11 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         }
     };
     Some(Cost { bytes, operations })
+}
+
+/// Returns the pixels whose state a kernel of buckets handles, by entry.
+fn checkpoint_pixels(s: &Stage<'_>) -> f64 {
+    (s.specs)("TILE_WIDTH") * (s.specs)("TILE_HEIGHT") / (s.specs)("BUCKET").max(1.0)
 }
 
 /// Returns the cost of a scan or sort of `n` elements.

@@ -173,5 +173,5 @@ pub fn photometric_bwd_in_place(
     };
     stage(g, "photometric_bwd_in_place", &in_place::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(partials.count), 1))?;
-    Ok(PixelGradients { image: a.image, debt, statistic: None })
+    Ok(PixelGradients { image: a.image, debt, statistic: None, buckets: None })
 }

@@ -1,10 +1,12 @@
-//! `blend`, `blend_debt` and `blend_bwd`: blending of any number of channels, one subgroup per tile.
+//! `blend`, `blend_debt` and `blend_bwd`: blending of any number of channels, one subgroup per tile or, backward, per
+//! bucket of a tile's entries ([`Buckets`]).
 //!
 //! Cost: each entry's record is fetched once per tile (28 + 4 C bytes, 4 fewer with 16-bit colors). A pixel takes about
 //! 12 + C multiply-adds and one exponential per entry of its tile until it is opaque, backward about 30 + 2 C. Pixels
 //! write 4 (C + 1) bytes. The debt reads twice that and writes 4. Backward reads 4 (C + 1) bytes per pixel and writes 4
 //! (6 + C) bytes per entry.
 
+use super::buckets::{Buckets, OWN, blend_buckets};
 use super::project::EntryGradients;
 use super::{Entries, Screen, Visible};
 use crate::Tuning;
@@ -29,6 +31,9 @@ pub enum BackwardKernel {
     Pixel,
     /// Lanes are splats; prefix operations propagate transmittance across lanes.
     Splat,
+    /// Lanes are splats of a bucket of a tile's entries; pixels stream through the lanes. Small views fill a device, but
+    /// the forward pass writes checkpoints ([`Buckets`]).
+    Bucket,
     /// Lanes are pixels; float atomics add sums of tiles to splats. This takes less memory and no second sum, but
     /// results are not bit-identical between runs. Not every device supports float atomics
     /// ([`BackwardKernel::runs_on`]).
@@ -76,6 +81,27 @@ pub fn blend(
         .dispatch(groups(u64::from(screen.tiles()), 1))
 }
 
+/// Blends a view into `into`, as [`blend`], and prepares for a backward kernel. The caller passes the result on in
+/// [`PixelGradients::buckets`].
+///
+/// # Errors
+/// If the graph rejects a pass.
+pub fn blend_for(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    visible: &Visible,
+    entries: &Entries,
+    into: &Blended,
+    which: BackwardKernel,
+) -> Result<Option<Buckets>, GraphError> {
+    if which == BackwardKernel::Bucket {
+        return blend_buckets(g, t, screen, visible, entries, into).map(Some);
+    }
+    blend(g, t, screen, visible, entries, into)?;
+    Ok(None)
+}
+
 /// Losses whose gradients enter the densification statistic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Statistic {
@@ -107,6 +133,8 @@ pub struct PixelGradients {
     pub debt: Buffer,
     /// Densification statistic with its own moments, and its debt ([`statistic_debt`]).
     pub statistic: Option<(Statistic, Buffer)>,
+    /// Checkpoints of the forward pass ([`blend_for`]). [`BackwardKernel::Bucket`] requires them.
+    pub buckets: Option<Buckets>,
 }
 
 /// Computes the debt of every pixel from the image and its gradients. A loss of color only computes the debt in its own
@@ -123,7 +151,7 @@ pub fn blend_debt(
     gradient: &Blended,
 ) -> Result<PixelGradients, GraphError> {
     let debt = statistic_debt(g, t, screen, channels, blended, gradient, Statistic::Total)?;
-    Ok(PixelGradients { image: gradient.image, debt, statistic: None })
+    Ok(PixelGradients { image: gradient.image, debt, statistic: None, buckets: None })
 }
 
 /// Computes the debt of the losses in a densification statistic. The gradients are those of all losses.
@@ -158,7 +186,7 @@ pub fn statistic_debt(
 /// Runs the backward pass of [`blend`]. Computes the gradients of every entry from those of the image.
 ///
 /// # Errors
-/// If the graph rejects the pass.
+/// If the graph rejects the pass, or if [`BackwardKernel::Bucket`] has no checkpoints.
 #[expect(clippy::too_many_arguments, reason = "declares a kernel")]
 pub fn blend_bwd(
     g: &mut Graph,
@@ -181,8 +209,9 @@ pub fn blend_bwd(
     if reduced {
         g.fill("clear_splat_gradients", gradients, 0)?;
     }
+    // Passes have the names of their kernels. Only that of buckets has more bindings and constants.
     macro_rules! add {
-        ($kernel:ident, $gradients:ident) => {{
+        ($kernel:ident, $gradients:ident, $groups:expr, { $($binding:tt)* }, { $($spec:tt)* }) => {{
             let bindings = $kernel::Bindings {
                 params: screen.step.into(),
                 tile_ranges: entries.tile_ranges.into(),
@@ -194,6 +223,7 @@ pub fn blend_bwd(
                 debt: gradient.debt.into(),
                 statistic_debt: gradient.statistic.map_or(gradient.debt, |s| s.1).into(),
                 $gradients: gradients.into(),
+                $($binding)*
             };
             let specs = splat_specs!($kernel, t, { subgroup: t.subgroup_size,
                 per_lane: per_lane(t, screen),
@@ -202,18 +232,29 @@ pub fn blend_bwd(
                 channels,
                 weights: u32::from(weights),
                 statistic: statistic.spec(),
-                color_bits: visible.color_bits, });
+                color_bits: visible.color_bits,
+                $($spec)* });
             stage(g, stringify!($kernel), &sgs_shaders::$kernel::KERNEL, bindings.entries(), specs.entries(), &[])
                 .subgroup_size(Some(t.subgroup_size))
-                .dispatch(groups(u64::from(screen.tiles()), 1))?
+                .dispatch($groups)?
         }};
     }
-    // Passes have the names of their kernels.
-    use sgs_shaders::{blend_bwd, blend_bwd_atomic, blend_bwd_splat};
+    let tiles = groups(u64::from(screen.tiles()), 1);
+    use sgs_shaders::{blend_bwd, blend_bwd_atomic, blend_bwd_bucket, blend_bwd_splat};
     match which {
-        BackwardKernel::Pixel => add!(blend_bwd, entry_gradients),
-        BackwardKernel::Splat => add!(blend_bwd_splat, entry_gradients),
-        BackwardKernel::Atomic => add!(blend_bwd_atomic, splat_gradients),
+        BackwardKernel::Pixel => add!(blend_bwd, entry_gradients, tiles, {}, {}),
+        BackwardKernel::Splat => add!(blend_bwd_splat, entry_gradients, tiles, {}, {}),
+        BackwardKernel::Atomic => add!(blend_bwd_atomic, splat_gradients, tiles, {}, {}),
+        BackwardKernel::Bucket => {
+            let b = gradient.buckets.ok_or_else(|| GraphError::Unbound {
+                pass: "blend_bwd_bucket".to_owned(),
+                shader: "blend_bwd_bucket".to_owned(),
+                binding: "checkpoints".to_owned(),
+            })?;
+            add!(blend_bwd_bucket, entry_gradients, groups(u64::from(b.slots), 1),
+                { checkpoints: b.checkpoints.into(), bucket_tiles: b.tiles.into(), },
+                { own: OWN, bucket: b.entries, });
+        }
     }
     Ok(EntryGradients { starts: entries.starts, gradients, features: None, weights, statistic, reduced })
 }

@@ -5,6 +5,7 @@
 //! bit-identical between runs, except those of [`BackwardKernel::Atomic`], the only kernel that adds floats atomically.
 
 mod blend;
+mod buckets;
 mod extra;
 mod features;
 mod intersect;
@@ -13,7 +14,10 @@ mod project;
 mod show;
 
 pub(crate) use blend::per_lane;
-pub use blend::{BackwardKernel, Blended, PixelGradients, Statistic, blend, blend_bwd, blend_debt, statistic_debt};
+pub use blend::{
+    BackwardKernel, Blended, PixelGradients, Statistic, blend, blend_bwd, blend_debt, blend_for, statistic_debt,
+};
+pub use buckets::{Buckets, blend_buckets};
 pub use extra::{ExtraGradients, project_bwd_features};
 pub use features::{
     EntryFeatures, FeatureAdam, Wanted, blend_features, blend_features_bwd, features_bwd, features_bwd_adam,

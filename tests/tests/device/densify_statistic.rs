@@ -77,7 +77,7 @@ fn a_statistic_holds_the_gradients_of_the_named_losses_alone() {
     let photometric = bench.gather(total, photometric_alone);
     let geometric = bench.gather(total, geometric_alone);
     let all = bench.gather(total, |_| {});
-    for backward in [Backward::Pixel, Backward::Splat] {
+    for backward in [Backward::Pixel, Backward::Splat, Backward::Bucket] {
         let on = |s: &mut Settings| s.geometry.backward = backward;
         let of_color = bench.gather(DensifyStatistic::Photometric, on);
         near("photometric", &photometric[0], &of_color[0]);

@@ -9,8 +9,8 @@ use sgs_passes::pipeline::Step;
 use sgs_passes::reference::project::{Camera, Gaussians};
 use sgs_passes::scene::{Layout, Model, SEMANTIC_FEATURES};
 use sgs_passes::splat::{
-    BackwardKernel, Blended, Channels, Screen, Wanted, blend, blend_bwd, blend_debt, blend_features,
-    blend_features_bwd, features_bwd, intersect, project, wanted_words,
+    BackwardKernel, Blended, Channels, Screen, Wanted, blend_bwd, blend_debt, blend_features, blend_features_bwd,
+    blend_for, features_bwd, intersect, project, wanted_words,
 };
 use sgs_shaders::structs::Work;
 use sgs_tests::scenes::{self, Rng};
@@ -41,9 +41,8 @@ fn specks(count: usize, wall: bool) -> Gaussians {
     g
 }
 
-fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, dense: bool) {
-    // Each case tests one backward kernel.
-    let which = if dense { BackwardKernel::Pixel } else { BackwardKernel::Splat };
+fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, which: BackwardKernel) {
+    let dense = which == BackwardKernel::Pixel;
     let t = gpu.tuning();
     let scene = specks(count, wall);
     let n = count as u32;
@@ -67,10 +66,11 @@ fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, dense: bool) {
     let entries = intersect(&mut g, &t, &screen, &visible, capacity, flags).unwrap();
     let image = g.external("image", 12 * pixels);
     let blended = Blended { image, transmittance: g.external("transmittance", 4 * pixels) };
-    blend(&mut g, &t, &screen, &visible, &entries, &blended).unwrap();
+    let buckets = blend_for(&mut g, &t, &screen, &visible, &entries, &blended, which).unwrap();
     let gradient =
         Blended { image: g.input("grad_image", 12 * pixels), transmittance: g.input("grad_transmittance", 4 * pixels) };
-    let owed = blend_debt(&mut g, &t, &screen, 3, &blended, &gradient).unwrap();
+    let mut owed = blend_debt(&mut g, &t, &screen, 3, &blended, &gradient).unwrap();
+    owed.buckets = buckets;
     let sums = blend_bwd(&mut g, &t, &screen, &visible, &entries, &owed, which, true).unwrap();
     let left = g.external("entry_gradients", 40 * u64::from(capacity));
     g.copy("keep", sums.gradients, left).unwrap();
@@ -128,13 +128,16 @@ fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, dense: bool) {
     }
 }
 
+/// Kernels that write rows of entries.
+const KERNELS: [BackwardKernel; 3] = [BackwardKernel::Pixel, BackwardKernel::Splat, BackwardKernel::Bucket];
+
 #[test]
 fn no_entry_of_a_long_tile_is_lost() {
     let gpu = Gpu::new();
-    for dense in [false, true] {
-        check(&gpu, [8, 16], 2001, false, dense);
-        check(&gpu, [8, 16], 20_000, false, dense);
-        check(&gpu, [5, 11], 2000, false, dense);
+    for which in KERNELS {
+        check(&gpu, [8, 16], 2001, false, which);
+        check(&gpu, [8, 16], 20_000, false, which);
+        check(&gpu, [5, 11], 2000, false, which);
     }
 }
 
@@ -142,8 +145,8 @@ fn no_entry_of_a_long_tile_is_lost() {
 #[test]
 fn entries_behind_a_wall_are_written() {
     let gpu = Gpu::new();
-    for dense in [false, true] {
-        check(&gpu, [8, 16], 2003, true, dense);
-        check(&gpu, [20, 19], 2001, true, dense);
+    for which in KERNELS {
+        check(&gpu, [8, 16], 2003, true, which);
+        check(&gpu, [20, 19], 2001, true, which);
     }
 }

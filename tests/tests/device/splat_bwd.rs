@@ -78,7 +78,7 @@ fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
 
 /// Returns the backward kernels that the device can run.
 fn kernels(gpu: &Gpu) -> Vec<BackwardKernel> {
-    let all = [BackwardKernel::Pixel, BackwardKernel::Splat, BackwardKernel::Atomic];
+    let all = [BackwardKernel::Pixel, BackwardKernel::Splat, BackwardKernel::Bucket, BackwardKernel::Atomic];
     all.into_iter().filter(|k| k.runs_on(gpu.device().info())).collect()
 }
 

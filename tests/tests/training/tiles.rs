@@ -42,7 +42,7 @@ fn geometry_training_is_equal_for_every_tile_size() {
         training.train(STEPS, on_progress, || true).unwrap();
         (losses, entries, training.splats().unwrap())
     };
-    for backward in [Backward::Pixel, Backward::Splat] {
+    for backward in [Backward::Pixel, Backward::Splat, Backward::Bucket] {
         let [own, short, medium, tall] = [0, 8, 16, 32].map(|rows| train(rows, backward));
         assert!(own == medium, "sixteen rows are what suits every device");
         assert!(short.1 > medium.1 && medium.1 > tall.1, "entries: {} {} {}", short.1, medium.1, tall.1);

@@ -136,7 +136,7 @@ pub struct GeometrySettings {
     pub losses: LossWeights,
     /// Densification.
     pub densify: DensifyOptions,
-    /// Kernel of the gradients of blending: `auto`, `pixel`, `splat`, or `atomic`, which is not deterministic.
+    /// Kernel of the gradients of blending: `auto`, `pixel`, `splat`, `bucket`, or `atomic`, which is not deterministic.
     pub backward: Backward,
     /// Initial capacity of tile entries; 0 estimates it. The capacity grows as needed, with the same results. Not a
     /// setting.
@@ -177,6 +177,8 @@ pub enum Backward {
     Pixel,
     /// Lanes are splats.
     Splat,
+    /// Lanes are splats of a bucket of a tile's entries; small views fill a GPU. Needs memory for checkpoints.
+    Bucket,
     /// Lanes are pixels; sums over tiles use atomics. Needs less memory, but results vary from run to run.
     Atomic,
 }

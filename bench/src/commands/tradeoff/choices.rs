@@ -119,6 +119,7 @@ pub fn of_geometry(own: &Tuning) -> anyhow::Result<Vec<Choice>> {
         add(&format!("tiles of {width}x{rows}"), &[&format!("train.tile_rows={rows}")], Kind::Same)?;
     }
     add("backward by splats", &["geometry.backward=splat"], Kind::Same)?;
+    add("backward by buckets", &["geometry.backward=bucket"], Kind::Same)?;
     add("backward by atomics", &["geometry.backward=atomic"], Kind::Same)?;
     // Equivalent within one step; trajectories over several steps differ.
     add("Adam of all", &["geometry.dense_adam=true"], Kind::Same)?;
@@ -290,8 +291,9 @@ mod tests {
         ] {
             assert_eq!(of(name).accuracy, accuracy, "{name}");
         }
-        let ways = ["backward by splats", "backward by atomics"].map(|name| of(name).geometry.backward);
-        assert_eq!(ways, [Backward::Splat, Backward::Atomic]);
+        let ways = ["backward by splats", "backward by buckets", "backward by atomics"];
+        let ways = ways.map(|name| of(name).geometry.backward);
+        assert_eq!(ways, [Backward::Splat, Backward::Bucket, Backward::Atomic]);
         assert_eq!((of("tiles of 8x8").train.tile_rows, of("tiles of 8x32").train.tile_rows), (8, 32));
         assert!(of("Adam of all").geometry.dense_adam);
     }
@@ -312,7 +314,8 @@ mod tests {
         let same: Vec<Choice> = all().concat().into_iter().filter(|c| c.kind == Kind::Same).collect();
         let names: Vec<&str> = same.iter().map(|c| c.name.as_str()).collect();
         let tiles = ["tiles of half the rows", "tiles of twice the rows"];
-        let geometry = ["tiles of 8x8", "tiles of 8x32", "backward by splats", "backward by atomics", "Adam of all"];
+        let backward = ["backward by splats", "backward by buckets", "backward by atomics"];
+        let geometry = [&["tiles of 8x8", "tiles of 8x32"], &backward[..], &["Adam of all"]].concat();
         assert_eq!(names, [&geometry[..], &["weights recomputed"], &tiles].concat());
         assert!(same.iter().all(|c| c.shows() && settings(c).accuracy == Accuracy::EXACT));
         // Only equivalent choices have a bound on their gradient error.

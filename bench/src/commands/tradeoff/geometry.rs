@@ -192,6 +192,7 @@ fn kernel(backward: Backward) -> BackwardKernel {
     match backward {
         Backward::Auto | Backward::Pixel => BackwardKernel::Pixel,
         Backward::Splat => BackwardKernel::Splat,
+        Backward::Bucket => BackwardKernel::Bucket,
         Backward::Atomic => BackwardKernel::Atomic,
     }
 }

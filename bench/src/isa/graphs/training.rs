@@ -35,6 +35,7 @@ pub fn smaller(s: &mut Settings) {
 pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
     let mut all = bases()?;
     all.push(with(|s| s.geometry.backward = Backward::Splat));
+    all.push(with(|s| s.geometry.backward = Backward::Bucket));
     if device.info().optional.float_atomics {
         all.push(with(|s| s.geometry.backward = Backward::Atomic));
     }

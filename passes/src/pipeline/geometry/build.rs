@@ -16,9 +16,9 @@ use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
 use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles};
 use crate::splat::{
-    Blended, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam, PixelGradients, Screen,
-    Statistic, Visible, Wanted, blend, blend_bwd, blend_debt, blend_features, blend_features_bwd, features_bwd,
-    features_bwd_adam, intersect, project, project_bwd_adam, statistic_debt, wanted_words,
+    BackwardKernel, Blended, Buckets, Channels, Entries, EntryFeatures, ExtraGradients, FeatureAdam, FusedAdam,
+    PixelGradients, Screen, Statistic, Visible, Wanted, blend_bwd, blend_debt, blend_features, blend_features_bwd,
+    blend_for, features_bwd, features_bwd_adam, intersect, project, project_bwd_adam, statistic_debt, wanted_words,
 };
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::report;
@@ -35,9 +35,12 @@ pub(super) struct Rendering {
     pub entries: Entries,
     pub blended: Blended,
     pub channels: Channels,
+    /// Checkpoints for the backward pass of the channels, if its kernel uses them.
+    pub buckets: Option<Buckets>,
 }
 
-/// Projects, sorts and blends a view.
+/// Projects, sorts and blends a view, for a backward kernel.
+#[expect(clippy::too_many_arguments, reason = "declares the passes of a view")]
 pub(super) fn render(
     g: &mut Graph,
     t: &Tuning,
@@ -46,6 +49,7 @@ pub(super) fn render(
     status: &StatusHandles,
     channels: Channels,
     o: &GeometryOptions,
+    backward: BackwardKernel,
 ) -> Built<Rendering> {
     let screen = Screen { step, largest: o.largest, tile: t.tile };
     let visible = project(g, t, &screen, gaussians, channels)?;
@@ -54,8 +58,8 @@ pub(super) fn render(
         image: g.transient("image", 4 * u64::from(channels.count()) * screen.pixels()),
         transmittance: g.transient("transmittance", 4 * screen.pixels()),
     };
-    blend(g, t, &screen, &visible, &entries, &blended)?;
-    Ok(Rendering { screen, visible, entries, blended, channels })
+    let buckets = blend_for(g, t, &screen, &visible, &entries, &blended, backward)?;
+    Ok(Rendering { screen, visible, entries, blended, channels, buckets })
 }
 
 /// Uniforms of a step.
@@ -77,10 +81,11 @@ pub(super) fn build(
     o: &GeometryOptions,
 ) -> Built<()> {
     let step = steps.step;
-    let view = render(g, t, step, gaussians, status, o.channels, o)?;
+    let view = render(g, t, step, gaussians, status, o.channels, o, o.backward)?;
     let screen = view.screen;
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
-    let gradient = appearance(g, t, &view, inputs, o, stats)?;
+    let mut gradient = appearance(g, t, &view, inputs, o, stats)?;
+    gradient.buckets = view.buckets;
     let meaning = match &inputs.semantics {
         Some(s) => Some(meaning(
             g,

@@ -15,7 +15,7 @@ use crate::loss::{
 use crate::pipeline::status::StatusHandles;
 use crate::scene::{Group, Handles};
 use crate::splat::{
-    Channels, EntryFeatures, ExtraGradients, Wanted, blend_features, blend_features_bwd, features_bwd,
+    BackwardKernel, Channels, EntryFeatures, ExtraGradients, Wanted, blend_features, blend_features_bwd, features_bwd,
     project_bwd_features, wanted_words,
 };
 use sgs_engine::graph::{Buffer, Graph};
@@ -115,7 +115,9 @@ impl Region {
         let channels = Channels { colors: false, normals: false, depth: true };
         let mut one = |i: usize| -> Built<Compared> {
             g.set_prefix(PREFIXES[i]);
-            let view_i = render(g, t, self.steps[i], gaussians, status, channels, o)?;
+            // Depth of pseudo-views has no gradients, so no backward kernel follows.
+            let none = BackwardKernel::Pixel;
+            let view_i = render(g, t, self.steps[i], gaussians, status, channels, o, none)?;
             let pixels = view_i.screen.pixels();
             let wanted = g.transient("wanted", 4 * wanted_words(pixels));
             match (self.masks, self.ids) {

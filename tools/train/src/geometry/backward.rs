@@ -1,4 +1,4 @@
-//! Choice of the backward kernel that is faster on a device.
+//! Choice of the backward kernel that is fastest on a device.
 
 use super::Geometry;
 use crate::error::{Requirement, Result};
@@ -11,6 +11,7 @@ pub(super) fn kernel_of(requested: Backward, device: &Device) -> Result<Backward
     let kernel = match requested {
         Backward::Auto | Backward::Pixel => BackwardKernel::Pixel,
         Backward::Splat => BackwardKernel::Splat,
+        Backward::Bucket => BackwardKernel::Bucket,
         Backward::Atomic => BackwardKernel::Atomic,
     };
     if !kernel.runs_on(device.info()) {
@@ -19,10 +20,17 @@ pub(super) fn kernel_of(requested: Backward, device: &Device) -> Result<Backward
     Ok(kernel)
 }
 
+/// Least times of blending over a few steps, in nanoseconds.
+struct Times {
+    forward: f64,
+    backward: f64,
+}
+
 impl Geometry {
-    /// Times the pixel and the splat kernel on the current step. Selects the faster one. Parameters do not change
-    /// meanwhile. The splat kernel is selected only if it takes less than 85 % of the time, so that noise does not
-    /// decide between runs.
+    /// Times the deterministic kernels on the current step and selects the fastest. Parameters do not change meanwhile.
+    /// A kernel is selected before an earlier one only if it takes less than 85 % of the time, so that noise does not
+    /// decide between runs. Buckets are timed only if their checkpoints leave memory for as many Gaussians. What their
+    /// forward pass takes longer counts as theirs.
     ///
     /// # Errors
     /// If the device fails.
@@ -30,13 +38,30 @@ impl Geometry {
         self.status.hold(&self.device)?;
         self.options.timestamps = true;
         let pixel = self.time_backward(BackwardKernel::Pixel)?;
-        let splat = self.time_backward(BackwardKernel::Splat)?;
-        let (kernel, name) = if splat < 0.85 * pixel {
-            (BackwardKernel::Splat, Backward::Splat)
-        } else {
-            (BackwardKernel::Pixel, Backward::Pixel)
+        let splat = self.time_backward(BackwardKernel::Splat)?.backward;
+        let bucket = match self.buckets_fit()? {
+            true => {
+                let times = self.time_backward(BackwardKernel::Bucket)?;
+                times.backward + (times.forward - pixel.forward).max(0.0)
+            }
+            false => f64::INFINITY,
         };
-        tracing::info!(pixel_ns = pixel, splat_ns = splat, chosen = ?name, "backward kernel");
+        let mut chosen = (pixel.backward, BackwardKernel::Pixel, Backward::Pixel);
+        for other in
+            [(splat, BackwardKernel::Splat, Backward::Splat), (bucket, BackwardKernel::Bucket, Backward::Bucket)]
+        {
+            if other.0 < 0.85 * chosen.0 {
+                chosen = other;
+            }
+        }
+        let (_, kernel, name) = chosen;
+        tracing::info!(
+            pixel_ns = pixel.backward,
+            splat_ns = splat,
+            bucket_ns = bucket,
+            chosen = ?name,
+            "backward kernel"
+        );
         self.options.timestamps = false;
         self.options.backward = kernel;
         self.settings.geometry.backward = name;
@@ -44,8 +69,19 @@ impl Geometry {
         Ok(self.status.clear_flags(&self.device)?)
     }
 
-    /// Returns the least time of a backward kernel over five steps, in nanoseconds.
-    fn time_backward(&mut self, kernel: BackwardKernel) -> Result<f64> {
+    /// Returns whether as many Gaussians fit with checkpoints as without.
+    fn buckets_fit(&mut self) -> Result<bool> {
+        let count = self.gaussians.count(&self.device)?;
+        let limit = if self.settings.geometry.densify.enabled() { self.most.max(count) } else { count };
+        self.options.backward = BackwardKernel::Pixel;
+        let without = self.most_that_fit(count, limit)?;
+        self.options.backward = BackwardKernel::Bucket;
+        let fits = self.fits(&self.gaussians.layout(), self.options.entry_capacity)?;
+        Ok(fits && self.most_that_fit(count, limit)? == without)
+    }
+
+    /// Returns the least times of a backward kernel and of blending over five steps.
+    fn time_backward(&mut self, kernel: BackwardKernel) -> Result<Times> {
         self.options.backward = kernel;
         self.rebuild()?;
         for step in 1..=5 {
@@ -54,7 +90,13 @@ impl Geometry {
         }
         self.exec()?.finish()?;
         let times = self.take_times();
-        let backward = times.iter().filter(|t| t.name.starts_with("blend_bwd"));
-        Ok(backward.flat_map(|t| t.nanoseconds.iter().copied()).fold(f64::INFINITY, f64::min))
+        let least = |of: &dyn Fn(&str) -> bool| {
+            let passes = times.iter().filter(|t| of(&t.name));
+            passes.map(|t| t.nanoseconds.iter().copied().fold(f64::INFINITY, f64::min)).sum::<f64>()
+        };
+        Ok(Times {
+            forward: least(&|name| ["blend", "blend_buckets", "clear_bucket_tiles"].contains(&name)),
+            backward: least(&|name| name.starts_with("blend_bwd")),
+        })
     }
 }

@@ -1,0 +1,22 @@
+// Buckets: runs of BUCKET entries of a tile, which blend_bwd_bucket works on side by side.
+//
+// Bucket b of tile t has the slot begin / BUCKET + t + b, where `begin` is the tile's first entry. Slots of different tiles
+// differ without a prefix sum: a tile has at most end / BUCKET - begin / BUCKET + 1 buckets, and the next one begins at
+// `end` or later. A slot holds its tile, or NO_TILE if no bucket has it. Needs CHANNELS and PIXELS, the pixels of a tile.
+//
+// A checkpoint holds the state of the tile's pixels before a bucket: transmittance, negative once the pixel has stopped,
+// and the sums of the channels. A tile's first bucket needs none.
+
+layout(constant_id = 28) const uint BUCKET = 64; // entries, a multiple of the subgroup
+
+const uint NO_TILE = 0xffffffffu;
+const uint UNREACHED = 0x80000000u; // all pixels had stopped before the bucket
+
+uint bucket_count(uint begin, uint end) { return (end - begin + BUCKET - 1u) / BUCKET; }
+
+uint first_bucket(uint begin, uint tile) { return begin / BUCKET + tile; }
+
+// Where a pixel's transmittance lies; channel c follows (1 + c) * PIXELS later. `bucket`: in its tile, not the first.
+uint checkpoint(uint begin, uint bucket, uint pixel) {
+    return (begin / BUCKET + bucket - 1u) * (1u + CHANNELS) * PIXELS + pixel;
+}
