@@ -52,10 +52,7 @@ fn find(gpu: &Gpu, scene: &Gaussians, camera: &Camera) -> Found {
     let mut uniform = Step { camera: scenes::gpu_camera(camera), ..Default::default() };
     uniform.camera.tiles = [0, 1].map(|k| camera.size[k].div_ceil(t.tile[k]));
     let data = scenes::data(scene);
-    let mut inputs: Vec<_> =
-        model.groups().map(|x| (handles.group(x), bytemuck::cast_slice(data.group(x)).to_vec())).collect();
-    let work = Work { x: n.div_ceil(t.workgroup), y: 1, z: 1, count: n };
-    inputs.push((handles.work, bytemuck::bytes_of(&work).to_vec()));
+    let mut inputs = handles.contents(&data);
     inputs.extend([(step, bytemuck::bytes_of(&uniform).to_vec()), (flags, vec![0; 4])]);
     let out = gpu.run(g, &inputs);
     assert_eq!(out.get::<u32>(flags), [0], "the entries overflowed");
