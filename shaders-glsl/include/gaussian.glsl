@@ -1,7 +1,8 @@
 // Parameters of Gaussians and their moments, in columns of four numbers.
 //
-// The Gaussians lie in blocks of 32. Within a block, the values of one column lie side by side, so that the lanes of a subgroup
-// read and write whole lines of memory. Columns (passes/src/scene/columns.rs has the same):
+// The Gaussians lie in blocks of 32, and their columns in pieces of four: a Gaussian's numbers of a piece are 64 bytes side by
+// side, and those of the block's other Gaussians follow. So the lanes of a subgroup read memory that lies together, and a
+// Gaussian whose neighbors are culled wastes no part of a line. Columns (passes/src/scene/columns.rs has the same):
 //   0 mean and opacity logit, 1 log scale and an unused number, 2 rotation,
 //   3 and on: spherical harmonics, three channels of each coefficient in turn,
 //   the last one, if Gaussians have normals: normal and an unused number.
@@ -9,10 +10,14 @@
 layout(constant_id = 23) const uint COLUMNS = 15;
 
 const uint BLOCK = 32u;
+const uint PIECE_COLUMNS = 4u;
 const uint HARMONICS = 3u; // first column of the harmonics
 
-// Where column 0 of a Gaussian is; BLOCK further on lies the next column.
-uint first_column(uint i) { return i / BLOCK * (COLUMNS * BLOCK) + i % BLOCK; }
+// Where a column of a Gaussian is. The last piece may be narrower.
+uint column_of(uint i, uint column) {
+    uint piece = column / PIECE_COLUMNS, width = min(PIECE_COLUMNS, COLUMNS - piece * PIECE_COLUMNS);
+    return BLOCK * (i / BLOCK * COLUMNS + piece * PIECE_COLUMNS) + i % BLOCK * width + column % PIECE_COLUMNS;
+}
 
 // Columns of the harmonics up to a degree, and their numbers.
 uint harmonic_numbers(uint degree) { return 3u * (degree + 1u) * (degree + 1u); }

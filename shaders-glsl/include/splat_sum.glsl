@@ -45,7 +45,6 @@ void sum_entries(uint v, bool there, out float sums[SUMS]) {
 
 struct Visible {
     uint gaussian;
-    uint at;             // its column 0
     vec3 mean;
     vec3 log_scale;
     vec4 rotation;
@@ -79,12 +78,11 @@ Visible visible_splat(uint v, float sums[SUMS]) {
     [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);
     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) any_gradient |= magnitude_bits(colors[c]);
     s.touched = any_gradient != 0u;
-    s.at = first_column(s.gaussian);
-    vec4 place = parameters[s.at];
+    vec4 place = parameters[column_of(s.gaussian, 0u)];
     s.mean = place.xyz;
     s.opacity_logit = place.w;
-    s.log_scale = parameters[s.at + BLOCK].xyz;
-    s.rotation = parameters[s.at + 2u * BLOCK];
+    s.log_scale = parameters[column_of(s.gaussian, 1u)].xyz;
+    s.rotation = parameters[column_of(s.gaussian, 2u)];
     Projection p;
     project_splat(camera, s.mean, s.log_scale, s.rotation, s.opacity_logit, p);
     uint at = v * CHANNEL_WORDS;
@@ -100,7 +98,7 @@ Visible visible_splat(uint v, float sums[SUMS]) {
     s.normal = vec3(0.0);
     if (HAS_NORMALS) {
         vec3 d = vec3(colors[3u % CHANNELS], colors[4u % CHANNELS], colors[5u % CHANNELS]);
-        vec3 raw = parameters[s.at + (COLUMNS - 1u) * BLOCK].xyz;
+        vec3 raw = parameters[column_of(s.gaussian, COLUMNS - 1u)].xyz;
         float n = length(raw);
         // n / max(|n|, 1e-3): below the floor the map is linear.
         s.normal = n > 1e-3 ? (d - raw * (dot(raw, d) / (n * n))) / n : d * 1e3;

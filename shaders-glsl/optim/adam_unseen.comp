@@ -72,12 +72,13 @@ void main() {
         by_rotation = vec4(more[6], more[7], more[8], more[9]);
         if (!finite) atomicAdd(skipped[0], 1u);
     }
-    uint at = first_column(i);
     if (finite) {
-        update(at, by_place, rates_of(0u));
-        update(at + BLOCK, by_size, rates_of(1u));
-        update(at + 2u * BLOCK, by_rotation, rates_of(2u));
+        update(column_of(i, 0u), by_place, rates_of(0u));
+        update(column_of(i, 1u), by_size, rates_of(1u));
+        update(column_of(i, 2u), by_rotation, rates_of(2u));
     }
     if (SPARSE) return;
-    for (uint column = HARMONICS; column < COLUMNS; ++column) update(at + column * BLOCK, vec4(0.0), rates_of(column));
+    for (uint column = HARMONICS; column < COLUMNS; ++column) {
+        update(column_of(i, column), vec4(0.0), rates_of(column));
+    }
 }

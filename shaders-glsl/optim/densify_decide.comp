@@ -22,12 +22,11 @@ bool finite(vec3 v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z);
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= live[0].count) return;
-    uint at = first_column(i);
-    vec4 place = parameters[at], rotation = parameters[at + 2u * BLOCK];
-    vec3 log_scale = parameters[at + BLOCK].xyz;
+    vec4 place = parameters[column_of(i, 0u)], rotation = parameters[column_of(i, 2u)];
+    vec3 log_scale = parameters[column_of(i, 1u)].xyz;
     float logit = place.w;
     bool valid = finite(place.xyz) && finite(log_scale) && finite(rotation.xyz) && is_finite(rotation.w)
-              && is_finite(logit) && finite(parameters[at + HARMONICS * BLOCK].xyz);
+              && is_finite(logit) && finite(parameters[column_of(i, HARMONICS)].xyz);
     // Both clamped where the exponential of a 32-bit number still is one.
     float opacity = 1.0 / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
     float largest = exp(clamp(max(max(log_scale.x, log_scale.y), log_scale.z), -80.0, 80.0));

@@ -21,8 +21,8 @@ void main() {
     for (uint t = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x; t < count; t += stride) {
         Move move = entries[t / COLUMNS];
         if (move.kind == PRUNE) continue;
-        uint column = t % COLUMNS * BLOCK;
-        uint from = first_column(move.from) + column, home = first_column(move.home) + column;
+        uint column = t % COLUMNS;
+        uint from = column_of(move.from, column), home = column_of(move.home, column);
         vec4 parameter = parameters[from];
         if (home != from) parameters[home] = parameter;
         if (move.kind == SPLIT) first_moments[home] = second_moments[home] = vec4(0.0);
@@ -31,7 +31,7 @@ void main() {
             second_moments[home] = second_moments[from];
         }
         if (move.child != NOWHERE) {
-            uint child = first_column(move.child) + column;
+            uint child = column_of(move.child, column);
             parameters[child] = parameter;
             first_moments[child] = second_moments[child] = vec4(0.0);
         }

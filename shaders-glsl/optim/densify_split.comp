@@ -31,13 +31,14 @@ void main() {
     if (t >= moves[0].count) return;
     Move move = entries[t];
     if (move.kind != SPLIT) return;
-    uint home = first_column(move.home), child = first_column(move.child);
-    vec4 place = parameters[home], size = parameters[home + BLOCK];
+    uint home = column_of(move.home, 0u), child = column_of(move.child, 0u);
+    uint home_size = column_of(move.home, 1u), child_size = column_of(move.child, 1u);
+    vec4 place = parameters[home], size = parameters[home_size];
     vec3 log_scale = size.xyz;
     float unused;
-    mat3 axes = quaternion_matrix(unit_quaternion(parameters[home + 2u * BLOCK], unused));
+    mat3 axes = quaternion_matrix(unit_quaternion(parameters[column_of(move.home, 2u)], unused));
     vec3 scale = exp(clamp(log_scale, LOG_SCALE_MIN, LOG_SCALE_MAX));
     parameters[home] = vec4(place.xyz + axes * (scale * normal3(move.from, 0u)), place.w);
     parameters[child] = vec4(place.xyz + axes * (scale * normal3(move.from, 1u)), place.w);
-    parameters[home + BLOCK] = parameters[child + BLOCK] = vec4(log_scale - LOG_SHRINK, size.w);
+    parameters[home_size] = parameters[child_size] = vec4(log_scale - LOG_SHRINK, size.w);
 }

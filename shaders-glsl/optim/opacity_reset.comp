@@ -18,7 +18,7 @@ const float LOGIT = -4.5951198501345898; // of 0.01
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= live[0].count) return;
-    uint at = first_column(i);
+    uint at = column_of(i, 0u);
     if (!(parameters[at].w <= LOGIT)) parameters[at].w = LOGIT; // NaN as well
     first_moments[at].w = second_moments[at].w = 0.0;
 }

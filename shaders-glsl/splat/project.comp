@@ -36,8 +36,8 @@ OUT(uint, tile_counts);
 
 const uint NO_SLOT = 0xffffffffu;
 
-// `at`: column 0 of the Gaussian. Columns of bands above the active degree are not read.
-vec3 color_of(uint at, vec3 mean) {
+// Columns of bands above the active degree are not read.
+vec3 color_of(uint i, vec3 mean) {
     Camera camera = params.step.camera;
     uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
     vec3 away = mean - camera.position;
@@ -47,7 +47,7 @@ vec3 color_of(uint at, vec3 mean) {
     vec3 color = vec3(0.0);
     [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
         if (4u * c >= harmonic_numbers(degree)) continue;
-        vec4 values = parameters[at + (HARMONICS + c) * BLOCK];
+        vec4 values = parameters[column_of(i, HARMONICS + c)];
         [[unroll]] for (uint j = 0u; j < 4u; ++j) {
             uint number = 4u * c + j;
             if (number < harmonic_numbers(SH_DEGREE)) color[number % 3u] += basis[number / 3u] * values[j];
@@ -109,8 +109,8 @@ uint project_own(out Footprint footprint) {
     uint v = block_offsets[block] + bitCount(bits & (bit - 1u));
     for (uint w = block * (WORKGROUP / 32u); w < word; ++w) v += bitCount(visible_bits[w]);
     Camera camera = params.step.camera;
-    uint from = first_column(i);
-    vec4 place = parameters[from], size = parameters[from + BLOCK], rotation = parameters[from + 2u * BLOCK];
+    vec4 place = parameters[column_of(i, 0u)], size = parameters[column_of(i, 1u)];
+    vec4 rotation = parameters[column_of(i, 2u)];
     Projection p;
     bool projects = project_splat(camera, place.xyz, size.xyz, rotation, place.w, p);
     if (!projects) {
@@ -127,7 +127,7 @@ uint project_own(out Footprint footprint) {
     footprint = Footprint(p.splat, limit, projects ? box : EMPTY_BOX);
     uint at = v * CHANNEL_WORDS;
     if (HAS_COLORS) {
-        vec3 color = color_of(from, place.xyz);
+        vec3 color = color_of(i, place.xyz);
         if (COLOR_BITS == 16u) {
             features[at] = pack_halves(color.xy);
             features[at + 1u] = pack_halves(vec2(color.z, 0.0));
@@ -140,7 +140,7 @@ uint project_own(out Footprint footprint) {
         }
     }
     if (HAS_NORMALS) {
-        vec3 n = parameters[from + (COLUMNS - 1u) * BLOCK].xyz;
+        vec3 n = parameters[column_of(i, COLUMNS - 1u)].xyz;
         n /= max(length(n), 1e-3);
         features[at] = floatBitsToUint(n.x);
         features[at + 1u] = floatBitsToUint(n.y);

@@ -59,7 +59,7 @@ void main() {
         float s_dot[16];
         [[unroll]] for (uint k = 0u; k < 16u; ++k) s_dot[k] = 0.0;
         [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
-            uint at = s.at + (HARMONICS + c) * BLOCK;
+            uint at = column_of(s.gaussian, HARMONICS + c);
             vec4 values = parameters[at], by_values = vec4(0.0);
             [[unroll]] for (uint j = 0u; j < 4u; ++j) {
                 uint number = 4u * c + j;
@@ -70,11 +70,11 @@ void main() {
             gradients[at] = by_values;
         }
         vec3 by_direction = direction_to_mean(s, degree, s_dot);
-        gradients[s.at] = vec4(s.gradient.mean + by_direction, s.gradient.opacity_logit);
-        gradients[s.at + BLOCK] = vec4(s.gradient.log_scale, 0.0);
-        gradients[s.at + 2u * BLOCK] = s.gradient.rotation;
+        gradients[column_of(s.gaussian, 0u)] = vec4(s.gradient.mean + by_direction, s.gradient.opacity_logit);
+        gradients[column_of(s.gaussian, 1u)] = vec4(s.gradient.log_scale, 0.0);
+        gradients[column_of(s.gaussian, 2u)] = s.gradient.rotation;
         grad_means2d[v] = s.gradient.mean2d;
-        if (HAS_NORMALS) gradients[s.at + (COLUMNS - 1u) * BLOCK] = vec4(s.normal, 0.0);
+        if (HAS_NORMALS) gradients[column_of(s.gaussian, COLUMNS - 1u)] = vec4(s.normal, 0.0);
         if (POSE) {
             // The camera stands at -W^T t, and the direction moves against it: d/dt = W by_direction,
             // d/dW = t by_direction^T (as rows).

@@ -124,7 +124,7 @@ void main() {
     // Bands above the active degree have no gradient yet and stay as they are.
     [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
         if (4u * c >= harmonic_numbers(degree)) continue;
-        uint at = s.at + (HARMONICS + c) * BLOCK;
+        uint at = column_of(i, HARMONICS + c);
         vec4 values = parameters[at], by_values = vec4(0.0), rates;
         bvec4 mask;
         [[unroll]] for (uint j = 0u; j < 4u; ++j) {
@@ -138,13 +138,13 @@ void main() {
         update(at, values, by_values, rates, mask);
     }
     gm += direction_to_mean(s, degree, s_dot);
-    update(s.at, vec4(s.mean, s.opacity_logit), vec4(gm, go), vec4(vec3(params.step.lr_means), params.step.lr_opacities),
-           bvec4(true));
-    vec4 size = parameters[s.at + BLOCK];
-    update(s.at + BLOCK, size, vec4(gs, 0.0), vec4(params.step.lr_scales), bvec4(true, true, true, false));
-    update(s.at + 2u * BLOCK, s.rotation, gr, vec4(params.step.lr_rotations), bvec4(true));
+    update(column_of(i, 0u), vec4(s.mean, s.opacity_logit), vec4(gm, go),
+           vec4(vec3(params.step.lr_means), params.step.lr_opacities), bvec4(true));
+    uint at_size = column_of(i, 1u);
+    update(at_size, parameters[at_size], vec4(gs, 0.0), vec4(params.step.lr_scales), bvec4(true, true, true, false));
+    update(column_of(i, 2u), s.rotation, gr, vec4(params.step.lr_rotations), bvec4(true));
     if (HAS_NORMALS) {
-        uint at = s.at + (COLUMNS - 1u) * BLOCK;
+        uint at = column_of(i, COLUMNS - 1u);
         update(at, parameters[at], vec4(s.normal, 0.0), vec4(params.step.lr_normals), bvec4(true, true, true, false));
     }
 }

@@ -64,11 +64,10 @@ void main() {
     [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);
     if (any_gradient == 0u) return;
     uint i = splat_ids[v];
-    uint at = first_column(i);
-    vec4 place = parameters[at];
-    vec3 mean = place.xyz, log_scale = parameters[at + BLOCK].xyz;
+    vec4 place = parameters[column_of(i, 0u)];
+    vec3 mean = place.xyz, log_scale = parameters[column_of(i, 1u)].xyz;
     Projection p;
-    project_splat(params.step.camera, mean, log_scale, parameters[at + 2u * BLOCK], place.w, p);
+    project_splat(params.step.camera, mean, log_scale, parameters[column_of(i, 2u)], place.w, p);
     SplatGradient g = project_gradient(params.step.camera, p, mean, log_scale, moments, 0.0);
     float values[EXTRA_WIDTH] = float[](g.mean.x, g.mean.y, g.mean.z, g.log_scale.x, g.log_scale.y, g.log_scale.z,
                                         g.rotation.x, g.rotation.y, g.rotation.z, g.rotation.w, g.opacity_logit);

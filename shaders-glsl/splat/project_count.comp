@@ -36,8 +36,8 @@ void main() {
     uint i = block * WORKGROUP + gl_SubgroupID * SUBGROUP + gl_SubgroupInvocationID;
     bool visible = false;
     if (i < gaussians[0].count) {
-        uint at = first_column(i);
-        vec4 place = parameters[at], size = parameters[at + BLOCK], rotation = parameters[at + 2u * BLOCK];
+        vec4 place = parameters[column_of(i, 0u)], size = parameters[column_of(i, 1u)];
+        vec4 rotation = parameters[column_of(i, 2u)];
         Projection p;
         if (project_splat(params.step.camera, place.xyz, size.xyz, rotation, place.w, p)) {
             visible = !box_is_empty(splat_box(p.splat, exponent_limit(p.splat), params.step.camera.size));

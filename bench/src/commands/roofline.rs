@@ -91,10 +91,18 @@ struct Predicted {
 /// Share of the bound below which latencies determine the time of a pass.
 const LATENCY: f64 = 0.05;
 
+/// Share of the bound from which bandwidth or arithmetic determine the time of a pass.
+const LIMITED: f64 = 0.4;
+
+/// Share of the bound that passes reach at best.
+const BEST: f64 = 0.7;
+
 /// Predicts passes.
 ///
-/// A pass keeps its fixed time, that of the shortest pass, and its distance from the bound: accesses that do not
-/// coalesce cost more of any bandwidth. Passes far below their bound, or without a cost model, keep their time.
+/// A pass keeps its fixed time, that of the shortest pass. If it is near its bound, it keeps its distance from it. If not,
+/// instructions and caches limit it, and their rate grows with the arithmetic rate, which is that of units and clock; it
+/// never comes closer to the bound than passes do at best. Passes far below their bound, or without a cost model, keep
+/// their time.
 fn predict(passes: &[&PassRow], own: &Target, targets: &[Target]) -> Vec<Predicted> {
     let fixed = passes.iter().map(|p| p.nanoseconds.median).fold(f64::INFINITY, f64::min);
     let one = |pass: &&PassRow| {
@@ -102,8 +110,14 @@ fn predict(passes: &[&PassRow], own: &Target, targets: &[Target]) -> Vec<Predict
         let (bound, variable) = (own.bound(pass), measured - fixed);
         let of = |target: &Target| {
             let least = target.bound(pass);
-            let waits = bound < LATENCY * measured;
-            (if waits { measured - bound + least } else { fixed + (variable / bound).max(1.0) * least }, least)
+            let time = if bound < LATENCY * measured {
+                measured - bound + least
+            } else if bound < LIMITED * variable {
+                fixed + (variable * own.arithmetic / target.arithmetic).max(least / BEST)
+            } else {
+                fixed + (variable / bound).max(1.0) * least
+            };
+            (time, least)
         };
         Predicted { name: pass.pass.clone(), measured, targets: targets.iter().map(of).collect() }
     };
@@ -246,10 +260,14 @@ mod tests {
         // The own device is predicted as it was measured.
         let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} {b}");
         predicted.iter().for_each(|p| near(p.targets[0].0, p.measured));
-        // Twice the bound of 500 ns, at ten times the bandwidth; four times the bound of 1000 ns, at twice the rate.
+        // Twice the bound of 500 ns, at ten times the bandwidth. Far from the bound of 1000 ns, at twice the rate.
         near(predicted[0].targets[1].0, 100.0 + 2.0 * 50.0);
-        near(predicted[1].targets[1].0, 100.0 + 4.0 * 500.0);
+        near(predicted[1].targets[1].0, 100.0 + 4000.0 / 2.0);
         near(predicted[1].targets[1].1, 500.0);
+        // No pass comes closer to the bound than passes do at best.
+        let faster = Target { name: "faster".into(), bandwidth: 1e9, arithmetic: 1e11 };
+        let wide = predict(&passes, &own, &[Target { bandwidth: 5e7, ..faster }]);
+        near(wide[1].targets[0].0, 100.0 + 200.0 / 0.7);
         // Latency, and a pass without a model.
         near(predicted[2].targets[1].0, 400.0 - 10.0 + 1.0);
         near(predicted[3].targets[1].0, 100.0);

@@ -1,7 +1,8 @@
 //! Layout of Gaussians in device memory: columns of four numbers, in blocks of 32 Gaussians.
 //!
-//! Within a block, the values of one column lie side by side, so that the lanes of a subgroup read and write whole lines
-//! of memory. Column 0 holds mean and opacity logit, column 1 the log scale and an unused number, column 2 the rotation.
+//! Columns form pieces of four. A Gaussian's numbers of a piece are 64 bytes side by side, and those of the block's other
+//! Gaussians follow. So the lanes of a subgroup read and write memory that lies together, and a Gaussian whose neighbors
+//! are culled wastes no part of a line of memory. Column 0 holds mean and opacity logit, column 1 the log scale and an unused number, column 2 the rotation.
 //! The harmonics follow: three channels of each coefficient in turn, padded to a whole column. Normals take the last
 //! column, with an unused number. `shaders-glsl/include/gaussian.glsl` has the same layout. Semantic features are not
 //! part of it: they are read in rows of 32.
@@ -12,6 +13,9 @@ use super::{GaussianData, Group, Model};
 
 /// Gaussians per block.
 pub const BLOCK: u32 = 32;
+
+/// Columns of a piece.
+const PIECE: usize = 4;
 
 /// First column of the harmonics.
 const HARMONICS: u32 = 3;
@@ -31,8 +35,11 @@ impl Model {
     /// [`Group::Semantics`].
     fn position(&self, group: Group, gaussian: usize, number: usize) -> usize {
         let (column, component) = self.place(group, number);
-        let block = gaussian / BLOCK as usize * self.columns() as usize + column;
-        4 * (block * BLOCK as usize + gaussian % BLOCK as usize) + component
+        let (block, columns) = (BLOCK as usize, self.columns() as usize);
+        let first = column / PIECE * PIECE;
+        let width = PIECE.min(columns - first);
+        let piece = block * (gaussian / block * columns + first) + gaussian % block * width;
+        4 * (piece + column % PIECE) + component
     }
 
     /// Returns column and component of a number of a group.
@@ -165,14 +172,19 @@ mod tests {
         }
     }
 
-    /// Lanes of a block read neighboring memory.
+    /// Pieces of a block lie side by side, and the columns of a piece too.
     #[test]
     fn gaussians_of_a_block_lie_side_by_side() {
-        let model = MODELS[4];
-        for group in model.groups_in_columns() {
-            let at = |gaussian| model.position(group, gaussian, 0);
-            assert!((1..32).all(|i| at(i) == at(0) + 4 * i), "{}", group.name());
-            assert_eq!(at(32), at(0) + 4 * 32 * 16);
+        for model in MODELS {
+            let columns = model.columns() as usize;
+            for group in model.groups_in_columns() {
+                let at = |gaussian| model.position(group, gaussian, 0);
+                let piece = model.place(group, 0).0 / PIECE;
+                let stride = 4 * PIECE.min(columns - PIECE * piece);
+                assert!((1..32).all(|i| at(i) == at(0) + stride * i), "{}", group.name());
+                assert_eq!(at(32), at(0) + 4 * 32 * columns);
+            }
+            assert_eq!(model.position(Group::Rotations, 5, 1), 4 * (5 * 4 + 2) + 1);
         }
     }
 
