@@ -14,7 +14,7 @@ use sgs_passes::reference::project as reference;
 use sgs_passes::scene::{Decoder, GaussianData, Group, Model};
 use sgs_run::gaussian_data;
 use sgs_scene::{Scene, SceneOptions, Splats};
-use sgs_train::{Correspondence, SemanticData, TrainingData};
+use sgs_train::{Correspondence, Photographs, SemanticData, TrainingData};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -93,7 +93,10 @@ pub fn directory(
 ) -> anyhow::Result<Workload> {
     let scene = Scene::open(path, &SceneOptions::default())?;
     let data = TrainingData::load(device, &scene, priors.normals)?;
-    anyhow::ensure!(!priors.normals || data.normals.is_some(), "\"{}\" has no normal priors.", path.display());
+    let [photographs] = <[Photographs; 1]>::try_from(data.parts)
+        .map_err(|_| anyhow::anyhow!("The photographs of \"{}\" exceed one binding of the device.", path.display()))?;
+    let normals = photographs.normals;
+    anyhow::ensure!(!priors.normals || normals.is_some(), "\"{}\" has no normal priors.", path.display());
     let maps = if priors.semantics { SemanticData::load(device, &scene)? } else { None };
     anyhow::ensure!(!priors.semantics || maps.is_some(), "\"{}\" has no semantic priors.", path.display());
     let semantics = match maps {
@@ -107,14 +110,14 @@ pub fn directory(
     };
     anyhow::ensure!(!priors.pseudo || correspondence.is_some(), "\"{}\" has no regions.", path.display());
     let correspondence = correspondence.map(|c| Arc::new(Mutex::new(c)));
-    let model = Model { sh_degree, normals: data.normals.is_some(), semantics: semantics.is_some() };
+    let model = Model { sh_degree, normals: normals.is_some(), semantics: semantics.is_some() };
     let splats = Splats::from_points(&scene.points, sh_degree as usize)?;
     Ok(Workload {
         name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
         model,
         start: gaussian_data(&splats, model),
-        targets: data.targets,
-        normals: data.normals,
+        targets: photographs.targets,
+        normals,
         semantics,
         correspondence,
         views: data.views,

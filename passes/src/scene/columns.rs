@@ -163,7 +163,10 @@ mod tests {
                 let data = numbered(&model, count, 1);
                 let columns = model.to_columns(&data);
                 assert_eq!(columns.len() as u64 * 4, model.column_bytes(count as u32));
-                assert_eq!(columns.iter().filter(|x| **x != 0.0).count(), data.groups.iter().map(Vec::len).sum::<usize>());
+                assert_eq!(
+                    columns.iter().filter(|x| **x != 0.0).count(),
+                    data.groups.iter().map(Vec::len).sum::<usize>()
+                );
                 assert_eq!(model.from_columns(&columns, count), data);
                 let pairs = numbered(&model, count, 2);
                 let [first, second] = model.moments_to_columns(&pairs);

@@ -92,19 +92,20 @@ fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = Settings::default();
     s.geometry.steps = 2;
-    // Bytes of six training views of 32 x 24 pixels.
-    let photographs = 4 * 6 * 32 * 24;
+    // Bytes of a training view of 32 x 24 pixels, and of all six.
+    let photograph = 4 * 32 * 24;
+    let photographs = 6 * photograph;
     for limits in [
-        Limits { buffer: photographs - 1, ..Default::default() },
-        Limits { allocation: photographs - 1, ..Default::default() },
-        Limits { storage_range: photographs - 1, ..Default::default() },
+        Limits { buffer: photograph - 1, ..Default::default() },
+        Limits { allocation: photograph - 1, ..Default::default() },
+        Limits { storage_range: photograph - 1, ..Default::default() },
     ] {
         let device = open(limits);
         let error = Geometry::new(&device, &scene, &s, None).err().unwrap();
         assert!(matches!(error, TrainError::Limit(_)), "{error}");
         let name = &device.info().name;
         let sentence = format!(
-            "The photographs need 18432 bytes in one buffer, but {name} allows 18431 bytes; use --scale 0.75 or --views 5."
+            "The pixels of a photograph need 3072 bytes in one buffer, but {name} allows 3071 bytes; use --scale 0.75."
         );
         assert_eq!(error.to_string(), sentence);
         assert_untouched(&device);
@@ -120,4 +121,26 @@ fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
     assert!(error.starts_with("The intermediate results of a step need "), "{error}");
     assert!(error.ends_with("allows 18.0 KiB; use a smaller --scale or fewer points."), "{error}");
     assert_untouched(&device);
+}
+
+/// Photographs beyond a binding take several buffers. Training has the same bits, and records each step once per buffer.
+#[test]
+fn photographs_in_several_buffers_train_the_same_bits() {
+    let _turn = turn();
+    let place = Place::new(Room { views: 40, size: [64, 48], spacing: 8, priors: true, ..Room::default() });
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let mut s = Settings::default();
+    (s.geometry.steps, s.geometry.densify.until) = (40, 0.0);
+    let train = |limits: Limits| {
+        let device = open(limits);
+        let mut training = Geometry::new(&device, &scene, &s, None).unwrap();
+        training.train(40, |_| {}, || true).unwrap();
+        let splats = training.splats().unwrap();
+        drop(training);
+        assert_eq!(device.messages().take(), Vec::<String>::new());
+        splats
+    };
+    // The photographs of all 30 training views take 360 KiB.
+    let split = train(Limits { storage_range: 300 << 10, ..Default::default() });
+    assert!(split == train(Limits::default()), "the parameters differ");
 }

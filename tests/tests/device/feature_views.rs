@@ -238,14 +238,8 @@ impl Case {
         project_bwd_adam(&mut g, &t, &train.screen, &handles, &visible, &sums, &fused).unwrap();
         let moments = handles.moments.unwrap();
         let step = train.screen.step;
-        let rest = AdamUnseen {
-            step,
-            flags: raised,
-            seen,
-            extra: Some(extra),
-            sparse: !self.dense,
-            skipped: skipped[1],
-        };
+        let rest =
+            AdamUnseen { step, flags: raised, seen, extra: Some(extra), sparse: !self.dense, skipped: skipped[1] };
         adam_unseen(&mut g, &t, &handles, &moments, &rest).unwrap();
         let of_features = Adam {
             step,

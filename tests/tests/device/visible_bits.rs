@@ -77,14 +77,14 @@ impl Case {
         let (step, work, parameters, inputs) = self.declare(&mut g);
         let visible_bits = g.external("visible_bits", (BLOCKS * WORKGROUP / 8) as u64);
         let block_counts = g.external("block_counts", 4 * BLOCKS as u64);
-        let bindings = project_count::Bindings {
-            params: step,
-            gaussians: work,
-            parameters,
-            visible_bits,
-            block_counts,
+        let bindings =
+            project_count::Bindings { params: step, gaussians: work, parameters, visible_bits, block_counts };
+        let specs = project_count::Specs {
+            workgroup: t.workgroup,
+            subgroup: t.subgroup_size,
+            columns: MODEL.columns(),
+            ..Default::default()
         };
-        let specs = project_count::Specs { workgroup: t.workgroup, subgroup: t.subgroup_size, columns: MODEL.columns(), ..Default::default() };
         let bound = bindings.entries().map(|(name, buffer)| (name, buffer.into()));
         stage(&mut g, "project_count", &project_count::KERNEL, bound, specs.entries(), &[])
             .subgroup_size(Some(t.subgroup_size))

@@ -1,5 +1,7 @@
 //! Training views on the GPU: packed photographs and normal priors, and their cameras.
-//! Photographs and priors of all views are stored consecutively.
+//!
+//! Photographs and priors of all views are stored consecutively. If they exceed what a device binds at once, they take
+//! several buffers of equal size.
 
 use crate::error::{Requirement, Result};
 use rayon::prelude::*;
@@ -10,14 +12,22 @@ use sgs_scene::{Image, Scene};
 
 /// Training views in device memory.
 pub struct TrainingData {
+    /// Photographs and priors; at least one part.
+    pub parts: Vec<Photographs>,
+    /// Camera of each training view, and its first pixel in its part, in the order of the split.
+    pub views: Vec<(Camera, u32)>,
+    /// Part of each view.
+    pub part_of: Vec<usize>,
+    /// Upper bounds of the width and height of all views.
+    pub largest: [u32; 2],
+}
+
+/// Photographs and priors of some views.
+pub struct Photographs {
     /// Photographs, RGBA8. Alpha is 0 at invalid pixels.
     pub targets: DeviceBuffer,
     /// Normal priors, if any training view has one.
     pub normals: Option<DeviceBuffer>,
-    /// Camera and first pixel of each training view, in the order of the split.
-    pub views: Vec<(Camera, u32)>,
-    /// Upper bounds of the width and height of all views.
-    pub largest: [u32; 2],
 }
 
 /// Training views on the host, packed for upload.
@@ -25,6 +35,7 @@ pub(crate) struct Packed {
     images: Vec<Vec<u32>>,
     normals: Option<Vec<Vec<u32>>>,
     views: Vec<(Camera, u32)>,
+    part_of: Vec<usize>,
     /// Upper bounds of the width and height of all views.
     pub largest: [u32; 2],
 }
@@ -35,7 +46,7 @@ impl Packed {
         let train = &scene.split.train;
         let pack = |&i: &usize| Ok(pack_image(&scene.load_image(i)?, scene.load_mask(i)?.as_ref()));
         let images: Vec<Vec<u32>> = train.par_iter().map(pack).collect::<Result<_>>()?;
-        let mut packed = Packed { images, normals: None, views: Vec::new(), largest: [1, 1] };
+        let mut packed = Packed { images, normals: None, views: Vec::new(), part_of: Vec::new(), largest: [1, 1] };
         let mut offset = 0_u64;
         for &i in train {
             packed.add(camera(&scene.views[i].camera), &mut offset)?;
@@ -62,7 +73,7 @@ impl Packed {
     /// Packs display-referred images that are no photographs, with their cameras.
     pub fn of(renderings: &[(&sgs_scene::Camera, Image)]) -> Result<Packed> {
         let images = renderings.par_iter().map(|(_, image)| pack_image(image, None)).collect();
-        let mut packed = Packed { images, normals: None, views: Vec::new(), largest: [1, 1] };
+        let mut packed = Packed { images, normals: None, views: Vec::new(), part_of: Vec::new(), largest: [1, 1] };
         let mut offset = 0_u64;
         for (c, _) in renderings {
             packed.add(camera(c), &mut offset)?;
@@ -77,7 +88,30 @@ impl Packed {
         let first = u32::try_from(*offset).map_err(|_| many)?;
         *offset += u64::from(c.size[0]) * u64::from(c.size[1]);
         self.views.push((c, first));
+        self.part_of.push(0);
         Ok(())
+    }
+
+    /// Distributes the views over parts of at most `most` bytes, of about equal size. A larger photograph has a part of
+    /// its own.
+    pub fn split(&mut self, most: u64) {
+        let of = |image: &Vec<u32>| 4 * image.len() as u64;
+        let total = bytes(&self.images);
+        let largest = self.images.iter().map(of).max().unwrap_or(0);
+        let full = most.min(total.div_ceil(total.div_ceil(most.max(1)).max(1)) + largest);
+        let (mut part, mut used) = (0, 0);
+        for ((view, part_of), image) in self.views.iter_mut().zip(&mut self.part_of).zip(&self.images) {
+            if used > 0 && total > most && used + of(image) > full {
+                (part, used) = (part + 1, 0);
+            }
+            (view.1, *part_of) = ((used / 4) as u32, part);
+            used += of(image);
+        }
+    }
+
+    /// Returns the number of parts.
+    pub fn parts(&self) -> usize {
+        self.part_of.last().map_or(1, |last| last + 1)
     }
 
     /// Returns the normal priors, by training view.
@@ -106,21 +140,39 @@ impl Packed {
         self.images.par_iter().map(|image| crate::divergence::plain(image)).collect()
     }
 
-    /// Returns the number of bytes of the photographs.
+    /// Returns the number of bytes of the photographs of the largest part.
     pub fn image_bytes(&self) -> u64 {
-        bytes(&self.images)
+        let mut sizes = vec![0; self.parts()];
+        for (part, image) in self.part_of.iter().zip(&self.images) {
+            sizes[*part] += 4 * image.len() as u64;
+        }
+        sizes.into_iter().max().unwrap_or(0)
     }
 
-    /// Returns the number of bytes of the normal priors, if there are any.
+    /// Returns the number of bytes of the normal priors of the largest part, if there are any.
     pub fn normal_bytes(&self) -> Option<u64> {
-        self.normals.as_deref().map(bytes)
+        self.normals.as_ref().map(|_| self.image_bytes())
     }
 
     /// Uploads photographs and priors to the device.
     pub fn upload(self, device: &Device) -> Result<TrainingData> {
-        let targets = upload(device, "targets", &self.images)?;
-        let normals = self.normals.map(|maps| upload(device, "normal_priors", &maps)).transpose()?;
-        Ok(TrainingData { targets, normals, views: self.views, largest: self.largest })
+        let size = self.image_bytes();
+        let part = |name: &str, images: &[Vec<u32>], part: usize| -> Result<DeviceBuffer> {
+            let buffer = device.buffer(name, size, Location::Device)?;
+            let mut offset = 0;
+            for (image, _) in images.iter().zip(&self.part_of).filter(|(_, of)| **of == part) {
+                device.upload(&buffer, offset, bytemuck::cast_slice(image))?;
+                offset += 4 * image.len() as u64;
+            }
+            Ok(buffer)
+        };
+        let mut parts = Vec::new();
+        for k in 0..self.parts() {
+            let targets = part("targets", &self.images, k)?;
+            let normals = self.normals.as_ref().map(|maps| part("normal_priors", maps, k)).transpose()?;
+            parts.push(Photographs { targets, normals });
+        }
+        Ok(TrainingData { parts, views: self.views, part_of: self.part_of, largest: self.largest })
     }
 }
 
@@ -130,7 +182,14 @@ impl TrainingData {
     /// # Errors
     /// If an image or prior cannot be read, or memory runs out.
     pub fn load(device: &Device, scene: &Scene, normals: bool) -> Result<TrainingData> {
-        Packed::read(scene, normals)?.upload(device)
+        let mut packed = Packed::read(scene, normals)?;
+        packed.split(device.info().largest_binding());
+        packed.upload(device)
+    }
+
+    /// Returns the photographs and priors of a view's part.
+    pub fn part(&self, view: usize) -> &Photographs {
+        &self.parts[self.part_of[view]]
     }
 }
 
@@ -138,12 +197,35 @@ fn bytes(parts: &[Vec<u32>]) -> u64 {
     4 * parts.iter().map(|p| p.len() as u64).sum::<u64>()
 }
 
-fn upload(device: &Device, name: &str, parts: &[Vec<u32>]) -> Result<DeviceBuffer> {
-    let buffer = device.buffer(name, bytes(parts), Location::Device)?;
-    let mut offset = 0;
-    for part in parts {
-        device.upload(&buffer, offset, bytemuck::cast_slice(part))?;
-        offset += 4 * part.len() as u64;
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn packed(sizes: &[usize]) -> Packed {
+        let images = sizes.iter().map(|size| vec![0; *size]).collect();
+        let views = vec![(Camera::default(), 0); sizes.len()];
+        Packed { images, normals: None, views, part_of: vec![0; sizes.len()], largest: [1, 1] }
     }
-    Ok(buffer)
+
+    #[test]
+    fn parts_hold_all_views_within_the_limit() {
+        for (sizes, most, parts, largest) in [
+            (vec![10; 6], 240, 1, 240),
+            (vec![10; 6], 239, 2, 160),
+            (vec![10; 6], 40, 6, 40),
+            (vec![10; 7], 100, 4, 80),
+            (vec![3, 50, 3, 3], 100, 3, 200),
+            (vec![], 100, 1, 0),
+        ] {
+            let mut data = packed(&sizes);
+            data.split(most);
+            assert_eq!((data.parts(), data.image_bytes()), (parts, largest), "{sizes:?} {most}");
+            // Views of a part follow one another.
+            let mut next = vec![0; parts];
+            for (i, size) in sizes.iter().enumerate() {
+                assert_eq!(data.views[i].1, next[data.part_of[i]]);
+                next[data.part_of[i]] += *size as u32;
+            }
+        }
+    }
 }

@@ -28,7 +28,7 @@ mod transport;
 mod uniforms;
 
 pub use correspondence::Correspondence;
-pub use data::TrainingData;
+pub use data::{Photographs, TrainingData};
 pub use decision::Decision;
 pub use divergence::RollBack;
 pub use error::{Requirement, Result, TrainError};

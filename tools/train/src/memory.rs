@@ -10,7 +10,7 @@ use serde::Serialize;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, PSEUDO_VIEWS, Status};
-use sgs_passes::scene::{Decoder, Layout};
+use sgs_passes::scene::{Decoder, Group, Layout};
 
 /// Bytes of device memory by purpose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -56,13 +56,14 @@ impl Needs {
     ) -> Result<Needs> {
         let plan = GeometryStep::plan(tuning, layout, inputs, options)?;
         let densify = if layout.statistics { DensifyStep::plan(tuning, layout)?.arena_bytes } else { 0 };
-        // The largest transfer is either a parameter group's moments or one kind of input data.
-        let widest = layout.model.groups().map(|g| 8 * u64::from(g.width())).max().unwrap_or(0);
+        // The largest transfer is the Gaussians' columns, their features' moments, or one kind of input data.
+        let pairs = if layout.model.semantics { 8 * u64::from(Group::Semantics.width()) } else { 0 };
+        let widest = layout.model.column_bytes(layout.capacity).max(pairs * u64::from(layout.capacity));
         let data = inputs.targets.max(inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES));
-        let largest = data.max(inputs.normals.unwrap_or(0)).max(widest * u64::from(layout.capacity));
+        let largest = data.max(inputs.normals.unwrap_or(0)).max(widest);
         Ok(Needs {
-            photographs: inputs.targets,
-            priors: inputs.normals.unwrap_or(0),
+            photographs: inputs.targets * inputs.parts.max(1),
+            priors: inputs.normals.unwrap_or(0) * inputs.parts.max(1),
             semantics: inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES),
             // Known once the regions are loaded.
             regions: 0,

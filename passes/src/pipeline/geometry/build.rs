@@ -11,7 +11,9 @@ use crate::loss::{
     GeometryLoss, Photometric, SemanticLoss, decoder_gradient, geometry_loss, loss_sum, photometric, photometric_bwd,
     photometric_bwd_in_place, semantic_loss, semantic_prepare, semantic_sum, wanted_samples,
 };
-use crate::optim::{Adam, AdamUnseen, EPSILON, Rate, adam as adam_pass, adam_unseen, adam_unseen_features, decoder_step};
+use crate::optim::{
+    Adam, AdamUnseen, EPSILON, Rate, adam as adam_pass, adam_unseen, adam_unseen_features, decoder_step,
+};
 use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
 use crate::scene::{AUGMENTED, EMBEDDING, FEATURES, Group, Handles};

@@ -45,6 +45,8 @@ pub struct SemanticInputs<'a> {
 pub struct InputSizes {
     /// Bytes of the photographs.
     pub targets: u64,
+    /// Number of buffers of photographs, of which a step binds one, and as many of priors. 0 is one.
+    pub parts: u64,
     /// Bytes of the normal priors.
     pub normals: Option<u64>,
     /// Sizes of the semantic inputs.
@@ -90,6 +92,7 @@ impl Inputs<'_> {
     pub fn sizes(&self) -> InputSizes {
         InputSizes {
             targets: self.targets.bytes(),
+            parts: 1,
             normals: self.normals.map(DeviceBuffer::bytes),
             semantics: self.semantics.map(|s| SemanticSizes {
                 samples: s.features.bytes() / ROW,

@@ -15,7 +15,7 @@ use crate::scene::{Gaussians, Handles, Layout};
 use crate::splat::{BackwardKernel, Channels, Statistic};
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph, Plan};
-use sgs_engine::{Device, Result, Ticket};
+use sgs_engine::{Device, DeviceBuffer, Result, Ticket};
 use std::sync::Arc;
 
 /// Number of pseudo-views of a step.
@@ -63,6 +63,7 @@ pub struct GeometryOptions {
 pub struct GeometryStep {
     exec: Executor,
     steps: Steps,
+    inputs: InputHandles,
     tile: [u32; 2],
     options: GeometryOptions,
 }
@@ -90,7 +91,21 @@ impl GeometryStep {
         gaussians.bind(&mut exec, &declared.gaussians)?;
         status.bind(&mut exec, &declared.status)?;
         declared.inputs.bind(&mut exec, inputs)?;
-        Ok(GeometryStep { exec, steps: declared.steps, tile: tuning.tile, options })
+        let (steps, inputs) = (declared.steps, declared.inputs);
+        Ok(GeometryStep { exec, steps, inputs, tile: tuning.tile, options })
+    }
+
+    /// Binds the photographs of the next steps, for scenes whose photographs take several buffers. Those that were used
+    /// before are not recorded again. `normals` are the priors of the same views.
+    ///
+    /// # Errors
+    /// If a buffer is smaller than the one that the step was built with.
+    pub fn use_photographs(&mut self, targets: &DeviceBuffer, normals: Option<&DeviceBuffer>) -> Result<()> {
+        self.exec.alternate(self.inputs.targets, targets)?;
+        match (self.inputs.normals, normals) {
+            (Some(handle), Some(normals)) => self.exec.alternate(handle, normals),
+            _ => Ok(()),
+        }
     }
 
     /// Compiles the plan of a step without allocating it, to estimate its cost.

@@ -146,11 +146,8 @@ fn declare(
     // The pass writes gradients of visible Gaussians only.
     g.fill("clear_gradients", parameters, 0)?;
     let pose = g.external("pose", 48);
-    let into = Gradients {
-        parameters,
-        means2d: g.external("means2d", 8 * u64::from(gaussians.capacity)),
-        pose: Some(pose),
-    };
+    let into =
+        Gradients { parameters, means2d: g.external("means2d", 8 * u64::from(gaussians.capacity)), pose: Some(pose) };
     project_bwd(g, t, &screen, &handles, &visible, &sums, &into)?;
     g.copy("copy_wanted", entries.wanted, wanted)?;
     // The screen-space gradients are bound like the others, and read by nobody.

@@ -86,7 +86,7 @@ impl Geometry {
         self.rebuild()?;
         for step in 1..=5 {
             let values = self.values(step);
-            self.exec()?.submit(&values)?;
+            self.exec_of(step)?.submit(&values)?;
         }
         self.exec()?.finish()?;
         let times = self.take_times();

@@ -208,7 +208,7 @@ impl Geometry {
         for &view in &views {
             let (camera, first) = self.data.views[view];
             let bytes = 4 * u64::from(camera.size[0]) * u64::from(camera.size[1]);
-            let photo = device.download(&self.data.targets, 4 * u64::from(first), bytes)?;
+            let photo = device.download(&self.data.part(view).targets, 4 * u64::from(first), bytes)?;
             for (degree, psnr) in (0..).zip(&mut psnr) {
                 let background = self.settings.geometry.background;
                 let rendered = renderer.render(&self.gaussians, &camera, degree, background)?;

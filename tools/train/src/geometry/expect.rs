@@ -58,7 +58,7 @@ impl Geometry {
         let share = 1.0 / views.max(1) as f64;
         for step in (1..).take(views) {
             let values = self.values(step);
-            self.exec()?.submit(&values)?;
+            self.exec_of(step)?.submit(&values)?;
             self.exec()?.finish()?;
             let report = self.status.report(step)?;
             let [width, height] = self.data.views[self.schedule.view(step)].0.size;

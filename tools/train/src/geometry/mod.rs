@@ -175,10 +175,12 @@ impl Geometry {
         }
         let wants_views = g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
-        let (data, maps) = source.read(wants_normals, wants_semantics)?;
+        let (mut data, maps) = source.read(wants_normals, wants_semantics)?;
+        data.split(device.info().largest_binding());
         maps.iter().try_for_each(|maps| maps.check(device))?;
         let inputs = InputSizes {
             targets: data.image_bytes(),
+            parts: data.parts() as u64,
             normals: data.normal_bytes(),
             semantics: maps.as_ref().map(SemanticMaps::sizes),
             ..Default::default()
@@ -221,12 +223,13 @@ impl Geometry {
         let budget = device.budget();
         let of = |layout: &Layout| Needs::of(device, &tuning, layout, &inputs, &options);
         let first = of(&layout)?;
-        let views = limits::Remedy::Views { views: data.views().len(), scale: settings.scale };
+        let of_views = |views| limits::Remedy::Views { views, scale: settings.scale };
+        let (views, one) = (of_views(data.views().len()), of_views(1));
         limits::check(
             device.info(),
             &[
-                limits::Single::bound("photographs", inputs.targets, views),
-                limits::Single::bound("normal priors", inputs.normals.unwrap_or(0), views),
+                limits::Single::bound("pixels of a photograph", inputs.targets, one),
+                limits::Single::bound("normal priors of a view", inputs.normals.unwrap_or(0), one),
                 limits::Single::bound("semantic features", inputs.semantics.map_or(0, |s| s.feature_bytes()), views),
                 limits::Single::buffer("intermediate results of a step", first.arena, limits::Remedy::Step),
             ],
@@ -386,11 +389,11 @@ impl Geometry {
         }
         let mut values = self.values(step);
         if !due || self.correspondence.is_none() {
-            self.exec()?.submit(&values)?;
+            self.exec_of(step)?.submit(&values)?;
         } else {
             let pseudo = self.pseudo_views(&mut values)?;
             match pseudo {
-                Some(pseudo) => self.exec()?.submit_views(&values, &pseudo)?,
+                Some(pseudo) => self.exec_of(step)?.submit_views(&values, &pseudo)?,
                 None => {
                     // The provider has failed and training may continue without it.
                     self.correspondence = None;
@@ -441,8 +444,8 @@ impl Geometry {
     fn rebuild(&mut self) -> Result<()> {
         self.forget_steps();
         let mut inputs = Inputs {
-            targets: &self.data.targets,
-            normals: self.data.normals.as_ref(),
+            targets: &self.data.parts[0].targets,
+            normals: self.data.parts[0].normals.as_ref(),
             semantics: self.semantics.as_ref().map(|(data, decoder)| data.inputs(decoder)),
             regions: None,
             pseudo_regions: None,
@@ -461,6 +464,18 @@ impl Geometry {
             self.rebuild()?;
         }
         Ok(self.exec.as_mut().expect("invariant: rebuild creates the step"))
+    }
+
+    /// Returns the executor with the photographs of a step's view.
+    fn exec_of(&mut self, step: u32) -> Result<&mut GeometryStep> {
+        let view = self.view(step);
+        self.exec()?;
+        let exec = self.exec.as_mut().expect("invariant: exec() creates the step");
+        if self.data.parts.len() > 1 {
+            let part = self.data.part(view);
+            exec.use_photographs(&part.targets, part.normals.as_ref())?;
+        }
+        Ok(exec)
     }
 
     /// Runs the work between steps: trial of bands, densification and reset of opacities.

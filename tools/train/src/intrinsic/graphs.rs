@@ -61,7 +61,7 @@ impl Intrinsic {
             stored: self.environment_updates.as_ref().map(EnvironmentUpdates::stored),
             traced: self.traced.as_ref(),
             transport: self.room.as_ref().map(|room| &room.memory).or(self.planned_room.as_ref()),
-            targets: &self.data.targets,
+            targets: &self.data.parts[0].targets,
             albedo: self.priors.albedo.as_ref(),
             roughness: self.priors.roughness.as_ref(),
             metallic: self.priors.metallic.as_ref(),
