@@ -8,6 +8,16 @@ use sgs_emulator::{Emulator, Run, Schedule};
 use sgs_engine::graph::{Buffer, Plan};
 use std::io::Write;
 
+/// Races on buffers that change no result: kernel and buffer.
+///
+/// * `blend_features_bwd`: lanes past the end of a list read the flag of its last entry, which another lane of the
+///   subgroup writes later. They do not use it.
+/// * `semantic_samples`: lanes past the last sample read its row, which other lanes of the subgroup write later. They
+///   do not use it.
+/// * `visibility_encode_bwd`: a lane that reads an old word sets a bit that is set already.
+const TOLERATED: &[(&str, &str)] =
+    &[("blend_features_bwd", "entry_flags"), ("semantic_samples", "products"), ("visibility_encode_bwd", "touched")];
+
 /// Emulator behind a device of tests.
 pub(crate) struct Emulated {
     emulator: Emulator,
@@ -28,7 +38,12 @@ impl Emulated {
                     .unwrap_or_else(|_| panic!("SGS_TEST_ORDER is \"{seed}\"; use ascending, descending or a seed")),
             ),
         };
-        Some(Emulated { emulator: Emulator::default(), run: Run { lanes, schedule, replays: 1, races: true } })
+        Some(Emulated::new(lanes, schedule))
+    }
+
+    /// Returns an emulator of subgroups with this many lanes.
+    pub fn new(lanes: u32, schedule: Schedule) -> Emulated {
+        Emulated { emulator: Emulator::default(), run: Run { lanes, schedule, replays: 1, tolerated: TOLERATED } }
     }
 
     /// Runs a plan and returns the contents of its external buffers.
@@ -40,7 +55,9 @@ impl Emulated {
 }
 
 impl Drop for Emulated {
-    /// Appends the kernels that ran, with their lanes, to the file that `SGS_TEST_EMULATED_KERNELS` names.
+    /// Lists the kernels that ran, with their lanes.
+    ///
+    /// Appends them to the file that `SGS_TEST_EMULATED_KERNELS` names.
     fn drop(&mut self) {
         let Some(path) = std::env::var_os("SGS_TEST_EMULATED_KERNELS") else { return };
         let lines: String = self.emulator.ran().iter().map(|(kernel, lanes)| format!("{kernel} {lanes}\n")).collect();

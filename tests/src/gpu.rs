@@ -3,6 +3,7 @@
 use crate::emulated::Emulated;
 use crate::pool::{self, finished, leftovers};
 use crate::turn::{Share, Turn, turn};
+use sgs_emulator::Schedule;
 use sgs_engine::device::PipelineInfo;
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, BufferKind, CompileOptions, Graph};
@@ -96,6 +97,17 @@ impl Gpu {
     /// Returns the subgroup size of the device.
     pub fn subgroup_size(&self) -> u32 {
         self.device().info().subgroup_size
+    }
+
+    /// Runs `f` with this device while the emulator runs its graphs.
+    ///
+    /// The emulator has the subgroup size of the device.
+    pub fn emulating<T>(&mut self, schedule: Schedule, f: impl FnOnce(&Gpu) -> T) -> T {
+        let emulated = Emulated::new(self.subgroup_size(), schedule);
+        let before = self.emulated.replace(emulated);
+        let result = f(self);
+        self.emulated = before;
+        result
     }
 
     /// Runs a graph once.

@@ -27,6 +27,7 @@ pub mod photographs;
 pub mod place;
 mod pool;
 pub mod priors;
+pub mod program;
 pub mod random;
 pub mod regions;
 pub mod rooms;

@@ -5,9 +5,9 @@
 
 use sgs_tests::Gpu;
 use sgs_tests::cli::sgs_with;
-use std::path::{Path, PathBuf};
+use sgs_tests::program::program;
+use std::path::Path;
 use std::process::Command;
-use std::time::SystemTime;
 
 /// Width of lavapipe's vectors in bits, 32 for each lane. At 1024 it crashes.
 const WIDTH: &str = "512";
@@ -19,7 +19,7 @@ const DEFAULT: &[(&str, &[&str])] =
     &[("alone", &["subgroups::"]), ("device", &["visible_bits::", "splat::", "long_tiles::"])];
 
 /// Programs that need no device or open their own devices.
-const WITHOUT_DEVICE: &[&str] = &["docs", "lanes", "layers", "modules"];
+const WITHOUT_DEVICE: &[&str] = &["docs", "emulated", "lanes", "layers", "modules"];
 
 /// Returns the environment variables of a run at 16 lanes.
 ///
@@ -37,29 +37,6 @@ fn applies() -> bool {
         println!("skipped: these tests need lavapipe with 8 lanes");
     }
     applies
-}
-
-/// Returns the newest build of a test program. Builds the program if missing.
-fn program(name: &str) -> PathBuf {
-    let this = std::env::current_exe().unwrap();
-    let folder = this.parent().unwrap();
-    let found = || {
-        let files = std::fs::read_dir(folder).unwrap().flatten().filter(|file| {
-            let file = file.file_name();
-            let hash = file.to_str().and_then(|f| f.strip_prefix(name)?.strip_prefix('-'));
-            hash.is_some_and(|h| h.len() == 16 && h.bytes().all(|b| b.is_ascii_hexdigit()))
-        });
-        files
-            .max_by_key(|f| f.metadata().and_then(|m| m.modified()).unwrap_or(SystemTime::UNIX_EPOCH))
-            .map(|f| f.path())
-    };
-    found().unwrap_or_else(|| {
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let mut build = Command::new(cargo);
-        build.args(["test", "--quiet", "--locked", "--no-run", "-p", "sgs-tests", "--test", name]);
-        assert!(build.status().is_ok_and(|s| s.success()), "{name} could not be built");
-        found().unwrap_or_else(|| panic!("{name} was not found in {}", folder.display()))
-    })
 }
 
 /// Runs tests of a program at 16 lanes. If they fail, the error is the end of the output.

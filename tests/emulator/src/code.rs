@@ -6,10 +6,12 @@
 
 use crate::scalar::{Bin, Tri, Un};
 
-/// Register of all lanes: an index, with [`MASKED`] where only active lanes may be written.
+/// Index of a register of all lanes.
+///
+/// A destination has [`MASKED`] where only active lanes may be written.
 pub(crate) type Slot = u32;
 
-/// Flag of a destination that other blocks use, so that inactive lanes keep their value.
+/// Flag of a destination that other blocks use: inactive lanes keep their value.
 pub(crate) const MASKED: Slot = 1 << 31;
 
 /// Slot that stands for none.
@@ -95,6 +97,10 @@ pub(crate) enum Step {
     Store(Place, Slot),
     /// Result, place, value and comparator.
     Atomic(Atomic, Slot, Place, Slot, Slot),
+    /// Component of a texel: result, binding, coordinates and number of the component.
+    Texel(Slot, u32, [Slot; 2], u32),
+    /// Writes a texel: binding, coordinates and components.
+    SetTexel(u32, [Slot; 2], [Slot; 4]),
     /// Number of elements: binding, offset and stride.
     Length(Slot, u32, u32, u32),
     Group(Group, Slot, Slot, Slot),
@@ -173,7 +179,9 @@ impl Code {
         self.shared.last().map_or(0, |(first, words, _)| first + words)
     }
 
-    /// Sets [`MASKED`] on each destination that is written in several blocks or read in another one.
+    /// Sets [`MASKED`] on destinations that outlive their block.
+    ///
+    /// These are written in several blocks or read in another one.
     pub fn mask(&mut self) {
         let mut home = vec![u32::MAX; self.slots as usize];
         let mut escapes = vec![false; self.slots as usize];
@@ -217,9 +225,10 @@ impl Step {
             | Step::Load(d, _)
             | Step::Atomic(_, d, ..)
             | Step::Length(d, ..)
+            | Step::Texel(d, ..)
             | Step::Group(_, d, ..)
             | Step::Vote(_, d, ..) => Some(d).filter(|d| **d != NONE),
-            Step::Index(..) | Step::Store(..) | Step::Barrier(..) | Step::MemoryBarrier(_) => None,
+            Step::Index(..) | Step::Store(..) | Step::SetTexel(..) | Step::Barrier(..) | Step::MemoryBarrier(_) => None,
         }
     }
 
@@ -231,6 +240,8 @@ impl Step {
             Step::Load(_, p) => vec![p.at],
             Step::Store(p, a) => vec![p.at, a],
             Step::Atomic(_, _, p, a, b) => vec![p.at, a, b],
+            Step::Texel(_, _, [x, y], _) => vec![x, y],
+            Step::SetTexel(_, [x, y], [a, b, c, d]) => vec![x, y, a, b, c, d],
             Step::Vote(_, _, [a, b, c, d], e) => vec![a, b, c, d, e],
             Step::Length(..) | Step::Barrier(..) | Step::MemoryBarrier(_) => Vec::new(),
         }

@@ -43,6 +43,16 @@ pub enum Fault {
         /// Size of the binding.
         bytes: u64,
     },
+    /// A texel lies outside an image.
+    #[error("texel {at:?} of {memory}, which has {size:?}")]
+    Texel {
+        /// Image.
+        memory: String,
+        /// Coordinates.
+        at: [u32; 2],
+        /// Width and height.
+        size: [u32; 2],
+    },
     /// An index lies outside an array.
     #[error("index {index} of an array of {length}")]
     Index {
@@ -54,7 +64,7 @@ pub enum Fault {
     /// Not all invocations of a workgroup or subgroup reach a barrier.
     #[error("divergent barrier: {0}")]
     Barrier(String),
-    /// A shuffle or broadcast reads an inactive lane, or a broadcast reads several lanes.
+    /// A shuffle reads an inactive lane, or a broadcast also several lanes.
     #[error("{operation} of lane {lane} reads lane {from}, which is {why}")]
     Shuffle {
         /// Name of the operation.

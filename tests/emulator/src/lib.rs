@@ -23,7 +23,7 @@ pub use plan::{Emulator, Run};
 
 use code::Code;
 
-/// Order of workgroups, of the subgroups of a workgroup, and of the lanes of an atomic.
+/// Order of workgroups, of their subgroups, and of the lanes of an atomic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Schedule {
     /// Lowest first.
@@ -40,6 +40,9 @@ impl Schedule {
         if let Schedule::Shuffled(seed) = self { seed } else { 0 }
     }
 }
+
+/// Limit of steps that no kernel of a test reaches.
+pub const LIMIT: u64 = 20_000_000_000;
 
 /// Kernel with its specialization constants.
 #[derive(Debug)]
@@ -60,8 +63,10 @@ pub struct Dispatch<'a> {
     pub push: &'a [u8],
     /// Order of execution.
     pub schedule: Schedule,
-    /// Whether races on buffers are faults. Races on shared memory always are.
-    pub races: bool,
+    /// Buffers whose races are no faults, by name. Races on shared memory always are faults.
+    pub tolerated: &'a [&'a str],
+    /// Steps of all subgroups together after which the kernel counts as endless.
+    pub limit: u64,
 }
 
 impl Kernel {

@@ -1,6 +1,7 @@
 //! Memory of a dispatch: buffers and shared memory, with the accesses since the last barrier.
 
 use crate::fault::{Fault, Invocation};
+use sgs_engine::ImageFormat;
 
 /// Several invocations or subgroups.
 const MANY: u32 = u32::MAX;
@@ -37,22 +38,32 @@ pub(crate) struct Actor {
     pub order: Order,
 }
 
-/// Clocks that order accesses. An access of the same workgroup before `workgroup` happened before this one, and so did
-/// one of the same subgroup before `subgroup`.
+/// Clocks that order accesses. A write of the same workgroup before `workgroup` happened before this access, and so did
+/// one of the same subgroup before `subgroup`. Reads need only a barrier of execution.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Order {
     /// Clock at which the workgroup began.
     pub begin: u32,
-    /// Clock after the last barrier of the workgroup.
+    /// Clock after the last barrier of the workgroup with semantics for the memory.
     pub workgroup: u32,
-    /// Clock after the last barrier of the subgroup.
+    /// Clock after the last barrier of the subgroup with semantics for the memory.
     pub subgroup: u32,
+    /// Clocks after the last barriers of any semantics, of workgroup and subgroup.
+    pub executed: [u32; 2],
+}
+
+impl Order {
+    /// Returns the order against earlier reads.
+    fn of_reads(self) -> Order {
+        let [workgroup, subgroup] = self.executed;
+        Order { workgroup, subgroup, ..self }
+    }
 }
 
 impl Access {
     /// Returns whether the access happened before one of an actor, or is its own.
     fn before(&self, actor: &Actor) -> bool {
-        let Order { begin, workgroup, subgroup } = actor.order;
+        let Order { begin, workgroup, subgroup, .. } = actor.order;
         self.invocation == 0
             || self.invocation == actor.invocation
             || (self.time >= begin && self.time < workgroup)
@@ -150,27 +161,28 @@ impl Store {
             *cell = Cell { stamp, ..Cell::default() };
         }
         let mut race = None;
-        let mut against = |access: &Access| {
+        let reader = Actor { order: actor.order.of_reads(), ..*actor };
+        let mut against = |access: &Access, actor: &Actor| {
             if !access.before(actor) {
                 race = Some(Invocation(if access.invocation == MANY { MANY } else { access.invocation - 1 }));
             }
         };
         match kind {
             Kind::Read => {
-                against(&cell.written);
-                cell.read.join(actor, clock);
+                against(&cell.written, actor);
+                cell.read.join(&reader, clock);
             }
             Kind::Write => {
-                against(&cell.written);
-                against(&cell.read);
+                against(&cell.written, actor);
+                against(&cell.read, &reader);
                 (cell.written, cell.read, cell.atomic) = (Access::by(actor, clock), Access::default(), false);
             }
             Kind::Atomic => {
-                against(&cell.read);
+                against(&cell.read, &reader);
                 if cell.atomic {
                     cell.written.join(actor, clock);
                 } else {
-                    against(&cell.written);
+                    against(&cell.written, actor);
                     cell.written = Access::by(actor, clock);
                 }
                 (cell.read, cell.atomic) = (Access::default(), true);
@@ -191,6 +203,8 @@ pub struct Binding {
     pub offset: u64,
     /// Length in bytes.
     pub bytes: u64,
+    /// Size and format, if it is an image. Its texels are packed.
+    pub image: Option<([u32; 2], ImageFormat)>,
 }
 
 impl Binding {

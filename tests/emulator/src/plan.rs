@@ -1,10 +1,12 @@
 //! Runs compiled graphs.
 
+use crate::exec::encode;
 use crate::fault::Fault;
 use crate::memory::{Binding, Store};
 use crate::random::Random;
-use crate::{Dispatch, Kernel, Schedule};
-use sgs_engine::graph::{BufferKind, Dispatch as Groups, PassKind, Plan, Slice};
+use crate::{Dispatch, Kernel, LIMIT, Schedule};
+use sgs_engine::ImageFormat;
+use sgs_engine::graph::{BufferKind, Dispatch as Groups, Image, PassKind, Plan, Slice};
 use sgs_engine::shader::Shader;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -28,8 +30,8 @@ pub struct Run {
     pub schedule: Schedule,
     /// Number of replays.
     pub replays: usize,
-    /// Whether races on buffers are faults.
-    pub races: bool,
+    /// Races on buffers that are no faults: kernel and buffer.
+    pub tolerated: &'static [(&'static str, &'static str)],
 }
 
 /// Memory of a plan: the arena, then one for each external buffer and uniform.
@@ -37,15 +39,19 @@ struct Memory {
     stores: Vec<Store>,
     /// By buffer: memory and first byte.
     places: Vec<(usize, u64)>,
+    /// By buffer: size and format of an image.
+    images: Vec<Option<([u32; 2], ImageFormat)>>,
 }
 
 impl Memory {
     /// Creates memory with ones in every bit, except for inputs.
     fn new(plan: &Plan, inputs: &[(usize, &[u8])]) -> Memory {
         let ones = |bytes: u64| Store::new(vec![u32::MAX; bytes.div_ceil(4) as usize]);
-        let mut memory = Memory { stores: vec![ones(plan.arena_bytes)], places: Vec::new() };
+        let images = plan.buffers.iter().map(|info| info.image.map(|image| (image.size, image.format))).collect();
+        let mut memory = Memory { stores: vec![ones(plan.arena_bytes)], places: Vec::new(), images };
         for (index, info) in plan.buffers.iter().enumerate() {
-            if info.kind == BufferKind::Transient {
+            // Each image has memory of its own, although images share some on a device.
+            if info.kind == BufferKind::Transient && info.image.is_none() {
                 memory.places.push((0, plan.placements[index].unwrap_or(0)));
                 continue;
             }
@@ -62,7 +68,14 @@ impl Memory {
 
     fn binding(&self, number: u32, slice: &Slice) -> Binding {
         let (store, base) = self.places[slice.buffer.index()];
-        Binding { number, store, offset: base + slice.offset, bytes: slice.bytes }
+        let image = self.images[slice.buffer.index()];
+        Binding { number, store, offset: base + slice.offset, bytes: slice.bytes, image }
+    }
+
+    /// Returns the words of an image.
+    fn image(&mut self, image: Image) -> &mut [u32] {
+        let (store, _) = self.places[image.index()];
+        self.stores[store].words_mut()
     }
 
     /// Returns the words of a slice.
@@ -126,8 +139,10 @@ impl Emulator {
                 };
                 let kernel = self.kernel(shader, specs).map_err(|f| f.within(&shader.name))?;
                 let bindings: Vec<Binding> = bindings.iter().map(|(n, slice)| memory.binding(*n, slice)).collect();
-                let Run { schedule, races, .. } = run;
-                let dispatch = Dispatch { lanes, groups, bindings: &bindings, push, schedule, races };
+                let tolerated: Vec<&str> =
+                    run.tolerated.iter().filter(|(kernel, _)| *kernel == shader.name).map(|(_, b)| *b).collect();
+                let (schedule, tolerated) = (run.schedule, &tolerated[..]);
+                let dispatch = Dispatch { lanes, groups, bindings: &bindings, push, schedule, tolerated, limit: LIMIT };
                 kernel.run(&mut memory.stores, &dispatch, stamp).map_err(|f| f.within(&shader.name))?;
                 let mut ran = self.ran.lock().unwrap_or_else(PoisonError::into_inner);
                 ran.insert((shader.name.to_string(), lanes));
@@ -137,8 +152,19 @@ impl Emulator {
                 let words = memory.words(source).to_vec();
                 memory.words(target).copy_from_slice(&words);
             }
-            PassKind::CopyToImage { .. } | PassKind::CopyFromImage { .. } | PassKind::ClearImage { .. } => {
-                return Err(Fault::missing("images".to_owned()));
+            PassKind::CopyToImage { source, target } => {
+                let words = memory.words(source).to_vec();
+                memory.image(*target).copy_from_slice(&words);
+            }
+            PassKind::CopyFromImage { source, target } => {
+                let words = memory.image(*source).to_vec();
+                memory.words(target).copy_from_slice(&words);
+            }
+            PassKind::ClearImage { target, value } => {
+                if let Some((_, format)) = memory.images[target.index()] {
+                    let texel = encode(format, *value)?;
+                    memory.image(*target).chunks_mut(texel.len()).for_each(|t| t.copy_from_slice(&texel));
+                }
             }
         }
         Ok(())

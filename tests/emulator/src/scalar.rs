@@ -13,7 +13,7 @@ macro_rules! operations {
             pub fn of(op: Op) -> Option<$name> {
                 match op { $($(Op::$op => Some($name::$variant),)?)* _ => None }
             }
-            /// Returns the operation of an instruction of `GLSL.std.450` that works on each component.
+            /// Returns the operation of a `GLSL.std.450` instruction by component.
             pub fn glsl(op: GLOp) -> Option<$name> {
                 match op { $($(GLOp::$gl => Some($name::$variant),)?)* _ => None }
             }
@@ -166,7 +166,15 @@ pub(crate) fn un<const N: usize>(op: Un, a: &Lanes<N>) -> Lanes<N> {
     }
 }
 
-/// Returns whether an operation of two operands is undefined.
+impl Bin {
+    /// Returns whether the operation is undefined for some operands.
+    pub fn is_partial(self) -> bool {
+        matches!(self, Bin::UDiv | Bin::UMod | Bin::SDiv | Bin::SRem | Bin::SMod)
+            || matches!(self, Bin::ShiftLeft | Bin::ShiftRight | Bin::ShiftRightSigned)
+    }
+}
+
+/// Returns whether an operation is undefined for two operands.
 pub(crate) fn undefined(op: Bin, a: u32, b: u32) -> bool {
     match op {
         Bin::UDiv | Bin::UMod => b == 0,
@@ -208,7 +216,7 @@ pub(crate) fn bin<const N: usize>(op: Bin, a: &Lanes<N>, b: &Lanes<N>) -> Lanes<
         Bin::SGreaterEqual => signed(a, b, |x, y| i32::from(x >= y)),
         Bin::FEqual => truth(a, b, |x, y| x == y),
         Bin::FNotEqual => truth(a, b, |x, y| x != y),
-        Bin::FOrdNotEqual => truth(a, b, |x, y| x < y || x > y),
+        Bin::FOrdNotEqual => truth(a, b, |x, y| x != y && !x.is_nan() && !y.is_nan()),
         Bin::FLess => truth(a, b, |x, y| x < y),
         Bin::FLessEqual => truth(a, b, |x, y| x <= y),
         Bin::FGreater => truth(a, b, |x, y| x > y),

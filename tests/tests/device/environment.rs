@@ -449,21 +449,18 @@ fn sums_do_not_depend_on_order_or_groups() {
     assert!(run(&gpu, &gpu.tuning(), &Case { merge: true, ..case }).texel_sums == apart);
 }
 
+/// Returns a case with a smoothness term and without gradients of pixels.
+fn smooth<'a>(e: &'a Environment, texels: &'a [f32], pixels: &'a [Pixel]) -> Case<'a> {
+    Case { e, texels, pixels, gradient: &[0.0; 3], smooth: true, metallic: false, merge: false }
+}
+
 #[test]
 fn smoothness_is_the_mean_over_the_map_with_its_gradient() {
     let gpu = Gpu::new();
     let e = made(16);
     let texels = room(&e, 21);
     let pixels = [Pixel { coverage: 0.0, ..pixel(&mut Pcg::new(1), 0.5, 0.5) }];
-    let case = Case {
-        e: &e,
-        texels: &texels,
-        pixels: &pixels,
-        gradient: &[0.0; 3],
-        smooth: true,
-        metallic: false,
-        merge: false,
-    };
+    let case = smooth(&e, &texels, &pixels);
     let found = run(&gpu, &gpu.tuning(), &case);
     let value = |x: &[f64]| {
         let texels = x.chunks(3).map(|c| [c[0], c[1], c[2]]).collect();
@@ -477,10 +474,16 @@ fn smoothness_is_the_mean_over_the_map_with_its_gradient() {
         let is = f64::from(found.texels[i]);
         assert!((slope - is).abs() < 1e-4 * slope.abs() + 1e-5 * f64::from(largest), "{i}: {slope} {is}");
     }
-    // Smoothness of the finest cubes is measured at their own resolution. Every texel of the map gets a gradient.
+}
+
+/// Tests the finest cubes: smoothness is measured at their own resolution, and every texel of the map gets a gradient.
+#[test]
+fn smoothness_of_the_finest_cubes_has_their_resolution() {
+    let gpu = Gpu::new();
     let e = made(512);
     let texels = room(&e, 22);
-    let case = Case { e: &e, texels: &texels, ..case };
+    let pixels = [Pixel { coverage: 0.0, ..pixel(&mut Pcg::new(1), 0.5, 0.5) }];
+    let case = smooth(&e, &texels, &pixels);
     let found = run(&gpu, &gpu.tuning(), &case);
     let cube = Cube::from_floats(512, &texels);
     let whole = reference::smoothness(&cube, MAP);

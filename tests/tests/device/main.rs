@@ -6,6 +6,7 @@ mod correspondence;
 mod decoder;
 mod densify;
 mod densify_statistic;
+mod emulator;
 mod environment;
 mod environment_properties;
 mod extremes;

@@ -1,7 +1,10 @@
 //! Execution: workgroups one after the other, their subgroups from barrier to barrier.
 
 mod group;
+mod image;
 mod subgroup;
+
+pub(crate) use image::encode;
 
 use crate::code::{BuiltIn, Code, MASKED, NONE};
 use crate::fault::Fault;
@@ -10,9 +13,6 @@ use crate::random::Random;
 use crate::scalar::Lanes;
 use crate::{Dispatch, Schedule};
 use subgroup::{Stop, Subgroup};
-
-/// Steps of a dispatch after which a kernel counts as endless.
-const FUEL: u64 = 20_000_000_000;
 
 /// Semantics of barriers that order buffers: `UniformMemory`.
 const BUFFERS: u32 = 0x40;
@@ -36,7 +36,8 @@ pub(super) struct Machine<'a> {
     pub fuel: u64,
     pub schedule: Schedule,
     pub random: Random,
-    pub races: bool,
+    /// By binding: whether its races are no faults.
+    pub tolerated: Vec<bool>,
 }
 
 impl<'a> Machine<'a> {
@@ -59,10 +60,10 @@ impl<'a> Machine<'a> {
             workgroup_stamp: 0,
             stamp,
             clock: 1,
-            fuel: FUEL,
+            fuel: dispatch.limit,
             schedule: dispatch.schedule,
             random: Random::new(dispatch.schedule.seed()),
-            races: dispatch.races,
+            tolerated: code.binding_names.iter().map(|name| dispatch.tolerated.contains(&name.as_str())).collect(),
         })
     }
 
@@ -93,7 +94,7 @@ impl<'a> Machine<'a> {
         order
     }
 
-    /// Creates the subgroups of a workgroup with everything that is the same in all workgroups.
+    /// Creates the subgroups of a workgroup with what all workgroups share.
     fn subgroups<const N: usize>(&self, groups: [u32; 3]) -> Vec<Subgroup<N>> {
         let size = self.code.local_size;
         let invocations = size.iter().product::<u32>();
@@ -160,7 +161,7 @@ impl<'a> Machine<'a> {
                 s.registers[first as usize..(first + count) as usize].fill([u32::MAX; N]);
             }
             let first = index * size.iter().product::<u32>() + s.number * N as u32;
-            let order = Order { begin: self.clock, workgroup: 0, subgroup: 0 };
+            let order = Order { begin: self.clock, ..Order::default() };
             s.restart(first, index * total + s.number, order);
         }
     }
@@ -186,6 +187,7 @@ impl<'a> Machine<'a> {
             for s in subgroups.iter_mut() {
                 let semantics = semantics | s.fences;
                 s.fences = 0;
+                (s.shared.executed[0], s.buffers.executed[0]) = (self.clock, self.clock);
                 if semantics & SHARED != 0 {
                     s.shared.workgroup = self.clock;
                 }

@@ -4,7 +4,7 @@ use super::{BUFFERS, Machine, SHARED, at, offset};
 use crate::code::{Atomic, Edge, End, MASKED, NONE, Place, Slot, Space, Step};
 use crate::fault::{Fault, Invocation};
 use crate::memory::{Actor, Kind, Order};
-use crate::scalar::{self, Bin, Lanes, Un};
+use crate::scalar::{self, Lanes, Un};
 
 /// Reason why a subgroup stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -170,6 +170,7 @@ impl Machine<'_> {
         let semantics = semantics | s.fences;
         s.fences = 0;
         self.clock += 1;
+        (s.shared.executed[1], s.buffers.executed[1]) = (self.clock, self.clock);
         if semantics & SHARED != 0 {
             s.shared.subgroup = self.clock;
         }
@@ -190,12 +191,10 @@ impl Machine<'_> {
             }
             Step::Bin(op, d, a, b) => {
                 let (a, b) = (at(&s.registers, a), at(&s.registers, b));
-                if matches!(op, Bin::UDiv | Bin::UMod | Bin::SDiv | Bin::SRem | Bin::SMod)
-                    || matches!(op, Bin::ShiftLeft | Bin::ShiftRight | Bin::ShiftRightSigned)
+                if op.is_partial()
+                    && let Some(l) = lanes(mask).find(|l| scalar::undefined(op, a[*l], b[*l]))
                 {
-                    if let Some(l) = lanes(mask).find(|l| scalar::undefined(op, a[*l], b[*l])) {
-                        return Err(Fault::Arithmetic(format!("{op:?} of {} and {}", a[l], b[l])));
-                    }
+                    return Err(Fault::Arithmetic(format!("{op:?} of {} and {}", a[l], b[l])));
                 }
                 s.put(d, scalar::bin(op, &a, &b), mask);
             }
@@ -219,6 +218,8 @@ impl Machine<'_> {
                 let bytes = self.bindings[binding as usize].bytes.saturating_sub(u64::from(offset));
                 s.put(d, [(bytes / u64::from(stride)) as u32; N], mask);
             }
+            Step::Texel(d, binding, at, k) => self.texel(s, d, binding, at, k)?,
+            Step::SetTexel(binding, at, values) => self.set_texel(s, binding, at, values)?,
             Step::Group(op, d, a, b) => super::group::group(s, op, d, a, b)?,
             Step::Vote(op, d, ballot, lane) => super::group::vote(s, op, d, ballot, lane),
             Step::MemoryBarrier(semantics) => s.fences |= semantics,
@@ -228,7 +229,7 @@ impl Machine<'_> {
     }
 
     /// Checks an access and returns its word.
-    fn word<const N: usize>(
+    pub(super) fn word<const N: usize>(
         &mut self,
         s: &Subgroup<N>,
         place: &Place,
@@ -243,8 +244,8 @@ impl Machine<'_> {
                 let bound = self.bindings[binding as usize];
                 let word = bound.word(from, &self.code.binding_names[binding as usize])?;
                 let store = &mut self.stores[bound.store];
-                let race = self.races.then(|| store.access(word, kind, &actor(s.buffers), self.stamp, self.clock));
-                (word, race.flatten(), from / 4)
+                let race = store.access(word, kind, &actor(s.buffers), self.stamp, self.clock);
+                (word, race.filter(|_| !self.tolerated[binding as usize]), from / 4)
             }
             Space::Shared => {
                 let stamp = self.workgroup_stamp;
@@ -289,12 +290,12 @@ impl Machine<'_> {
                 }
                 Space::Push => {
                     let byte = place.fixed.wrapping_add(from[l]);
-                    let none = Fault::OutOfBounds {
+                    let none = || Fault::OutOfBounds {
                         memory: "push constants".to_owned(),
                         offset: byte,
                         bytes: 4 * self.push.len() as u64,
                     };
-                    *self.push.get((byte / 4) as usize).ok_or(none)?
+                    *self.push.get((byte / 4) as usize).ok_or_else(none)?
                 }
                 Space::Shared => {
                     let word = self.word(s, &place, from[l], l, Kind::Read)?;

@@ -200,9 +200,11 @@ impl<'w> Lower<'_, 'w> {
             Op::FunctionCall => {
                 let mut arguments = Vec::new();
                 for id in &args[3..] {
-                    arguments.push(match self.pointer(scope, *id) {
-                        Ok(pointer) => Value::Pointer(pointer),
-                        Err(_) => Value::Registers(self.value(scope, *id)?),
+                    let image = self.image(scope, *id);
+                    arguments.push(match (image, self.pointer(scope, *id)) {
+                        (Some(binding), _) => Value::Image(binding),
+                        (None, Ok(pointer)) => Value::Pointer(pointer),
+                        (None, Err(_)) => Value::Registers(self.value(scope, *id)?),
                     });
                 }
                 let result = self.inline(args[2], arguments, false)?;

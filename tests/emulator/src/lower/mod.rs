@@ -8,7 +8,7 @@ use crate::code::{Block, BuiltIn, Code, Edge, End, Slot, Space, Step};
 use crate::fault::Fault;
 use crate::module::{Module, Type};
 use crate::scalar::{Bin, Un};
-use spirv::{Decoration, StorageClass};
+use spirv::{Decoration, Op, StorageClass};
 use std::collections::HashMap;
 use std::rc::Rc;
 
@@ -31,6 +31,8 @@ enum Value {
     /// Registers of the scalars.
     Registers(Rc<[Slot]>),
     Pointer(Pointer),
+    /// Image by its place in [`Code::bindings`].
+    Image(u32),
 }
 
 /// Ids of one inlined function.
@@ -177,7 +179,15 @@ impl<'w> Lower<'_, 'w> {
     fn pointer(&self, scope: &Scope, id: u32) -> Result<Pointer, Fault> {
         match scope.values.get(&id).or_else(|| self.globals.get(&id)) {
             Some(Value::Pointer(pointer)) => Ok(*pointer),
-            _ => Err(Fault::missing("images and pointers in memory".to_owned())),
+            _ => Err(Fault::missing("pointers in memory".to_owned())),
+        }
+    }
+
+    /// Returns the binding of an image.
+    fn image(&self, scope: &Scope, id: u32) -> Option<u32> {
+        match scope.values.get(&id).or_else(|| self.globals.get(&id)) {
+            Some(Value::Image(binding)) => Some(*binding),
+            _ => None,
         }
     }
 
@@ -194,12 +204,17 @@ impl<'w> Lower<'_, 'w> {
         let ty = self.pointee(ty)?;
         let name = self.module.names.get(&id).cloned().unwrap_or_default();
         let storage = [StorageClass::StorageBuffer as u32, StorageClass::Uniform as u32];
-        let (space, fixed) = if storage.contains(&class) {
+        let image = matches!(self.module.ty(ty)?, Type::Opaque(Op::TypeImage));
+        let (space, fixed) = if image || storage.contains(&class) {
             let binding = self.module.decoration(id, Decoration::Binding);
             self.code.bindings.push(binding.ok_or(Fault::Damaged("a buffer has no binding"))?);
             let block = self.module.names.get(&ty).cloned().unwrap_or_default();
             let name = if name.is_empty() { block.trim_end_matches("_block").to_owned() } else { name };
             self.code.binding_names.push(name);
+            if image {
+                self.globals.insert(id, Value::Image(self.code.bindings.len() as u32 - 1));
+                return Ok(());
+            }
             (Space::Buffer(self.code.bindings.len() as u32 - 1), 0)
         } else if class == StorageClass::PushConstant as u32 {
             (Space::Push, 0)
@@ -232,8 +247,7 @@ impl<'w> Lower<'_, 'w> {
             self.code.inputs.push((built_in, slots[0]));
             (Space::Registers(slots[0], count), 0)
         } else {
-            // Images: an error only where they are used.
-            return Ok(());
+            return Err(Fault::missing(format!("variables of storage class {class}")));
         };
         self.globals.insert(id, Value::Pointer(Pointer { space, ty, fixed, at: crate::code::NONE, columns: 0 }));
         Ok(())

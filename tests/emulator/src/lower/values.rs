@@ -42,6 +42,27 @@ impl Lower<'_, '_> {
                 let semantics = self.module.scalar(args[1])?;
                 self.step(Step::MemoryBarrier(semantics));
             }
+            Op::Load if self.image(scope, args[2]).is_some() => {
+                if let Some(binding) = self.image(scope, args[2]) {
+                    scope.values.insert(args[1], Value::Image(binding));
+                }
+            }
+            Op::ImageWrite => {
+                let binding = self.image(scope, args[0]).ok_or(Fault::Damaged("a texel of no image"))?;
+                let (at, texel) = (self.value(scope, args[1])?, self.value(scope, args[2])?);
+                let component = |k: usize| texel[k.min(texel.len() - 1)];
+                let all = [component(0), component(1), component(2), component(3)];
+                self.step(Step::SetTexel(binding, [at[0], at[1]], all));
+            }
+            Op::ImageRead => {
+                let binding = self.image(scope, args[2]).ok_or(Fault::Damaged("a texel of no image"))?;
+                let at = self.value(scope, args[3])?;
+                let texel = self.slots(self.module.flat(args[0])?);
+                for (k, d) in texel.iter().enumerate() {
+                    self.step(Step::Texel(*d, binding, [at[0], at[1]], k as u32));
+                }
+                scope.values.insert(args[1], Value::Registers(texel));
+            }
             Op::ArrayLength => self.length(scope, args)?,
             Op::AtomicLoad
             | Op::AtomicStore

@@ -1,0 +1,172 @@
+//! Emulator of kernels: agreement with the device, independence of the order, and planted faults.
+
+use sgs_emulator::{Binding, Dispatch, Fault, Kernel, Schedule, Store};
+use sgs_engine::graph::Graph;
+use sgs_passes::kernel::{groups, stage};
+use sgs_passes::prim::{Count, SortShape, exclusive_scan, radix_sort};
+use sgs_passes::reference::rng::Pcg;
+use sgs_passes::splat::BackwardKernel;
+use sgs_tests::gradients::Case;
+use sgs_tests::kernels::kernel;
+use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference, scenes};
+
+const LANES: [u32; 4] = [8, 16, 32, 64];
+const SCHEDULES: [Schedule; 4] =
+    [Schedule::Ascending, Schedule::Descending, Schedule::Shuffled(1), Schedule::Shuffled(2)];
+/// Workgroups of the kernel with faults.
+const GROUPS: u32 = 3;
+
+/// Runs the kernel with a planted fault. Returns what it wrote.
+fn planted(fault: u32, lanes: u32, schedule: Schedule) -> Result<Vec<u32>, Fault> {
+    let shader = kernel("faults");
+    let kernel = Kernel::new(&shader.spirv, &[(0, fault)])?;
+    let words = 128 * GROUPS;
+    let mut stores = [Store::new((0..words).map(|i| i * i % 97).collect()), Store::new(vec![u32::MAX; words as usize])];
+    let bind = |name: &str, store: usize| {
+        let number = shader.binding(name).unwrap().number;
+        Binding { number, store, offset: 0, bytes: 4 * u64::from(words), image: None }
+    };
+    let bindings = [bind("source", 0), bind("target", 1)];
+    let groups = [GROUPS, 1, 1];
+    let dispatch =
+        Dispatch { lanes, groups, bindings: &bindings, push: &[], schedule, tolerated: &[], limit: 1_000_000 };
+    kernel.run(&mut stores, &dispatch, 1)?;
+    Ok(stores[1].words().to_vec())
+}
+
+/// Returns the expected sums.
+fn sums() -> Vec<u32> {
+    let of = |group: u32| (128 * group..128 * (group + 1)).map(|i| i * i % 97).sum::<u32>();
+    (0..GROUPS).flat_map(|group| [of(group); 128]).collect()
+}
+
+#[test]
+fn sums_are_right_at_every_width_and_order() {
+    for lanes in LANES {
+        for schedule in SCHEDULES {
+            assert_eq!(planted(0, lanes, schedule).unwrap(), sums(), "{lanes} lanes, {schedule:?}");
+        }
+    }
+}
+
+#[test]
+fn planted_faults_are_detected_at_every_width() {
+    for lanes in LANES {
+        for schedule in SCHEDULES {
+            let what = format!("{lanes} lanes, {schedule:?}");
+            assert_ne!(planted(1, lanes, schedule).unwrap(), sums(), "{what}");
+            for fault in 2..=16 {
+                let found = planted(fault, lanes, schedule).expect_err(&format!("fault {fault} at {what}"));
+                let expected = match fault {
+                    2 => matches!(found, Fault::Uninitialized { .. }),
+                    // The subgroup that reads first may meet words that are not yet written.
+                    3 => matches!(found, Fault::Race { .. } | Fault::Uninitialized { .. }),
+                    4 | 5 => matches!(found, Fault::Barrier(_)),
+                    6 | 15 => matches!(found, Fault::Shuffle { .. }),
+                    7 => matches!(found, Fault::OutOfBounds { .. }),
+                    8 => matches!(found, Fault::Index { .. } | Fault::Uninitialized { .. }),
+                    9 | 12..=14 => matches!(found, Fault::Race { .. }),
+                    10 => matches!(found, Fault::Arithmetic(_)),
+                    11 => matches!(found, Fault::Endless),
+                    _ => matches!(found, Fault::Conversion(_)),
+                };
+                assert!(expected, "fault {fault} at {what}: {found}");
+            }
+        }
+    }
+}
+
+#[test]
+fn missing_instructions_are_named() {
+    // A header, then `OpTypeForwardPointer` and an unknown opcode.
+    let header = [0x0723_0203, 0x0001_0500, 0, 8, 0];
+    let damaged = |words: &[u32]| Kernel::new(&[&header, words].concat(), &[]).unwrap_err();
+    assert_eq!(damaged(&[1 << 16 | 0xfff0]), Fault::Missing("opcode 65520".to_owned()));
+    assert!(matches!(damaged(&[9 << 16 | 17, 1]), Fault::Damaged(_)));
+}
+
+/// Tests a kernel whose pass has a map of 512 by 1024 pixels, which takes long on the emulator.
+#[test]
+fn differences_of_a_small_map_match_reference() {
+    use sgs_shaders::environment_map_smoothness::{Bindings, KERNEL, Push, Specs};
+    let gpu = Gpu::new();
+    let [w, h] = [37_u32, 23];
+    let mut rng = Pcg::new(3);
+    let map: Vec<f32> = (0..3 * w * h).map(|_| rng.normal() as f32).collect();
+    let workgroup = gpu.tuning().workgroup;
+    let count = (w * h).div_ceil(workgroup);
+    let mut g = Graph::new("differences");
+    let bytes = 4 * map.len() as u64;
+    let source = g.input("map", bytes);
+    let (slopes, sums) = (g.external("slopes", bytes + 4), g.external("sums", 4 * u64::from(count)));
+    let bindings = Bindings { map: source.into(), slopes: slopes.into(), sums: sums.into() };
+    let push = Push { size: [w, h], across: 0.5, down: 0.25 };
+    let specs = Specs { workgroup };
+    stage(&mut g, "differences", &KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch(groups(u64::from(w * h), workgroup))
+        .unwrap();
+    let out = gpu.run(g, &[(source, bytemuck::cast_slice(&map).to_vec())]);
+    let value = |x: &[f64]| {
+        let at = |i: u32, j: u32, c: u32| x[(3 * (j * w + i % w) + c) as usize];
+        let mut sum = 0.0;
+        for (j, i, c) in (0..h).flat_map(|j| (0..w).flat_map(move |i| (0..3).map(move |c| (j, i, c)))) {
+            sum += 0.5 * (at(i, j, c) - at(i + 1, j, c)).powi(2);
+            sum += if j + 1 < h { 0.25 * (at(i, j, c) - at(i, j + 1, c)).powi(2) } else { 0.0 };
+        }
+        sum
+    };
+    let mut wide: Vec<f64> = map.iter().map(|x| f64::from(*x)).collect();
+    let expected: Vec<f64> = (0..wide.len()).map(|i| finite_difference(&mut wide, i, 0.5, value)).collect();
+    let found: Vec<f32> = out.get(slopes);
+    assert_close("slopes", &expected, &found[..expected.len()], Tolerance::new(1e-5, 1e-5));
+    assert_eq!(found[expected.len()].to_bits(), u32::MAX, "a float after the last one was written");
+    let total: f64 = out.get::<f32>(sums).iter().map(|x| f64::from(*x)).sum();
+    assert!((total / value(&wide) - 1.0).abs() < 1e-5, "{total}");
+}
+
+/// Returns prefix sums and sorted keys of a device.
+fn integers(gpu: &Gpu) -> [Vec<u32>; 3] {
+    let count = 5000;
+    let words: Vec<u32> = (0..count).map(|i: u32| i.wrapping_mul(0x9e37_79b9) >> 13).collect();
+    let mut g = Graph::new("integers");
+    let bytes = 4 * u64::from(count);
+    let source = g.input("source", bytes);
+    let [sums, total, keys] = [("sums", bytes), ("total", 4), ("keys", bytes)].map(|(name, n)| g.external(name, n));
+    exclusive_scan(&mut g, gpu.tuning(), "scan", source, None, sums, total, Count::Host(count)).unwrap();
+    let shape = SortShape::from(gpu.tuning());
+    let sorted = radix_sort(&mut g, shape, "sort", source, None, 0..19, true, Count::Host(count)).unwrap();
+    g.copy("keys", sorted.keys.unwrap(), keys).unwrap();
+    let out = gpu.run(g, &[(source, bytemuck::cast_slice(&words).to_vec())]);
+    [out.get(sums), out.get(total), out.get(keys)]
+}
+
+#[test]
+fn integer_kernels_agree_with_the_device_bit_for_bit() {
+    let mut gpu = Gpu::new();
+    let found = integers(&gpu);
+    for schedule in SCHEDULES {
+        assert_eq!(gpu.emulating(schedule, integers), found, "{schedule:?}");
+    }
+}
+
+#[test]
+fn float_kernels_agree_with_the_device_to_rounding() {
+    let mut gpu = Gpu::new();
+    let case = Case::new(scenes::ordinary(40, 2, true, 5), [40, 30], true);
+    let run = |gpu: &Gpu| case.gpu_gradients(gpu, BackwardKernel::Pixel);
+    let (groups, pose) = run(&gpu);
+    let emulated = SCHEDULES.map(|schedule| gpu.emulating(schedule, run));
+    for (groups, pose) in &emulated[1..] {
+        assert_eq!((groups, pose), (&emulated[0].0, &emulated[0].1), "the order changes bits");
+    }
+    let all = |groups: &[Vec<f32>], pose: &[f32]| [groups.concat(), pose.to_vec()].concat();
+    let (expected, found) = (all(&groups, &pose), all(&emulated[0].0, &emulated[0].1));
+    let largest = expected.iter().fold(0.0_f32, |m, x| m.max(x.abs()));
+    for (k, (e, f)) in expected.iter().zip(&found).enumerate() {
+        assert!(
+            (e - f).abs() <= 1e-4 * e.abs() + 1e-5 * largest,
+            "gradient {k}: {f} on the emulator, {e} on the device"
+        );
+    }
+    assert!(largest > 0.0 && expected.len() == found.len());
+}
