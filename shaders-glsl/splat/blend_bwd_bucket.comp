@@ -24,6 +24,8 @@ const uint PIXELS = TILE_WIDTH * TILE_HEIGHT;
 
 const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS + STATISTIC_FLOATS;
 const uint BATCH = OWN * SUBGROUP;
+// Gradients of the image lie in shared memory if all of it then takes 16 KiB at most, as with tiles of 16 x 16.
+const bool STAGED = 4u * PIXELS * (3u + STATISTIC_FLOATS + CHANNELS) <= 16384u;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, tile_ranges);
@@ -41,7 +43,7 @@ OUT(float, entry_gradients);
 // Pixels that have not stopped before the bucket, side by side.
 shared vec2 state[PIXELS]; // transmittance and debt
 shared float statistic_state[STATISTIC_FLOATS > 0u ? PIXELS : 1u];
-shared float gradient[CHANNELS * PIXELS];
+shared float gradient[STAGED ? CHANNELS * PIXELS : 1u];
 shared uint place[PIXELS]; // in the tile, by rows
 
 void main() {
@@ -75,7 +77,7 @@ void main() {
                 float statistic_R = STATISTIC_FLOATS > 0u ? statistic_debt[at] : 0.0;
                 [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) {
                     float g = grad_image[at * CHANNELS + c];
-                    gradient[c * PIXELS + to] = g;
+                    if (STAGED) gradient[c * PIXELS + to] = g;
                     if (bucket > 0u) {
                         float paid = g * checkpoints[before + (1u + c) * PIXELS];
                         R -= paid;
@@ -134,7 +136,14 @@ void main() {
                 uint here = place[at];
                 float px = base.x + float(here % TILE_WIDTH), py = base.y + float(here / TILE_WIDTH);
                 float g[CHANNELS];
-                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) g[c] = gradient[c * PIXELS + at];
+                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) g[c] = 0.0;
+                if (STAGED) {
+                    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) g[c] = gradient[c * PIXELS + at];
+                } else if (there) {
+                    uvec2 pixel = corner + uvec2(here % TILE_WIDTH, here / TILE_WIDTH);
+                    uint from = (pixel.y * camera.size.x + pixel.x) * CHANNELS;
+                    [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) g[c] = grad_image[from + c];
+                }
                 [[unroll]] for (uint o = 0u; o < OWN; ++o) {
                     float dx = px - s[o].mean.x;
                     float dy = py - s[o].mean.y;

@@ -1,7 +1,7 @@
 //! Memory budget: training allocates what the estimate before the first step says. Plans that do not fit are refused
 //! with their sizes. Refused growth loses no result.
 
-use sgs_config::{Parts, Settings, ShDegree, VisibilityKind};
+use sgs_config::{Backward, Parts, Settings, ShDegree, VisibilityKind};
 use sgs_engine::{BudgetSource, Device, DeviceOptions, Error, ImageFormat, Location};
 use sgs_scene::{Image, Scene, SceneOptions, Splats, write_ids, write_png};
 use sgs_tests::cli::sgs;
@@ -54,8 +54,9 @@ fn training_memory_matches_estimate() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::fresh();
-    for densify in [true, false] {
+    for (densify, backward) in [(true, Backward::Auto), (false, Backward::Auto), (false, Backward::Bucket)] {
         let mut s = settings(4);
+        s.geometry.backward = backward;
         s.geometry.densify.until = if densify { 0.8 } else { 0.0 };
         s.geometry.entry_capacity = 1 << 15;
         let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();

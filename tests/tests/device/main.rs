@@ -1,6 +1,7 @@
 //! Kernels, graphs and stages on a device, each against its reference.
 
 mod accuracy;
+mod buckets;
 mod cornell;
 mod correspondence;
 mod decoder;

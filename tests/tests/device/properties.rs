@@ -150,6 +150,8 @@ fn check_gradients(gpu: &Gpu, g: &Gaussians, camera: &Camera) -> Result<[usize; 
         case.transmittance[p] = 0.0;
     }
     let seen: f64 = truth.transmittance.iter().map(|t| 1.0 - t).sum();
+    let (found, pose) = case.gpu_gradients(gpu, BackwardKernel::Bucket);
+    compare(&case, seen, &found, &pose)?;
     let (found, pose) = case.gpu_gradients(gpu, BackwardKernel::Pixel);
     compare(&case, seen, &found, &pose)
 }

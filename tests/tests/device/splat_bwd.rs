@@ -27,7 +27,7 @@ fn difference(case: &Case, group: Group, i: usize) -> Option<f64> {
 /// Tolerances of gradients: relative to the gradient, relative to the largest of its group, and absolute.
 const TOLERANCE: [f64; 3] = [1e-3, 5e-5, 1e-6];
 
-fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
+pub(crate) fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
     let [relative, share, absolute] = TOLERANCE;
     let (groups, pose) = case.gpu_gradients(gpu, which);
     let (mut compared, mut skipped) = (0, 0);

@@ -1,6 +1,6 @@
 //! Graphs of training: the published model and every choice that selects other kernels.
 
-use sgs_config::{Backward, Metallic, PRESETS, Settings, VisibilityKind, accuracy_named, overlay};
+use sgs_config::{Backward, DensifyStatistic, Metallic, PRESETS, Settings, VisibilityKind, accuracy_named, overlay};
 use sgs_engine::Device;
 use sgs_scene::{Scene, Splats};
 use sgs_train::{Geometry, Intrinsic, TransportPlan};
@@ -36,6 +36,15 @@ pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
     let mut all = bases()?;
     all.push(with(|s| s.geometry.backward = Backward::Splat));
     all.push(with(|s| s.geometry.backward = Backward::Bucket));
+    all.push(with(|s| {
+        s.geometry.backward = Backward::Bucket;
+        s.geometry.densify.statistic = DensifyStatistic::Geometric;
+    }));
+    all.push(with(|s| {
+        s.geometry.backward = Backward::Bucket;
+        (s.geometry.semantics, s.geometry.normals) = (false, false);
+        (s.geometry.losses.depth_smooth, s.geometry.losses.depth_variance) = (0.0, 0.0);
+    }));
     if device.info().optional.float_atomics {
         all.push(with(|s| s.geometry.backward = Backward::Atomic));
     }
