@@ -15,8 +15,9 @@ use std::sync::Arc;
 pub struct Gpu {
     /// Present until the drop.
     device: Option<Device>,
-    /// Replaces the number of the tuning.
+    /// Replaces the numbers of the tuning.
     large_tiles: Option<u32>,
+    slots: Option<(bool, u32, f32)>,
     // Last field, so that others wait until the device is closed or back in the pool.
     right: Right,
 }
@@ -58,7 +59,7 @@ impl Gpu {
     /// thread has at most one such device at a time.
     pub fn new() -> Gpu {
         let ((device, tests), share) = pool::take();
-        Gpu { device: Some(device), large_tiles: None, right: Right::Pool { tests, _share: share } }
+        Gpu { device: Some(device), large_tiles: None, slots: None, right: Right::Pool { tests, _share: share } }
     }
 
     /// Opens a device of its own, without pipelines and with a peak of memory of zero.
@@ -66,7 +67,7 @@ impl Gpu {
     /// Waits until no other test uses a device with validation, and keeps others from it ([`turn()`]).
     pub fn fresh() -> Gpu {
         let turn = turn();
-        Gpu { device: Some(pool::open()), large_tiles: None, right: Right::Own { _turn: turn } }
+        Gpu { device: Some(pool::open()), large_tiles: None, slots: None, right: Right::Own { _turn: turn } }
     }
 
     /// Returns the same device with another [`Tuning::large_tiles`].
@@ -74,6 +75,14 @@ impl Gpu {
     /// With 0 the lanes process every splat together.
     pub fn with_large_tiles(mut self, tiles: u32) -> Gpu {
         self.large_tiles = Some(tiles);
+        self
+    }
+
+    /// Returns the same device with other slots ([`Tuning::sub_tiles`]).
+    ///
+    /// `margin` is [`Tuning::slot_margin`].
+    pub fn with_slots(mut self, sub_tiles: bool, width: u32, margin: f32) -> Gpu {
+        self.slots = Some((sub_tiles, width, margin));
         self
     }
 
@@ -85,7 +94,10 @@ impl Gpu {
     /// Returns kernel sizes for the device.
     pub fn tuning(&self) -> Tuning {
         let tuning = Tuning::for_device(self.device().info());
-        Tuning { large_tiles: self.large_tiles.unwrap_or(tuning.large_tiles), ..tuning }
+        let own = (tuning.sub_tiles, tuning.slot_width, tuning.slot_margin);
+        let (sub_tiles, slot_width, slot_margin) = self.slots.unwrap_or(own);
+        let large_tiles = self.large_tiles.unwrap_or(tuning.large_tiles);
+        Tuning { large_tiles, sub_tiles, slot_width, slot_margin, ..tuning }
     }
 
     /// Returns the subgroup size of the device.
