@@ -15,6 +15,12 @@ pub struct Tuning {
     /// Largest number of tiles of a splat that one lane processes alone. The subgroup processes larger splats one after
     /// the other, with all lanes. `u32::MAX` leaves every splat to one lane.
     pub large_tiles: u32,
+    /// Columns of a slot: the pixels of a tile that the lanes blend at a time. Divides the tile's columns.
+    pub slot_width: u32,
+    /// Whether blending tries a splat only in the slots that it can touch.
+    pub sub_tiles: bool,
+    /// Margin of the exponent of these slots, far more than rounding. A huge one leaves every slot in, for comparison.
+    pub slot_margin: f32,
     /// Workgroups of one subgroup that occupy the device. Work whose split requires an additional sum is split into
     /// about this many parts.
     pub workers: u32,
@@ -46,11 +52,27 @@ impl Tuning {
             // A lane needs longer for its tiles than the subgroup for the same splat from a few per lane on. Fewer would
             // cost more where all lanes have such splats, since the subgroup then processes as many one by one.
             large_tiles: 4 * subgroup_size,
+            // Sub-tiles leave half of the pairs of entry and slot, with slots about as wide as high. CPUs run both sides of
+            // a branch for lanes in lockstep and win nothing: with 8 lanes on llvmpipe, blending takes 1.07 times as long
+            // with them, and its backward pass 1.45 times (`engine-bench passes --filter sub_tiles`).
+            slot_width: match subgroup_size {
+                ..16 => width,
+                16 => 4,
+                17..=64 => 8,
+                _ => 16,
+            },
+            sub_tiles: subgroup_size >= 16,
+            slot_margin: 0.05,
             workers: 512,
             rounds: u32::MAX,
             matrices: None,
             accuracy: Accuracy::EXACT,
         }
+    }
+
+    /// Returns the columns and rows of a slot of a tile.
+    pub fn slot(&self) -> [u32; 2] {
+        [self.slot_width, self.subgroup_size / self.slot_width]
     }
 
     /// Returns the same tuning with another accuracy.

@@ -6,7 +6,6 @@
 #include "common.glsl"
 #include "step.glsl"
 #include "splat.glsl"
-#include "tile.glsl"
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(constant_id = 1) const uint PER_LANE = 8;
@@ -16,6 +15,8 @@ layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const bool HAS_COLORS = true;
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
+#include "tile.glsl"
+#include "sub_tiles.glsl"
 #ifdef CHECKPOINTS
 const uint PIXELS = TILE_WIDTH * TILE_HEIGHT;
 #include "buckets.glsl"
@@ -36,7 +37,7 @@ OUT(uint, bucket_tiles);
 
 void main() {
     Camera camera = params.step.camera;
-    Tile tile = this_tile(camera, TILE_WIDTH, TILE_HEIGHT, SUBGROUP);
+    Tile tile = this_tile(camera);
     if (tile.index >= camera.tiles.x * camera.tiles.y) return;
     float px = float(tile.first.x) + 0.5;
     float py = float(tile.first.y) + 0.5;
@@ -58,7 +59,8 @@ void main() {
             // The first bucket of a tile starts with nothing blended.
             if (reached > 0u) {
                 [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                    uint at = checkpoint(begin, reached, k * SUBGROUP + gl_SubgroupInvocationID);
+                    uvec2 pixel = slot_corner(k) + pixel_of_lane(gl_SubgroupInvocationID);
+                    uint at = checkpoint(begin, reached, pixel.y * TILE_WIDTH + pixel.x);
                     checkpoints[at] = T[k];
                     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c)
                         checkpoints[at + (1u + c) * PIXELS] = sum[k * CHANNELS + c];
@@ -71,6 +73,7 @@ void main() {
         uint mine = min(batch + gl_SubgroupInvocationID, end - 1u);
         uint v = entry_splats[sorted_entries[mine]];
         Splat s = splats[v];
+        uint own_slots = touched_slots(s, vec2(tile.corner) + 0.5);
         FETCH_CHANNELS(f, features, v)
         uint count = min(SUBGROUP, end - batch);
         for (uint i = 0u; i < count; ++i) {
@@ -79,9 +82,11 @@ void main() {
             float u22 = subgroupShuffle(s.factor.z, i), opacity = subgroupShuffle(s.opacity, i);
             float color[CHANNELS];
             [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) color[c] = subgroupShuffle(f[c], i);
-            float dx = px - mx;
+            uint slots = subgroupShuffle(own_slots, i);
             [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                float dy = py + float(k * tile.step_y) - my;
+                if (!in_slots(slots, k)) continue;
+                vec2 offset = vec2(slot_corner(k));
+                float dx = px + offset.x - mx, dy = py + offset.y - my;
                 float p = u11 * dx + u12 * dy;
                 float q = u22 * dy;
                 float alpha = min(ALPHA_MAX, opacity * exp2(-(p * p + q * q)));
@@ -95,7 +100,7 @@ void main() {
         }
     }
     [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-        uvec2 pixel = uvec2(tile.first.x, tile.first.y + k * tile.step_y);
+        uvec2 pixel = tile.first + slot_corner(k);
         if (all(lessThan(pixel, camera.size))) {
             uint at = pixel.y * camera.size.x + pixel.x;
             float rest = abs(T[k]);

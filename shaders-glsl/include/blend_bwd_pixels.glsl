@@ -2,7 +2,6 @@
 #include "common.glsl"
 #include "step.glsl"
 #include "splat.glsl"
-#include "tile.glsl"
 #include "blend_bwd.glsl"
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
@@ -13,6 +12,8 @@ layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const uint WEIGHTS = 0; // 1: also the sum of blending weights
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
+#include "tile.glsl"
+#include "sub_tiles.glsl"
 #include "statistic.glsl"
 #include "lane_sums.glsl"
 
@@ -36,7 +37,7 @@ OUT(float, entry_gradients); // [entries * GRADIENTS]
 
 void main() {
     Camera camera = params.step.camera;
-    Tile tile = this_tile(camera, TILE_WIDTH, TILE_HEIGHT, SUBGROUP);
+    Tile tile = this_tile(camera);
     if (tile.index >= camera.tiles.x * camera.tiles.y) return;
     uint begin = tile_ranges[2u * tile.index], end = tile_ranges[2u * tile.index + 1u];
     if (begin >= end) return;
@@ -47,7 +48,7 @@ void main() {
     float statistic_R[PER_LANE];
     float g[PER_LANE * CHANNELS];
     [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-        uvec2 pixel = uvec2(tile.first.x, tile.first.y + k * tile.step_y);
+        uvec2 pixel = tile.first + slot_corner(k);
         bool inside = all(lessThan(pixel, camera.size));
         uint at = inside ? pixel.y * camera.size.x + pixel.x : 0u;
         T[k] = inside ? 1.0 : -1.0;
@@ -76,6 +77,7 @@ void main() {
 #endif
         uint v = entry_splats[entry];
         Splat s = splats[v];
+        uint own_slots = touched_slots(s, vec2(tile.corner) + 0.5);
         FETCH_CHANNELS(f, features, v)
         for (uint i = 0u; i < count; ++i) {
             float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
@@ -90,9 +92,11 @@ void main() {
 #else
             uint owner = subgroupShuffle(entry, i);
 #endif
-            float dx = px - mx;
+            uint slots = subgroupShuffle(own_slots, i);
             [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                float dy = py + float(k * tile.step_y) - my;
+                if (!in_slots(slots, k)) continue;
+                vec2 offset = vec2(slot_corner(k));
+                float dx = px + offset.x - mx, dy = py + offset.y - my;
                 float p = u11 * dx + u12 * dy;
                 float q = u22 * dy;
                 float raw = opacity * exp2(-(p * p + q * q));

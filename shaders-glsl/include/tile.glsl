@@ -1,17 +1,31 @@
-// Mapping of one subgroup to one tile: lanes along x (and as many rows as fit), PER_LANE rows of pixels below one another.
+// Mapping of one subgroup to one tile: PER_LANE slots of SUBGROUP pixels, in each of them one pixel a lane.
 //
 // A workgroup is one subgroup, so lanes share splats by broadcast: no shared memory and no barrier. Needs
-// TILE_WIDTH * TILE_HEIGHT = SUBGROUP * PER_LANE and SUBGROUP a multiple of TILE_WIDTH.
+// TILE_WIDTH * TILE_HEIGHT = SUBGROUP * PER_LANE, SUBGROUP a multiple of SLOT_WIDTH, and TILE_WIDTH, too.
+//
+// With SUB_TILES a splat is tried only in the slots that it can touch (sub_tiles.glsl). The more a slot is like a square, the
+// fewer these are.
+
+layout(constant_id = 29) const bool SUB_TILES = true;
+layout(constant_id = 31) const uint SLOT_WIDTH = 8;
+
+const uint SLOT_HEIGHT = SUBGROUP / SLOT_WIDTH;
+const uint SLOTS_ACROSS = TILE_WIDTH / SLOT_WIDTH;
 
 struct Tile {
     uint index;
-    uvec2 first; // pixel of this lane in the first row
-    uint step_y; // rows between a lane's pixels
+    uvec2 corner; // its first pixel
+    uvec2 first;  // pixel of this lane in the first slot
 };
 
-Tile this_tile(Camera camera, uint width, uint height, uint subgroup) {
+// The first pixel of a slot, from the tile's corner.
+uvec2 slot_corner(uint k) { return uvec2(k % SLOTS_ACROSS * SLOT_WIDTH, k / SLOTS_ACROSS * SLOT_HEIGHT); }
+
+// The pixel of a lane in a slot.
+uvec2 pixel_of_lane(uint lane) { return uvec2(lane % SLOT_WIDTH, lane / SLOT_WIDTH); }
+
+Tile this_tile(Camera camera) {
     uint index = folded_workgroup();
-    uvec2 tile = uvec2(index % camera.tiles.x, index / camera.tiles.x);
-    uint lane = gl_SubgroupInvocationID;
-    return Tile(index, tile * uvec2(width, height) + uvec2(lane % width, lane / width), subgroup / width);
+    uvec2 corner = uvec2(index % camera.tiles.x, index / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
+    return Tile(index, corner, corner + pixel_of_lane(gl_SubgroupInvocationID));
 }

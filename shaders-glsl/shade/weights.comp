@@ -4,7 +4,6 @@
 #include "common.glsl"
 #include "step.glsl"
 #include "splat.glsl"
-#include "tile.glsl"
 #include "coverage.glsl"
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
@@ -13,6 +12,8 @@ layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 30) const uint WEIGHT_BITS = 32;
 layout(local_size_x_id = 0) in;
+#include "tile.glsl"
+#include "sub_tiles.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, tile_ranges);

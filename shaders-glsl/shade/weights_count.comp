@@ -3,13 +3,14 @@
 #include "common.glsl"
 #include "step.glsl"
 #include "splat.glsl"
-#include "tile.glsl"
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(constant_id = 1) const uint PER_LANE = 8;
 layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(local_size_x_id = 0) in;
+#include "tile.glsl"
+#include "sub_tiles.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(uint, tile_ranges);

@@ -4,7 +4,6 @@
 #include "common.glsl"
 #include "step.glsl"
 #include "splat.glsl"
-#include "tile.glsl"
 #include "blend_bwd.glsl"
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
@@ -15,6 +14,8 @@ layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const uint WEIGHTS = 0;
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
+#include "tile.glsl"
+#include "sub_tiles.glsl"
 #include "statistic.glsl"
 
 const uint PIECE = SUBGROUP <= 16u ? SUBGROUP : 1u;
@@ -33,7 +34,7 @@ OUT(float, entry_gradients);
 
 void main() {
     Camera camera = params.step.camera;
-    Tile tile = this_tile(camera, TILE_WIDTH, TILE_HEIGHT, SUBGROUP);
+    Tile tile = this_tile(camera);
     if (tile.index >= camera.tiles.x * camera.tiles.y) return;
     uint begin = tile_ranges[2u * tile.index], end = tile_ranges[2u * tile.index + 1u];
     if (begin >= end) return;
@@ -43,7 +44,7 @@ void main() {
     float statistic_R[PER_LANE];
     float g[PER_LANE * CHANNELS];
     [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-        uvec2 pixel = uvec2(tile.first.x, tile.first.y + k * tile.step_y);
+        uvec2 pixel = tile.first + slot_corner(k);
         bool inside = all(lessThan(pixel, camera.size));
         uint at = inside ? pixel.y * camera.size.x + pixel.x : 0u;
         T[k] = inside ? 1.0 : -1.0;
@@ -54,7 +55,7 @@ void main() {
         }
     }
     uint lane = gl_SubgroupInvocationID;
-    vec2 corner = vec2(tile.first) - vec2(lane % TILE_WIDTH, lane / TILE_WIDTH) + 0.5;
+    vec2 corner = vec2(tile.corner) + 0.5;
     for (uint batch = begin; batch < end; batch += SUBGROUP) {
         uint mine = min(batch + lane, end - 1u);
         bool real = batch + lane < end;
@@ -71,7 +72,10 @@ void main() {
             uint v = entry_splats[entry];
             Splat s = splats[v];
             FETCH_CHANNELS(f, features, v)
+            // Slots that no splat of the batch touches are left out.
+            uint slots = subgroupOr(touched_slots(s, corner));
             [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
+                if (!in_slots(slots, k)) continue;
                 // llvmpipe ends loops that are not unrolled too early; its subgroups have at most 16 lanes.
                 for (uint piece = 0u; piece < SUBGROUP; piece += PIECE) {
                     [[unroll]] for (uint j = 0u; j < PIECE; ++j) {
@@ -79,8 +83,8 @@ void main() {
                         float start = subgroupShuffle(T[k], i);
                         if (start <= 0.0) continue;
                         float debt = subgroupShuffle(R[k], i);
-                        float dx = corner.x + float(i % TILE_WIDTH) - s.mean.x;
-                        float dy = corner.y + float(i / TILE_WIDTH + k * tile.step_y) - s.mean.y;
+                        vec2 offset = vec2(slot_corner(k) + pixel_of_lane(i));
+                        float dx = corner.x + offset.x - s.mean.x, dy = corner.y + offset.y - s.mean.y;
                         float p = s.factor.x * dx + s.factor.y * dy;
                         float q = s.factor.z * dy;
                         float raw = s.opacity * exp2(-(p * p + q * q));

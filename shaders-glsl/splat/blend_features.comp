@@ -60,15 +60,19 @@ void main() {
             uint v = entry_splats[sorted_entries[mine]];
             Splat s = splats[v];
             uint gaussian = splat_ids[v];
-            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center);
+            uint own_slots;
+            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center, own_slots);
             while ((hits.x | hits.y) != 0u) {
                 uint i = next_lane(hits);
                 float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
                 float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);
                 float u22 = subgroupShuffle(s.factor.z, i), opacity = subgroupShuffle(s.opacity, i);
+                uint slots = subgroupShuffle(own_slots, i);
                 float weight[PER_LANE];
                 float shows = 0.0;
                 [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
+                    weight[k] = 0.0;
+                    if (!in_slots(slots, k)) continue;
                     float dx = center[k].x - mx, dy = center[k].y - my;
                     float p = u11 * dx + u12 * dy;
                     float q = u22 * dy;
@@ -82,9 +86,11 @@ void main() {
                 }
                 if (subgroupAny(shows > 0.0)) {
                     LANE_FEATURES(feature, subgroupShuffle(gaussian, i))
-                    [[unroll]] for (uint k = 0u; k < PER_LANE; ++k)
+                    [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
+                        if (!in_slots(slots, k)) continue;
                         [[unroll]] for (uint c = 0u; c < FEATURES; ++c)
                             sum[k * FEATURES + c] += weight[k] * feature[c];
+                    }
                 }
             }
         }

@@ -82,7 +82,8 @@ void main() {
             uint gaussian = splat_ids[v];
             uint left = entry_flags[entry]; // whether an earlier part of the list has left something
             bool contributes = false;
-            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center);
+            uint own_slots;
+            uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center, own_slots);
             while ((hits.x | hits.y) != 0u) {
                 uint i = next_lane(hits);
                 float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
@@ -91,8 +92,10 @@ void main() {
                 LANE_FEATURES(feature, subgroupShuffle(gaussian, i))
                 float sum[PARTS * SUBGROUP];
                 [[unroll]] for (uint j = 0u; j < PARTS * SUBGROUP; ++j) sum[j] = 0.0;
+                uint slots = subgroupShuffle(own_slots, i);
                 float shows = 0.0;
                 [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
+                    if (!in_slots(slots, k)) continue;
                     float dx = center[k].x - mx, dy = center[k].y - my;
                     float p = u11 * dx + u12 * dy;
                     float q = u22 * dy;

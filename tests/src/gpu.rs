@@ -19,8 +19,9 @@ pub struct Gpu {
     device: Option<Device>,
     /// Present if the emulator runs the graphs.
     emulated: Option<Emulated>,
-    /// Replaces the number of the tuning.
+    /// Replaces the numbers of the tuning.
     large_tiles: Option<u32>,
+    slots: Option<(bool, u32, f32)>,
     // Last field, so that others wait until the device is closed or back in the pool.
     right: Right,
 }
@@ -63,7 +64,7 @@ impl Gpu {
     pub fn new() -> Gpu {
         let ((device, tests), share) = pool::take();
         let right = Right::Pool { tests, _share: share };
-        Gpu { device: Some(device), emulated: Emulated::wanted(), large_tiles: None, right }
+        Gpu { device: Some(device), emulated: Emulated::wanted(), large_tiles: None, slots: None, right }
     }
 
     /// Opens a device of its own, without pipelines and with a peak of memory of zero.
@@ -72,7 +73,7 @@ impl Gpu {
     pub fn fresh() -> Gpu {
         let turn = turn();
         let right = Right::Own { _turn: turn };
-        Gpu { device: Some(pool::open()), emulated: Emulated::wanted(), large_tiles: None, right }
+        Gpu { device: Some(pool::open()), emulated: Emulated::wanted(), large_tiles: None, slots: None, right }
     }
 
     /// Returns the same device with another [`Tuning::large_tiles`].
@@ -80,6 +81,14 @@ impl Gpu {
     /// With 0 the lanes process every splat together.
     pub fn with_large_tiles(mut self, tiles: u32) -> Gpu {
         self.large_tiles = Some(tiles);
+        self
+    }
+
+    /// Returns the same device with other slots ([`Tuning::sub_tiles`]).
+    ///
+    /// `margin` is [`Tuning::slot_margin`].
+    pub fn with_slots(mut self, sub_tiles: bool, width: u32, margin: f32) -> Gpu {
+        self.slots = Some((sub_tiles, width, margin));
         self
     }
 
@@ -91,7 +100,10 @@ impl Gpu {
     /// Returns kernel sizes for the device.
     pub fn tuning(&self) -> Tuning {
         let tuning = Tuning::for_device(self.device().info());
-        Tuning { large_tiles: self.large_tiles.unwrap_or(tuning.large_tiles), ..tuning }
+        let own = (tuning.sub_tiles, tuning.slot_width, tuning.slot_margin);
+        let (sub_tiles, slot_width, slot_margin) = self.slots.unwrap_or(own);
+        let large_tiles = self.large_tiles.unwrap_or(tuning.large_tiles);
+        Tuning { large_tiles, sub_tiles, slot_width, slot_margin, ..tuning }
     }
 
     /// Returns the subgroup size of the device.

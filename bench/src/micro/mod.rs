@@ -9,6 +9,7 @@ mod blend;
 mod blend_bwd;
 pub mod densify;
 mod environment;
+mod large_splats;
 pub mod lights;
 mod masks;
 mod materials;
@@ -16,6 +17,7 @@ mod outside;
 mod photometric;
 mod primitives;
 mod semantic;
+mod sub_tiles;
 mod traced;
 mod transport;
 pub mod view;
@@ -52,11 +54,13 @@ pub struct Context<'c> {
 type Stage = fn(&Context<'_>, &mut Report) -> anyhow::Result<()>;
 
 /// Stages by the names that `--filter` matches.
-pub const STAGES: [(&str, Stage); 18] = [
+pub const STAGES: [(&str, Stage); 20] = [
     ("scan", primitives::scan),
     ("radix_sort", primitives::sort),
     ("project intersect blend", blend::forward),
     ("blend_bwd", blend_bwd::all),
+    ("large_splats", large_splats::one),
+    ("sub_tiles", sub_tiles::all),
     ("photometric", photometric::both),
     ("semantic", semantic::loss),
     ("correspondence", semantic::correspondence),

@@ -5,7 +5,8 @@ use sgs_engine::Device;
 use sgs_engine::graph::{Buffer, Graph, Slice};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{Camera, Step};
-use sgs_passes::scene::{GaussianData, Gaussians, Model};
+use sgs_passes::reference::sub_tiles;
+use sgs_passes::scene::{GaussianData, Gaussians, Handles, Model};
 use sgs_passes::splat::{Channels, Entries, Screen, Visible, intersect, project};
 use sgs_shaders::structs::{Splat, Work};
 
@@ -15,6 +16,8 @@ pub struct View {
     pub graph: Graph,
     /// Size and tiles of the image.
     pub screen: Screen,
+    /// Gaussians.
+    pub handles: Handles,
     /// Visible Gaussians.
     pub visible: Visible,
     /// Tile entries.
@@ -86,7 +89,7 @@ impl Subject<'_> {
         camera.tiles = [camera.size[0].div_ceil(t.tile[0]), camera.size[1].div_ceil(t.tile[1])];
         let values = Step { camera, step: 1, sh_degree: self.model.sh_degree, ..Default::default() };
         inputs.push((step, bytes(&[values])));
-        Ok(View { graph: g, screen, visible, entries, inputs, flags, required })
+        Ok(View { graph: g, screen, handles, visible, entries, inputs, flags, required })
     }
 }
 
@@ -117,10 +120,16 @@ pub struct Overlap {
     pub visible: f64,
     /// Number of tile entries.
     pub entries: f64,
-    /// Mean number of pixels per entry that are not yet opaque at its turn.
+    /// Mean number of pixels per entry that blending tries.
+    ///
+    /// They are not yet opaque at its turn, and lie in slots that are not skipped.
     pub tried: f64,
     /// Mean number of these pixels where the entry has an alpha of at least 1/255.
     pub showing: f64,
+    /// Share of the pairs of entry and slot that sub-tiles leave.
+    ///
+    /// Counted whether these are on or not.
+    pub slots: f64,
 }
 
 /// Approximate maximum of entry-pixel pairs that are evaluated. Beyond it, tiles are skipped evenly.
@@ -131,6 +140,14 @@ const PAIRS: u64 = 40_000_000;
 /// # Errors
 /// If the device fails.
 pub fn overlap(s: &Subject<'_>) -> anyhow::Result<Overlap> {
+    overlap_of(s, s.tuning.slot())
+}
+
+/// Evaluates the tiles of a view like [`overlap`], with other slots.
+///
+/// # Errors
+/// If the device fails.
+pub fn overlap_of(s: &Subject<'_>, slot: [u32; 2]) -> anyhow::Result<Overlap> {
     let (rig, [ranges, sorted, owners, splats, visible]) = s.rig(|v| {
         let (e, n) = (u64::from(v.entries.capacity), u64::from(v.visible.capacity));
         let (tiles, entries, visible) = (u64::from(v.screen.tiles()), v.entries, v.visible);
@@ -149,17 +166,27 @@ pub fn overlap(s: &Subject<'_>) -> anyhow::Result<Overlap> {
     let across = s.camera.size[0].div_ceil(width);
     let entries: u64 = ranges.iter().map(|r| u64::from(r[1] - r[0])).sum();
     let every = (entries * u64::from(width * height) / PAIRS + 1) as usize;
-    let (mut walked, mut tried, mut showing) = (0_u64, 0_u64, 0_u64);
+    let slots = width / slot[0] * (height / slot[1]);
+    let margins = [f64::from(s.tuning.slot_margin), sub_tiles::GAP];
+    let alpha_min = f64::from(s.tuning.accuracy.alpha_min);
+    let (mut walked, mut tried, mut showing, mut left) = (0_u64, 0_u64, 0_u64, 0_u64);
     for (tile, range) in ranges.iter().enumerate().step_by(every) {
         walked += u64::from(range[1] - range[0]);
         let corner = [tile as u32 % across * width, tile as u32 / across * height];
-        let list = &sorted[range[0] as usize..range[1] as usize];
+        let list: Vec<(&Splat, u32)> = sorted[range[0] as usize..range[1] as usize]
+            .iter()
+            .map(|&e| &splats[owners[e as usize] as usize])
+            .map(|splat| (splat, sub_tiles::touched(splat, alpha_min, corner, s.tuning.tile, slot, margins)))
+            .collect();
+        left += list.iter().map(|(_, touched)| u64::from(touched.count_ones())).sum::<u64>();
         for pixel in 0..width * height {
             let at = [corner[0] + pixel % width, corner[1] + pixel / width];
             if at[0] >= s.camera.size[0] || at[1] >= s.camera.size[1] {
                 continue;
             }
-            let order = list.iter().map(|&e| &splats[owners[e as usize] as usize]);
+            let own = pixel / width / slot[1] * (width / slot[0]) + pixel % width / slot[0];
+            let kept = |touched: u32| !s.tuning.sub_tiles || touched >> own & 1 == 1;
+            let order = list.iter().filter(|(_, touched)| kept(*touched)).map(|(splat, _)| *splat);
             let (t, contributing) = walk(order, at.map(|x| x as f32 + 0.5));
             tried += t;
             showing += contributing;
@@ -167,7 +194,13 @@ pub fn overlap(s: &Subject<'_>) -> anyhow::Result<Overlap> {
     }
     let each = 1.0 / walked.max(1) as f64;
     let visible = f64::from(rig.get::<Work>(visible)?[0].count);
-    Ok(Overlap { visible, entries: entries as f64, tried: tried as f64 * each, showing: showing as f64 * each })
+    Ok(Overlap {
+        visible,
+        entries: entries as f64,
+        tried: tried as f64 * each,
+        showing: showing as f64 * each,
+        slots: left as f64 * each / f64::from(slots),
+    })
 }
 
 /// Returns the numbers of splats that a pixel evaluates, and that contribute.

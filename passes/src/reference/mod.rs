@@ -26,6 +26,7 @@ pub mod semantic;
 pub mod show;
 pub mod srgb;
 pub mod stored;
+pub mod sub_tiles;
 pub mod taps;
 pub mod traced;
 pub mod transport;

@@ -260,8 +260,13 @@ fn rows(
         counts: counts.into(),
     };
     let [tile_width, tile_height] = screen.tile;
-    let specs =
-        splat_specs!(weights_count, t, { subgroup: t.subgroup_size, per_lane: lanes, tile_width, tile_height, });
+    let specs = splat_specs!(weights_count, t, { subgroup: t.subgroup_size,
+        per_lane: lanes,
+        tile_width,
+        tile_height,
+        sub_tiles: t.sub_tiles,
+        slot_margin: t.slot_margin,
+        slot_width: t.slot_width, });
     let tiles = groups(u64::from(screen.tiles()), 1);
     stage(g, "weights_count", &weights_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
@@ -290,6 +295,9 @@ fn rows(
         per_lane: lanes,
         tile_width,
         tile_height,
+        sub_tiles: t.sub_tiles,
+        slot_margin: t.slot_margin,
+        slot_width: t.slot_width,
         weight_bits: into.bits, });
     stage(g, "weights", &fill::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))

@@ -73,6 +73,9 @@ pub fn blend(
         per_lane: per_lane(t, screen),
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
+        sub_tiles: t.sub_tiles,
+        slot_margin: t.slot_margin,
+        slot_width: t.slot_width,
         channels: visible.channels.count(),
         has_colors: visible.channels.colors,
         color_bits: visible.color_bits, });
@@ -209,7 +212,7 @@ pub fn blend_bwd(
     if reduced {
         g.fill("clear_splat_gradients", gradients, 0)?;
     }
-    // Passes have the names of their kernels. Only that of buckets has more bindings and constants.
+    // Passes have the names of their kernels. Only that of buckets has more bindings, and no slots of tiles.
     macro_rules! add {
         ($kernel:ident, $gradients:ident, $groups:expr, { $($binding:tt)* }, { $($spec:tt)* }) => {{
             let bindings = $kernel::Bindings {
@@ -241,10 +244,19 @@ pub fn blend_bwd(
     }
     let tiles = groups(u64::from(screen.tiles()), 1);
     use sgs_shaders::{blend_bwd, blend_bwd_atomic, blend_bwd_bucket, blend_bwd_splat};
+    macro_rules! add_tiles {
+        ($kernel:ident, $gradients:ident) => {
+            add!($kernel, $gradients, tiles, {}, {
+                sub_tiles: t.sub_tiles,
+                slot_margin: t.slot_margin,
+                slot_width: t.slot_width,
+            })
+        };
+    }
     match which {
-        BackwardKernel::Pixel => add!(blend_bwd, entry_gradients, tiles, {}, {}),
-        BackwardKernel::Splat => add!(blend_bwd_splat, entry_gradients, tiles, {}, {}),
-        BackwardKernel::Atomic => add!(blend_bwd_atomic, splat_gradients, tiles, {}, {}),
+        BackwardKernel::Pixel => add_tiles!(blend_bwd, entry_gradients),
+        BackwardKernel::Splat => add_tiles!(blend_bwd_splat, entry_gradients),
+        BackwardKernel::Atomic => add_tiles!(blend_bwd_atomic, splat_gradients),
         BackwardKernel::Bucket => {
             let b = gradient.buckets.ok_or_else(|| GraphError::Unbound {
                 pass: "blend_bwd_bucket".to_owned(),

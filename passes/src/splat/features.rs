@@ -115,6 +115,8 @@ pub fn blend_features(
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features: Group::Semantics.width(),
+        sub_tiles: t.sub_tiles,
+        slot_margin: t.slot_margin,
         span, });
     stage(g, "blend_features", &forward::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
@@ -161,6 +163,8 @@ pub fn blend_features_bwd(
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         features,
+        sub_tiles: t.sub_tiles,
+        slot_margin: t.slot_margin,
         span,
         short, });
     let tiles = groups(u64::from(screen.tiles()), 1);

@@ -12,7 +12,6 @@ use sgs_passes::splat::{
     statistic_debt,
 };
 use sgs_passes::{Accuracy, Tuning};
-use sgs_shaders::structs::Work;
 use sgs_tests::scenes::{self, Rng};
 use sgs_tests::{Gpu, gradients};
 
@@ -84,8 +83,7 @@ fn both(gpu: &Gpu, t: &Tuning, scene: &Gaussians, size: [u32; 2], statistic: Opt
     let mut uniform = Step { camera: scenes::gpu_camera(&camera), background: [0.3, 0.1, 0.6], ..Step::default() };
     uniform.camera.tiles = [size[0].div_ceil(t.tile[0]), size[1].div_ceil(t.tile[1])];
     let data = scenes::data(scene);
-    let mut inputs: Vec<_> = model.groups().map(|x| (handles.group(x), bytes(data.group(x)))).collect();
-    inputs.push((handles.work, bytes(&[Work { x: n.div_ceil(256), y: 1, z: 1, count: n }])));
+    let mut inputs = handles.contents(&data);
     inputs.push((step, bytes(&[uniform])));
     inputs.push((flags, vec![0; 4]));
     let mut rng = Rng::new(5);

@@ -43,6 +43,7 @@ mod shading_properties;
 mod show;
 mod splat;
 mod splat_bwd;
+mod sub_tiles;
 mod surface_properties;
 mod traced;
 mod traced_lights;

@@ -123,6 +123,19 @@ fn gradients_with_semantic_features_match_reference() {
     check(&gpu, &Case::new(g, [21, 18], true), BackwardKernel::Pixel);
 }
 
+/// Tests slots of every shape, also where the tuning leaves sub-tiles out.
+#[test]
+fn gradients_with_sub_tiles_match_reference() {
+    for width in [4, 8] {
+        let gpu = Gpu::new().with_slots(true, width, 0.05);
+        for which in kernels(&gpu) {
+            check(&gpu, &Case::new(scenes::ordinary(12, 1, true, 5), [24, 19], true), which);
+        }
+        let g = scenes::with_semantics(scenes::ordinary(9, 0, true, 5), 6);
+        check(&gpu, &Case::new(g, [21, 18], true), BackwardKernel::Pixel);
+    }
+}
+
 /// Tests splats of so many tiles that all lanes sum their entries.
 #[test]
 fn gradients_of_large_splats_match_reference() {
