@@ -24,8 +24,12 @@ pub struct Tuning {
     /// Workgroups of one subgroup that occupy the device. Work whose split requires an additional sum is split into
     /// about this many parts.
     pub workers: u32,
+    /// Compute units of the device. Work whose parts keep sums in registers is split by them, see [`Tuning::parts`].
+    pub units: u32,
     /// Limit on the iterations of all loops of an invocation together. llvmpipe leaves loops silently after 65535.
     pub rounds: u32,
+    /// Whether the device is a CPU. Its memory operations run lane by lane, except on an invocation's own arrays.
+    pub cpu: bool,
     /// Tiling for matrix units, if the device supports them; see [`Tuning::field_matrices`].
     pub matrices: Option<Matrices>,
     /// Accuracy of the kernels.
@@ -36,8 +40,9 @@ impl Tuning {
     /// Returns the tuning for a device.
     pub fn for_device(info: &DeviceInfo) -> Tuning {
         let matrices = Matrices::for_device(info).ok();
-        let gpu = Tuning { matrices, ..Tuning::for_subgroups(info.subgroup_size) };
-        if info.kind == "cpu" { Tuning { workers: 8, rounds: u16::MAX.into(), ..gpu } } else { gpu }
+        let gpu = Tuning::for_subgroups(info.subgroup_size);
+        let gpu = Tuning { matrices, units: info.compute_units.unwrap_or(gpu.units), ..gpu };
+        if info.kind == "cpu" { Tuning { workers: 8, rounds: u16::MAX.into(), cpu: true, ..gpu } } else { gpu }
     }
 
     /// Returns the tuning for a GPU of which only the subgroup size is known.
@@ -64,7 +69,10 @@ impl Tuning {
             sub_tiles: subgroup_size >= 16,
             slot_margin: 0.05,
             workers: 512,
+            // A mid-range GPU. Intel's and software drivers report no units.
+            units: 48,
             rounds: u32::MAX,
+            cpu: false,
             matrices: None,
             accuracy: Accuracy::EXACT,
         }
@@ -84,6 +92,13 @@ impl Tuning {
     /// kernels.
     pub fn field_matrices(&self) -> Option<Matrices> {
         self.matrices.filter(|m| self.accuracy.visibility_operands == 16 && (Matrices::compiled() || !m.units))
+    }
+
+    /// Returns the number of single-subgroup workgroups that run at once.
+    ///
+    /// `per_unit`: those of a compute unit.
+    pub fn parts(&self, per_unit: u32) -> u32 {
+        if self.cpu { self.workers } else { self.units * per_unit }
     }
 
     /// Returns whether subgroups are narrow, as on CPUs. Their memory operations run lane by lane.

@@ -1,17 +1,20 @@
 // Backward of the visibility field, first half: from the gradient of each pair of pixel and light to the weights of all
 // layers but the first one's features, to the lights' positions, and to the rows of points.
 //
-// Recomputes the forward pass of each pair. Its share of the second layer's gradient is an outer product, so lanes hold the
-// sums by neuron; see visibility_lanes.glsl. Processes four pixels and one light at a time (with eight, compilers take three
-// times as long). A workgroup is one subgroup and writes one set of sums. Rows of points are summed over the lights first,
-// so that the second half runs once a pixel.
+// Recomputes the forward pass of each pair. A lane holds a pixel and visits its lights, so that layers need no exchange: an
+// instruction multiplies a weight, the same for all lanes, by the numbers of as many pairs as there are lanes. Only the
+// gradients of weights add up over pairs. They are a product of two matrices, whose operands lanes exchange through shared
+// memory: the second layer's by tiles of TILE_ROWS outputs and four inputs a lane, the first layer's direction and distance
+// likewise. A lane keeps its tiles in registers until the end. Weights are loads from addresses that all lanes share. Rows
+// of points are summed over the lights first, so that the second half runs once a pixel. A workgroup is one subgroup and
+// writes one set of sums.
 //
 // Needs visibility_grid.glsl, random.glsl and visibility_jitter.glsl, the constants and buffers below, and functions:
 //     void pair_begin(uint pixel, bool is_shaded)  before the first light of a pixel, which may be any if it is not shaded
 //     bool pair_matters(uint light)                cheap: whether the next one can be other than zero
 //     float pair_gradient(uint light)              derivative of the loss by the visibility of the light
 // All invocations of a subgroup call them together. Lights are light_of(0) to light_of(light_count() - 1), and
-// light_place(light) is the position of a light in the world.
+// light_place(light) is the position of a light in the world. Lights differ between groups of GROUP lanes.
 
 #define ITEM_COUNT 4
 #include "visibility_lanes.glsl"
@@ -19,118 +22,145 @@
 const uint INPUTS = 2u * LEVELS + 4u;
 const uint SECOND = WIDTH * INPUTS;
 const uint LAST = SECOND + WIDTH * WIDTH;
-const uint NEVER = 0xffffffffu;
 
 // Sums of a workgroup: second layer by output and input; first layer's direction and distance by neuron; last layer.
 const uint SUMS = WIDTH * WIDTH + 4u * WIDTH + WIDTH;
 
-float first_pair[4u * HELD]; // of the first layer: direction, distance
-float columns[WIDTH * HELD]; // of the second layer
-float rows_of[WIDTH * HELD]; // its rows
-float last[HELD];
+const uint BLOCKS = WIDTH / 4u;                   // of four neurons
+const uint TILE_ROWS = WIDTH * BLOCKS / ACROSS;   // outputs of a lane's tile
+const uint PITCH = BLOCKS + 1u;                   // of a lane's row in shared memory: one more, so that banks differ
+const uint GROUP = SAMPLE > 1u ? 8u : SUBGROUP;   // pixels that visit the same lights; sampled() decides for eight
+const uint GROUPS = SUBGROUP / GROUP;
 
-float pair_column(uint k, uint h) { return mlp[neuron(h) * INPUTS + 2u * LEVELS + k]; }
-float second_column(uint k, uint h) { return mlp[SECOND + neuron(h) * WIDTH + k]; }
-float second_row(uint o, uint h) { return mlp[SECOND + o * WIDTH + neuron(h)]; }
-float last_column(uint k, uint h) { return mlp[LAST + neuron(h)]; }
+shared vec4 shared_neurons[SUBGROUP * PITCH]; // outputs of the first layer, then their gradients
+shared vec4 shared_slopes[ACROSS * PITCH];    // gradients of the second layer, over the last one's weights
+shared float shared_ways[SUBGROUP * 4u];
 
-vec4 way;                      // of this lane's item: direction from the light, distance
-float here[ITEMS * HELD];      // rows of points
-float moved[ITEMS * HELD];     // rows of points moved
-float hidden[ITEMS * HELD];    // after the first layer
-float second[ITEMS * HELD];    // after the second
-float logits[ITEMS];
-float slope;                   // of this lane's item: derivative by the logit
+IN(vec4, mlp_fours); // mlp
 
-float by_second[WIDTH * HELD]; // sums
-float by_pair[4u * HELD];
-float by_last[HELD];
-float by_row[ITEMS * HELD];    // of this batch, by item
-float turn_x[ITEMS], turn_y[ITEMS], turn_z[ITEMS], stretch[ITEMS]; // derivatives by direction and distance
+#define EACH(i, count) [[unroll]] for (uint i = 0u; i < count; i++)
 
-void layers(uint item, float row[HELD]) {
-    float x = from_lane(way.x, item), y = from_lane(way.y, item), z = from_lane(way.z, item);
-    float reach = from_lane(way.w, item);
-    EACH_HELD(h) {
-        float at = fma(first_pair[3u * HELD + h], reach, row[h]);
-        at = fma(first_pair[h], x, fma(first_pair[HELD + h], y, fma(first_pair[2u * HELD + h], z, at)));
-        hidden[item * HELD + h] = rectified(at);
-        second[item * HELD + h] = 0.0;
-    }
-    [[unroll]] for (uint k = 0u; k < WIDTH; k++) {
-        float a = from_lane(hidden[item * HELD + k % HELD], k / HELD);
-        EACH_HELD(h) second[item * HELD + h] = fma(columns[k * HELD + h], a, second[item * HELD + h]);
-    }
-    float logit = 0.0;
-    EACH_HELD(h) {
-        second[item * HELD + h] = rectified(second[item * HELD + h]);
-        logit = fma(last[h], second[item * HELD + h], logit);
-    }
-    logits[item] = logit;
+// Weights of the second layer by output and block of inputs, and of the first layer's direction and distance.
+vec4 second_from(uint i) { return mlp_fours[SECOND / 4u + i]; }
+
+vec4 pair_from(uint n) {
+    uint at = n * INPUTS + 2u * LEVELS;
+    return vec4(mlp[at], mlp[at + 1u], mlp[at + 2u], mlp[at + 3u]);
 }
 
-bool moving;
-
-void layers_of(uint item) {
-    float row[HELD];
-    EACH_HELD(h) row[h] = REGULARIZED && moving ? moved[item * HELD + h] : here[item * HELD + h];
-    layers(item, row);
+// What other lanes of the subgroup, which is the workgroup, have written to shared memory.
+void exchange() {
+    subgroupMemoryBarrierShared();
+    subgroupBarrier();
 }
 
-void back(uint item) {
-    float by_logit = from_lane(slope, item);
-    float above[HELD], below[HELD];
-    EACH_HELD(h) {
-        float s = second[item * HELD + h];
-        by_last[h] = fma(by_logit, s, by_last[h]);
-        above[h] = s > 0.0 ? by_logit * last[h] : 0.0;
-        below[h] = 0.0;
-    }
-    [[unroll]] for (uint o = 0u; o < WIDTH; o++) {
-        float g = from_lane(above[o % HELD], o / HELD);
-        EACH_HELD(h) {
-            below[h] = fma(rows_of[o * HELD + h], g, below[h]);
-            by_second[o * HELD + h] = fma(hidden[item * HELD + h], g, by_second[o * HELD + h]);
-        }
-    }
-    float x = from_lane(way.x, item), y = from_lane(way.y, item), z = from_lane(way.z, item);
-    float reach = from_lane(way.w, item);
-    turn_x[item] = turn_y[item] = turn_z[item] = stretch[item] = 0.0;
-    EACH_HELD(h) {
-        float g = hidden[item * HELD + h] > 0.0 ? below[h] : 0.0;
-        by_row[item * HELD + h] += g;
-        by_pair[h] = fma(g, x, by_pair[h]);
-        by_pair[HELD + h] = fma(g, y, by_pair[HELD + h]);
-        by_pair[2u * HELD + h] = fma(g, z, by_pair[2u * HELD + h]);
-        by_pair[3u * HELD + h] = fma(g, reach, by_pair[3u * HELD + h]);
-        turn_x[item] = fma(g, first_pair[h], turn_x[item]);
-        turn_y[item] = fma(g, first_pair[HELD + h], turn_y[item]);
-        turn_z[item] = fma(g, first_pair[2u * HELD + h], turn_z[item]);
-        stretch[item] = fma(g, first_pair[3u * HELD + h], stretch[item]);
-    }
-}
-
-void clear_row(uint item) {
-    EACH_HELD(h) by_row[item * HELD + h] = 0.0;
-}
-
-uint side_first; // first of this side's pixels in the chunk
 bool lane_shaded;
+uint row_at;                // first number of the pixel's row, whose numbers are SUBGROUP apart
+vec4 way;                   // of the pair
+bool moving;                // the jittered one
+float slopes[WIDTH];        // sums of the second layer; then the derivative of the loss by them
+uint alive;                 // bits of the first layer's neurons that are above zero
+float logit;
+vec4 turn;                  // derivative by the way
+vec4 by_second[TILE_ROWS];  // sums over pairs: this lane's tile
+vec4 by_pair[HELD];         // the same of direction and distance: four neurons, HELD of the four inputs
+vec4 by_row[BLOCKS];        // of this pixel, by neuron
 
-void fetch_row(uint item) {
-    bool is_shaded = from_lane(lane_shaded ? 1.0 : 0.0, item) > 0.0;
-    uint at = min(side_first + item, push.count - 1u) * WIDTH;
-    EACH_HELD(h) {
-        float row = is_shaded ? rows[at + neuron(h)] : 0.0;
-        here[item * HELD + h] = row;
-        if (REGULARIZED) moved[item * HELD + h] = is_shaded ? moved_rows[at + neuron(h)] : 0.0;
+// A neuron of the first layer.
+float first_layer(uint k, vec4 w, float row) {
+    return rectified(fma(w.x, way.x, fma(w.y, way.y, fma(w.z, way.z, fma(w.w, way.w, row)))));
+}
+
+float added(vec4 w, vec4 x, float sum) { return fma(w.x, x.x, fma(w.y, x.y, fma(w.z, x.z, fma(w.w, x.w, sum)))); }
+
+// Sums over lanes that are `reach` apart, and its multiples by powers of two.
+vec4 sum_from(uint reach, vec4 v) {
+    [[unroll]] for (; reach < SUBGROUP; reach *= 2u) {
+        v += vec4(subgroupShuffleXor(v.x, reach), subgroupShuffleXor(v.y, reach), subgroupShuffleXor(v.z, reach),
+                  subgroupShuffleXor(v.w, reach));
+    }
+    return v;
+}
+
+float row_of(uint n) {
+    if (!lane_shaded) return 0.0;
+    return REGULARIZED && moving ? moved_rows[row_at + n * SUBGROUP] : rows[row_at + n * SUBGROUP];
+}
+
+// Forward pass of a pair.
+void layers() {
+    EACH(n, WIDTH) slopes[n] = 0.0;
+    logit = 0.0;
+    alive = 0u;
+    // A loop, because instructions do not fit in caches otherwise.
+    [[dont_unroll]] for (uint b = 0u; b < BLOCKS; b++) {
+        vec4 hidden;
+        EACH(j, 4u) {
+            uint k = 4u * b + j;
+            hidden[j] = first_layer(k, pair_from(k), row_of(k));
+            alive |= uint(hidden[j] > 0.0) << k;
+        }
+        shared_neurons[gl_SubgroupInvocationID * PITCH + b] = hidden;
+        EACH(n, WIDTH) slopes[n] = added(second_from(n * BLOCKS + b), hidden, slopes[n]);
+    }
+    EACH(n, WIDTH) logit = fma(mlp[LAST + n], rectified(slopes[n]), logit);
+}
+
+// Adds a lane's pair, whose slopes are in a row of shared_slopes, to the tile of the second layer.
+void add_second(uint lane, uint row) {
+    uint block = column() % BLOCKS, first = column() / BLOCKS * TILE_ROWS;
+    vec4 hidden = shared_neurons[lane * PITCH + block];
+    EACH(q, TILE_ROWS / 4u) {
+        vec4 g = shared_slopes[row * PITCH + first / 4u + q];
+        EACH(j, 4u) by_second[4u * q + j] = fma(vec4(g[j]), hidden, by_second[4u * q + j]);
     }
 }
 
-void write_row(uint item) {
-    if (side_first + item < push.count) {
-        EACH_HELD(h) row_gradients[(side_first + item) * WIDTH + neuron(h)] = by_row[item * HELD + h];
+// The same for the first layer's direction and distance.
+void add_pair(uint lane) {
+    vec4 g = shared_neurons[lane * PITCH + column() % BLOCKS];
+    EACH(h, HELD) by_pair[h] = fma(g, vec4(shared_ways[lane * 4u + column() / BLOCKS * HELD + h]), by_pair[h]);
+}
+
+// Each side takes its share of the pairs, TOGETHER in a round: enough loads to hide their latency.
+const uint TOGETHER = 4u;
+#define EACH_PAIR(i, count)                                                                                    \
+    [[dont_unroll]] for (uint i##_ = side; i##_ < count; i##_ += TOGETHER * SIDES)                             \
+        [[unroll]] for (uint i = i##_; i < i##_ + TOGETHER * SIDES; i += SIDES)
+
+// Backward pass of a pair, from the derivative of the loss by its logit.
+void back(float slope) {
+    uint lane = gl_SubgroupInvocationID, side = lane / ACROSS;
+    EACH(n, WIDTH) slopes[n] = slopes[n] > 0.0 ? slope : 0.0;
+    turn = vec4(0.0);
+    [[dont_unroll]] for (uint writer = 0u; writer < SIDES; writer++) {
+        if (side == writer) {
+            EACH(b, BLOCKS) {
+                uint n = 4u * b;
+                shared_slopes[column() * PITCH + b] = vec4(slopes[n], slopes[n + 1u], slopes[n + 2u], slopes[n + 3u]);
+            }
+        }
+        exchange();
+        EACH_PAIR(i, ACROSS) add_second(writer * ACROSS + i, i);
+        exchange();
     }
+    EACH(n, WIDTH) slopes[n] *= mlp[LAST + n];
+    [[dont_unroll]] for (uint b = 0u; b < BLOCKS; b++) {
+        vec4 g = vec4(0.0);
+        EACH(n, WIDTH) g = fma(second_from(n * BLOCKS + b), vec4(slopes[n]), g);
+        EACH(j, 4u) {
+            uint k = 4u * b + j;
+            g[j] = (alive >> k & 1u) != 0u ? g[j] : 0.0;
+            turn = fma(vec4(g[j]), pair_from(k), turn);
+        }
+        shared_neurons[lane * PITCH + b] = g;
+    }
+    // Constants index sums of the pixel, so that they stay in registers.
+    EACH(b, BLOCKS) by_row[b] += shared_neurons[lane * PITCH + b];
+    EACH(k, 4u) shared_ways[lane * 4u + k] = way[k];
+    exchange();
+    EACH_PAIR(i, SUBGROUP) add_pair(i);
+    exchange();
 }
 
 // 1 for each pair that counts; with SAMPLE above 1 these are so many times fewer, and count for as much more.
@@ -138,106 +168,130 @@ bool sampled(uint pixel, uint light) {
     return SAMPLE <= 1u || random_bits(field_params.field.seed ^ 0x3c6eu, pixel / 8u, light) % SAMPLE == 0u;
 }
 
+// Whether any lane of this lane's group says so.
+bool any_of_group(bool x) {
+    if (GROUPS == 1u) return subgroupAny(x);
+    uvec4 votes = subgroupBallot(x);
+    uint lane = gl_SubgroupInvocationID;
+    return ((votes[lane / 32u] >> (lane % 32u / 8u * 8u)) & 0xffu) != 0u;
+}
+
+// Adds a vector over the lanes of each group: lane c then has component c % 4.
+float group_sum(vec3 v) {
+    float sums[4] = float[4](v.x, v.y, v.z, 0.0);
+    ITEM_SUMS_AT(sums, 2u)
+    ITEM_SUMS_AT(sums, 1u)
+    [[unroll]] for (uint reach = 4u; reach < GROUP; reach *= 2u) sums[0] += subgroupShuffleXor(sums[0], reach);
+    return sums[0];
+}
+
+// Moving the light moves direction and distance the other way; at the faces, or in the point, nothing. The component across
+// the ray, by vector products: a difference would leave a ten-millionth of the component along it.
+vec3 place_gradient(FieldStep field, vec3 place) {
+    vec3 across = cross(way.xyz, cross(turn.xyz, way.xyz));
+    vec3 gradient = across / max(way.w, 1e-12) + way.xyz * turn.w;
+    uvec3 inside = uvec3(greaterThan(place, field.box_min)) * uvec3(lessThan(place, field.box_max));
+    return mix(vec3(0.0), -gradient * field.box_inverse, bvec3(inside * uint(way.w > 1e-12)));
+}
+
+// The last layer's gradients are sums over the first layer's outputs, too, by the second layer's weights.
+void write_sums() {
+    uint to = gl_WorkGroupID.x * SUMS, block = column() % BLOCKS, part = column() / BLOCKS;
+    bool writes = gl_SubgroupInvocationID < ACROSS;
+    EACH(j, TILE_ROWS) {
+        uint n = part * TILE_ROWS + j;
+        vec4 sum = sum_from(ACROSS, by_second[j]);
+        float by_last = dot(sum, second_from(n * BLOCKS + block));
+        [[unroll]] for (uint reach = 1u; reach < BLOCKS; reach *= 2u) by_last += subgroupShuffleXor(by_last, reach);
+        sum *= mlp[LAST + n];
+        if (writes) {
+            EACH(k, 4u) sums_of[to + n * WIDTH + 4u * block + k] = sum[k];
+            if (block == 0u) sums_of[to + WIDTH * (WIDTH + 4u) + n] = by_last;
+        }
+    }
+    EACH(h, HELD) {
+        vec4 sum = sum_from(ACROSS, by_pair[h]);
+        if (writes) EACH(k, 4u) sums_of[to + WIDTH * (WIDTH + part * HELD + h) + 4u * block + k] = sum[k];
+    }
+}
+
 void main() {
-    FILL_COLUMNS(first_pair, 4u, pair_column)
-    FILL_COLUMNS(columns, WIDTH, second_column)
-    FILL_COLUMNS(rows_of, WIDTH, second_row)
-    FILL_COLUMNS(last, 1u, last_column)
-    [[unroll]] for (uint i = 0u; i < WIDTH * HELD; i++) by_second[i] = 0.0;
-    EACH_HELD(h) by_last[h] = by_pair[h] = by_pair[HELD + h] = by_pair[2u * HELD + h] = by_pair[3u * HELD + h] = 0.0;
+    EACH(j, TILE_ROWS) by_second[j] = vec4(0.0);
+    EACH(h, HELD) by_pair[h] = vec4(0.0);
     FieldStep field = field_params.field;
     uint lights = light_count();
-    uint side = gl_SubgroupInvocationID / ACROSS;
     float largest = 0.0, jitter = 0.0;
-    [[dont_unroll]] for (uint batch = gl_WorkGroupID.x * SIDES; batch * ITEMS < push.count;
-                         batch += gl_NumWorkGroups.x * SIDES) {
-        side_first = (batch + side) * ITEMS;
-        uint local = side_first + column() % ITEMS, pixel = push.first + local;
+    [[dont_unroll]] for (uint batch = gl_WorkGroupID.x; batch * SUBGROUP < push.count; batch += gl_NumWorkGroups.x) {
+        uint local = batch * SUBGROUP + gl_SubgroupInvocationID, pixel = push.first + local;
         bool exists = local < push.count && pixel < field.pixels;
         uint at = exists ? pixel : 0u;
         lane_shaded = exists && is_covered(coverage[at]);
         vec3 point = lane_shaded ? points[at] : field.box_min, moved_point = point;
         if (REGULARIZED) moved_point = field_inside(field, point + jitter_of(field, POINTS, at));
         point = field_inside(field, point);
-        EACH_ITEM(fetch_row)
-        EACH_ITEM(clear_row)
+        row_at = batch * SUBGROUP * WIDTH + gl_SubgroupInvocationID;
+        EACH(b, BLOCKS) by_row[b] = vec4(0.0);
         pair_begin(at, lane_shaded);
-        // A loop passes over lights that do not matter to any of the pixels: processors skip nothing else.
-        [[dont_unroll]] for (uint next = 0u;; next++) {
+        uint next = 0u;
+        [[dont_unroll]] for (;;) {
+            // To the next light that matters to any pixel of the group. Groups that have found one wait for the others.
             uint light = 0u;
-            [[dont_unroll]] for (; next < lights; next++) {
-                light = min(light_of(next), push.most - 1u);
-                bool counts = lane_shaded && sampled(pixel, light) && (REGULARIZED || pair_matters(light));
-                if (subgroupAny(counts)) break;
+            bool found = false;
+            [[dont_unroll]] for (;;) {
+                bool is_open = !found && next < lights;
+                if (!subgroupAny(is_open)) break;
+                uint candidate = min(light_of(min(next, lights - 1u)), push.most - 1u);
+                bool takes = is_open && lane_shaded && sampled(pixel, candidate);
+                if (any_of_group(takes && (REGULARIZED || pair_matters(candidate)))) {
+                    found = true;
+                    light = candidate;
+                }
+                next += uint(is_open);
             }
-            if (next >= lights) break;
-            bool counts = lane_shaded && sampled(pixel, light);
+            if (!subgroupAny(found)) break;
+            bool counts = found && lane_shaded && sampled(pixel, light);
             vec3 place = light_place(light);
             float by_visibility = pair_gradient(light), moved_logit = 0.0;
             // First the jittered point, then the point itself, whose state the backward pass uses.
-            float logit = 0.0;
-            [[dont_unroll]] for (uint turn = REGULARIZED ? 0u : 1u; turn < 2u; turn++) {
-                moving = turn == 0u;
+            [[dont_unroll]] for (uint pass = REGULARIZED ? 0u : 1u; pass < 2u; pass++) {
+                moving = pass == 0u;
                 vec3 to = moving ? place + jitter_of(field, LIGHTS, light) : place;
                 way = field_way(field, moving ? moved_point : point, field_inside(field, to));
                 moved_logit = logit;
-                EACH_ITEM(layers_of)
-                ITEM_SUMS(logits)
-                logit = logits[0];
+                layers();
             }
             // The squashing function's order is that of the logits.
             if (REGULARIZED) {
                 by_visibility += field.regularizer * sign(logit - moved_logit);
                 float apart = abs(1.0 / (1.0 + exp(-logit)) - 1.0 / (1.0 + exp(-moved_logit)));
-                if (counts && column() < ITEMS && finite_bits(apart)) {
-                    jitter += float(max(SAMPLE, 1u)) * field.regularizer * apart;
-                }
+                if (counts && finite_bits(apart)) jitter += float(max(SAMPLE, 1u)) * field.regularizer * apart;
             }
             float e = exp(-abs(logit)), d = 1.0 / (1.0 + e);
-            slope = counts ? float(max(SAMPLE, 1u)) * by_visibility * (e * d * d) : 0.0;
+            float slope = counts ? float(max(SAMPLE, 1u)) * by_visibility * (e * d * d) : 0.0;
             if (!finite_bits(slope)) slope = 0.0;
-            EACH_ITEM(back)
+            back(slope);
             if (PLACES) {
-                ITEM_SUMS(turn_x)
-                ITEM_SUMS(turn_y)
-                ITEM_SUMS(turn_z)
-                ITEM_SUMS(stretch)
-                vec3 turn = vec3(turn_x[0], turn_y[0], turn_z[0]);
-                // Moving the light moves direction and distance the other way; at the faces, or in the point, nothing.
-                // The component across the ray, by vector products: a difference would leave a ten-millionth of the component
-                // along it.
-                vec3 across = cross(way.xyz, cross(turn, way.xyz));
-                vec3 position_gradient = across / max(way.w, 1e-12) + way.xyz * stretch[0];
-                uvec3 inside = uvec3(greaterThan(place, field.box_min)) * uvec3(lessThan(place, field.box_max));
-                bool whose = column() < ITEMS && way.w > 1e-12;
-                position_gradient = mix(vec3(0.0), -position_gradient * field.box_inverse, bvec3(inside * uint(whose)));
-                float sums[ITEMS];
-                [[unroll]] for (uint i = 0u; i < ITEMS; i++) sums[i] = i < 3u ? position_gradient[i] : 0.0;
-                ITEM_SUMS(sums)
-                if (column() < 3u) {
-                    place_sums[((gl_WorkGroupID.x * SIDES + side) * push.most + light) * 3u + column()] += sums[0];
-                }
+                float sum = group_sum(place_gradient(field, place));
+                uint place_row = gl_WorkGroupID.x * GROUPS + gl_SubgroupInvocationID / GROUP;
+                uint axis = gl_SubgroupInvocationID % GROUP;
+                if (found && axis < 3u) place_sums[(place_row * push.most + light) * 3u + axis] += sum;
             }
         }
-        [[unroll]] for (uint i = 0u; i < ITEMS * HELD; i++) {
-            if (!finite_bits(by_row[i])) by_row[i] = 0.0;
-            largest = max(largest, abs(by_row[i]));
+        EACH(b, BLOCKS) {
+            EACH(j, 4u) {
+                if (!finite_bits(by_row[b][j])) by_row[b][j] = 0.0;
+                largest = max(largest, abs(by_row[b][j]));
+            }
+            if (local < push.count) {
+                EACH(j, 4u) row_gradients[local * WIDTH + 4u * b + j] = by_row[b][j];
+            }
         }
-        EACH_ITEM(write_row)
     }
     if (REGULARIZED) {
-        float of_side = 0.0;
-        [[unroll]] for (uint i = 0u; i < ITEMS; i++) of_side += from_lane(jitter, i);
-        if (column() == 0u) jitter_sums[gl_WorkGroupID.x * SIDES + side] += of_side;
+        [[unroll]] for (uint reach = 1u; reach < SUBGROUP; reach *= 2u) jitter += subgroupShuffleXor(jitter, reach);
+        if (gl_SubgroupInvocationID == 0u) jitter_sums[gl_WorkGroupID.x] += jitter;
     }
     uint top = subgroupMax(floatBitsToUint(largest));
     if (subgroupElect()) atomicMax(extent[0], top);
-    float staged[(WIDTH + 5u) * HELD];
-    [[unroll]] for (uint i = 0u; i < WIDTH * HELD; i++) staged[i] = by_second[i];
-    [[unroll]] for (uint i = 0u; i < 4u * HELD; i++) staged[WIDTH * HELD + i] = by_pair[i];
-    EACH_HELD(h) staged[(WIDTH + 4u) * HELD + h] = by_last[h];
-    uint to = (gl_WorkGroupID.x * SIDES + side) * SUMS;
-    [[dont_unroll]] for (uint i = 0u; i < (WIDTH + 5u) * HELD; i++) {
-        sums_of[to + i / HELD * WIDTH + neuron(i % HELD)] = staged[i];
-    }
+    write_sums();
 }

@@ -1,4 +1,4 @@
-// Constants and buffers of visibility_bwd.glsl. Define FIELD_PIXELS if points and coverage are already declared.
+// Constants and buffers of visibility_bwd.glsl and visibility_bwd_lanes.glsl. Define FIELD_PIXELS if points and coverage are already declared.
 
 layout(constant_id = 10) const uint LEVELS = 16;
 layout(constant_id = 11) const bool REGULARIZED = true; // with the smoothness term
@@ -19,10 +19,10 @@ IN(float, mlp);
 IN(vec3, points);
 IN(float, coverage);
 #endif
-IN(float, rows);            // count x 32: the first layer's response to points
+IN(float, rows);            // the first layer's response to points, see visibility_encode.comp
 IN(float, moved_rows);      // likewise, moved
 OUT(float, row_gradients);  // count x 32
 OUT(float, sums_of);        // by workgroup and side
-INOUT(float, place_sums);   // by workgroup and side, light
+INOUT(float, place_sums);   // by workgroup and side or group, light
 INOUT(float, jitter_sums);  // by workgroup and side: the smoothness term, with its weight
 INOUT(uint, extent);        // largest magnitude of row_gradients, as bits

@@ -10,6 +10,7 @@ layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint SUBGROUP = 32;
 layout(constant_id = 3) const bool FIELD_SPREAD = false; // see visibility_field.glsl
 layout(constant_id = 4) const uint LEVELS = 16;
+layout(constant_id = 5) const bool BY_BLOCK = false; // rows of SUBGROUP pixels side by side: 32 x SUBGROUP instead of SUBGROUP x 32
 
 layout(push_constant, scalar) uniform Push {
     uint first; // pixel
@@ -23,10 +24,15 @@ IN(FieldLevel, field_levels);
 #include "visibility_tables.glsl"
 IN(float, mlp);
 IN(vec3, points);
-OUT(float, rows); // count x 32
+OUT(float, rows); // count x 32, or whole blocks
 
 #include "visibility_field.glsl"
 #include "visibility_jitter.glsl"
+
+// Number n of the row of an invocation's pixel.
+uint row_number(uint i, uint n) {
+    return BY_BLOCK ? (i / SUBGROUP * WIDTH + n) * SUBGROUP + i % SUBGROUP : i * WIDTH + n;
+}
 
 void main() {
     field_weights();
@@ -37,13 +43,12 @@ void main() {
     point += float(push.moved) * jitter_of(params.field, POINTS, at);
     field_pixel(field_position(params.field, field_inside(params.field, point)));
     if (FIELD_SPREAD) {
-        // Rows of the subgroup's pixels lie one behind the other.
         uint first = i - gl_SubgroupInvocationID;
         [[unroll]] for (uint item = 0u; item < ITEMS; item++) {
             if (first + item < push.count)
-                EACH_HELD(h) rows[(first + item) * WIDTH + neuron(h)] = spread_points[item * HELD + h];
+                EACH_HELD(h) rows[row_number(first + item, neuron(h))] = spread_points[item * HELD + h];
         }
     } else if (within) {
-        FIELD_EACH(n, WIDTH) rows[i * WIDTH + n] = alone_point[n];
+        FIELD_EACH(n, WIDTH) rows[row_number(i, n)] = alone_point[n];
     }
 }

@@ -37,6 +37,8 @@ pub struct Case {
     pub step: FieldStep,
     /// Bits of a table feature when the field is evaluated: 16 or 32.
     pub table_bits: u32,
+    /// Whether the backward pass uses the kernels of CPUs; `None` for those of the device.
+    pub cpu: Option<bool>,
 }
 
 /// Configuration with sixteen small levels, most of them hashed.
@@ -77,7 +79,14 @@ impl Case {
             lights,
             step,
             table_bits: 32,
+            cpu: None,
         }
+    }
+
+    /// Returns the kernel sizes of the backward pass.
+    pub fn backward_tuning(&self, gpu: &Gpu) -> Tuning {
+        let own = gpu.tuning();
+        Tuning { cpu: self.cpu.unwrap_or(own.cpu), ..own }
     }
 
     /// Returns the field of the reference.
@@ -229,7 +238,8 @@ impl Case {
             touched,
             scale: g.external("scale", 8),
         };
-        visibility_bwd(&mut g, gpu.tuning(), &field, &view, most, &constant, &requested.options, &into).unwrap();
+        visibility_bwd(&mut g, self.backward_tuning(gpu), &field, &view, most, &constant, &requested.options, &into)
+            .unwrap();
         let out = gpu.run(g, &inputs);
         let scale = out.get::<f32>(into.scale);
         assert_eq!(scale[0] * scale[1], 1.0);

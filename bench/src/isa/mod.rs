@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     /// Kernels that no pipeline runs at 32 lanes without matrix units.
-    const ABSENT: [&str; 14] = [
+    const ABSENT: [&str; 16] = [
         // Measured by benchmarks only.
         "copy_probe",
         "fill",
@@ -67,6 +67,8 @@ mod tests {
         "visibility_traced",
         // Narrow subgroups, and loops that a CPU device cuts off.
         "long_tiles",
+        "visibility_bwd_lanes",
+        "visibility_lights_bwd_lanes",
         "radix_scatter_direct",
         // Workgroups of another size.
         "regroup",

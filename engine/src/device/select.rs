@@ -31,6 +31,8 @@ pub struct DeviceInfo {
     pub subgroup_size: u32,
     /// Smallest and largest subgroup size of kernels. Kernels request a size where the two differ.
     pub subgroup_sizes: (u32, u32),
+    /// Compute units or streaming multiprocessors; `None` if the driver does not report them.
+    pub compute_units: Option<u32>,
     /// Largest storage binding in bytes.
     pub max_storage_range: u64,
     /// Bytes of the largest buffer (`maxBufferSize`).
@@ -135,6 +137,10 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
     let has = |name: &std::ffi::CStr| extensions.iter().any(|e| e.extension_name_as_c_str() == Ok(name));
     let has_bus = has(ash::ext::pci_bus_info::NAME);
     let has_atomics = has(ash::ext::shader_atomic_float::NAME);
+    let has_cores = has(ash::amd::shader_core_properties::NAME);
+    let has_multiprocessors = has(ash::nv::shader_sm_builtins::NAME);
+    let mut cores = vk::PhysicalDeviceShaderCorePropertiesAMD::default();
+    let mut multiprocessors = vk::PhysicalDeviceShaderSMBuiltinsPropertiesNV::default();
     let mut cooperative = vk::PhysicalDeviceCooperativeMatrixFeaturesKHR::default();
     let mut cooperative_stages = vk::PhysicalDeviceCooperativeMatrixPropertiesKHR::default();
     // A validation layer reports structs of extensions that it does not know as errors.
@@ -146,6 +152,12 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         properties = properties.push_next(&mut allocation).push_next(&mut buffer).push_next(&mut identity);
         if has_bus {
             properties = properties.push_next(&mut bus);
+        }
+        if has_cores {
+            properties = properties.push_next(&mut cores);
+        }
+        if has_multiprocessors {
+            properties = properties.push_next(&mut multiprocessors);
         }
         let mut features = vk::PhysicalDeviceFeatures2::default().push_next(&mut v12).push_next(&mut v13);
         if has_atomics {
@@ -274,6 +286,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         ),
         subgroup_size: subgroup.subgroup_size,
         subgroup_sizes,
+        compute_units: compute_units(&cores, &multiprocessors),
         max_storage_range: u64::from(limits.max_storage_buffer_range),
         max_buffer: buffer.max_buffer_size,
         max_allocation: allocation.max_memory_allocation_size,
@@ -296,6 +309,17 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         optional,
     };
     Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), info })
+}
+
+/// Returns the compute units, or multiprocessors, of a GPU.
+///
+/// Structs that the driver does not know are zero.
+fn compute_units(
+    amd: &vk::PhysicalDeviceShaderCorePropertiesAMD<'_>,
+    nvidia: &vk::PhysicalDeviceShaderSMBuiltinsPropertiesNV<'_>,
+) -> Option<u32> {
+    let arrays = amd.shader_engine_count.saturating_mul(amd.shader_arrays_per_engine_count);
+    Some(arrays.saturating_mul(amd.compute_units_per_shader_array).max(nvidia.shader_sm_count)).filter(|n| *n > 0)
 }
 
 /// Returns the missing subgroup size control of a device. `None` if the device has it, or has only one subgroup size.
@@ -396,6 +420,7 @@ pub(super) mod tests {
             api: "1.3.0".to_owned(),
             subgroup_size: 8,
             subgroup_sizes: (8, 8),
+            compute_units: None,
             max_storage_range: 1 << 27,
             max_buffer: 1 << 30,
             max_allocation: 1 << 30,
@@ -413,6 +438,21 @@ pub(super) mod tests {
             fallbacks: Vec::new(),
             optional: OptionalFeatures::default(),
         }
+    }
+
+    #[test]
+    fn compute_units_are_those_of_the_vendor() {
+        let amd = vk::PhysicalDeviceShaderCorePropertiesAMD::default();
+        assert_eq!(compute_units(&amd, &Default::default()), None);
+        let navi21 = vk::PhysicalDeviceShaderCorePropertiesAMD {
+            shader_engine_count: 4,
+            shader_arrays_per_engine_count: 2,
+            compute_units_per_shader_array: 10,
+            ..amd
+        };
+        assert_eq!(compute_units(&navi21, &Default::default()), Some(80));
+        let h200 = vk::PhysicalDeviceShaderSMBuiltinsPropertiesNV { shader_sm_count: 132, ..Default::default() };
+        assert_eq!(compute_units(&amd, &h200), Some(132));
     }
 
     fn candidate(index: usize, name: &str, kind: &'static str, missing: &[&str]) -> Candidate {

@@ -30,10 +30,10 @@ pub(super) fn field(s: &Stage<'_>, c: &Counts) -> Cost {
     }
 }
 
-/// Returns the name of the kernel that computes the same in 32 bits. Products on matrix units count as any others,
-/// since the result is the same.
+/// Returns the name of the kernel that computes the same in 32 bits for GPUs. Products on matrix units count as any
+/// others, since the result is the same.
 pub(super) fn portable(kernel: &str) -> &str {
-    kernel.strip_suffix("_cooperative").or_else(|| kernel.strip_suffix("_halves")).unwrap_or(kernel)
+    ["_cooperative", "_halves", "_lanes"].iter().find_map(|s| kernel.strip_suffix(s)).unwrap_or(kernel)
 }
 
 /// Returns the cost of a kernel of this module, or `None` for others.

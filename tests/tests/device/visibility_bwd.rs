@@ -1,19 +1,23 @@
 //! Gradients of the visibility field on the device against its reference.
 
 use sgs_passes::shade::visibility::FieldConfig;
-use sgs_tests::Gpu;
 use sgs_tests::field::{Case, Found, LossGradients, SMALL};
+use sgs_tests::{Gpu, Tolerance, assert_close};
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
+/// Kernels of GPUs and of CPUs.
+const BOTH: [Option<bool>; 2] = [Some(false), Some(true)];
+
 #[test]
 fn visibility_gradients_match_reference() {
     let gpu = Gpu::new();
     let one = FieldConfig::new(1, 8, 5, 5);
-    for (config, pixels, lights, regularizer) in [(SMALL, 37, 3, 0.0), (SMALL, 300, 5, 0.3), (one, 9, 2, 0.1)] {
-        let mut case = Case::random(config, pixels, lights, 8);
+    let cases = [(SMALL, 37, 3, 0.0), (SMALL, 300, 5, 0.3), (one, 9, 2, 0.1), (SMALL, 64, 1, 0.3)];
+    for (cpu, (config, pixels, lights, regularizer)) in BOTH.into_iter().flat_map(|b| cases.map(|c| (b, c))) {
+        let mut case = Case { cpu, ..Case::random(config, pixels, lights, 8) };
         case.step.regularizer = regularizer;
         let mut requested = LossGradients::random(&case, 1.0, 9);
         requested.options.regularized = regularizer > 0.0;
@@ -43,20 +47,23 @@ fn gradients_of_16_bit_tables_match_reference() {
 #[test]
 fn visibility_gradients_are_deterministic() {
     let gpu = Gpu::new();
-    let mut case = Case::random(SMALL, 150, 3, 14);
+    BOTH.into_iter().for_each(|cpu| is_deterministic(&gpu, Case { cpu, ..Case::random(SMALL, 150, 3, 14) }));
+}
+
+fn is_deterministic(gpu: &Gpu, mut case: Case) {
     case.step.regularizer = 0.1;
     let requested = LossGradients::random(&case, 1.0, 15);
-    let (a, b) = (case.backward(&gpu, &requested), case.backward(&gpu, &requested));
+    let (a, b) = (case.backward(gpu, &requested), case.backward(gpu, &requested));
     assert!(bytes(&a.mlp) == bytes(&b.mlp) && bytes(&a.lights) == bytes(&b.lights));
     assert!(a.words == b.words && a.touched == b.touched);
     // In reverse order, other workgroups process the pixels. The random draw of each pixel is off.
     let mut requested = requested;
     requested.options.regularized = false;
-    let a = case.backward(&gpu, &requested);
+    let a = case.backward(gpu, &requested);
     case.points.reverse();
     case.coverage.reverse();
     requested.pixels.reverse();
-    let b = case.backward(&gpu, &requested);
+    let b = case.backward(gpu, &requested);
     assert!(a.words == b.words && a.touched == b.touched && a.scale == b.scale);
     assert!(
         bytes(&a.mlp) != bytes(&b.mlp),
@@ -69,7 +76,10 @@ fn visibility_gradients_are_deterministic() {
 #[test]
 fn visibility_gradients_match_reference_at_the_edges() {
     let gpu = Gpu::new();
-    let mut case = Case::random(SMALL, 48, 4, 16);
+    BOTH.into_iter().for_each(|cpu| at_the_edges(&gpu, Case { cpu, ..Case::random(SMALL, 48, 4, 16) }));
+}
+
+fn at_the_edges(gpu: &Gpu, mut case: Case) {
     case.points[0] = case.lights[0];
     case.points[1] = [1e6, -1e6, 1e30];
     case.points[2] = case.low;
@@ -80,19 +90,19 @@ fn visibility_gradients_match_reference_at_the_edges() {
     for scale in [1.0, 1e-20, 1e20] {
         let mut requested = LossGradients::random(&case, scale, 17);
         requested.options.regularized = false;
-        case.check_gradients(&gpu, &requested, 2e-5);
+        case.check_gradients(gpu, &requested, 2e-5);
     }
     let requested = LossGradients::random(&case, 1.0, 17);
     let all = |f: &Found| f.mlp.iter().chain(&f.tables).chain(&f.lights).all(|x| x.is_finite());
     for weight in [30.0, 1e4, 1e15] {
         let mut wild = case.clone();
         wild.mlp.iter_mut().for_each(|w| *w *= weight);
-        assert!(all(&wild.backward(&gpu, &requested)), "weights times {weight}");
+        assert!(all(&wild.backward(gpu, &requested)), "weights times {weight}");
     }
     let mut none = case.clone();
     none.coverage.fill(0.0);
     none.points.fill([f32::NAN; 3]);
-    let found = none.backward(&gpu, &requested);
+    let found = none.backward(gpu, &requested);
     let zero = |v: &[f32]| v.iter().all(|x| *x == 0.0);
     assert!(zero(&found.mlp) && zero(&found.lights) && found.words.iter().chain(&found.touched).all(|w| *w == 0));
 }
@@ -128,6 +138,25 @@ fn sampled_pairs_are_unbiased() {
         let (one, many) = (away(&first[1], &first[0]), away(&mean, &all));
         assert!(size > 0.0 && one > 0.05, "one draw {one} of {size}");
         assert!(many < 3.0 * one / f64::from(draws).sqrt(), "regularizer {regularizer}: {one}, mean of {draws} {many}");
+    }
+}
+
+/// Tests that both kernels sample the same pairs; the test above shows that they are the right ones. Groups of pixels
+/// visit different lights in one of the kernels, and all pixels of a subgroup the same ones in the other.
+#[test]
+fn both_kernels_sample_the_same_pairs() {
+    let gpu = Gpu::new();
+    let mut case = Case::random(SMALL, 150, 6, 18);
+    case.step.regularizer = 0.3;
+    let mut requested = LossGradients::random(&case, 1.0, 19);
+    requested.options.sample = 3;
+    let [a, b] = BOTH.map(|cpu| Case { cpu, ..case.clone() }.backward(&gpu, &requested));
+    let wide = |v: &[f32]| v.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
+    for (what, a, b) in [("layers", &a.mlp, &b.mlp), ("tables", &a.tables, &b.tables), ("lights", &a.lights, &b.lights)]
+    {
+        let largest = a.iter().fold(0.0_f64, |m, x| m.max(f64::from(x.abs())));
+        assert!(largest > 0.0);
+        assert_close(what, &wide(a), b, Tolerance::new(1e-5 * largest, 1e-3));
     }
 }
 

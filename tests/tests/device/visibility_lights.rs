@@ -216,7 +216,11 @@ fn light_visibility_matches_half_precision_field() {
 fn field_gradients_under_lights_match_reference() {
     let gpu = Gpu::new();
     let mut scene = Scene::new();
-    for (metallic, regularizer, table_bits) in [(false, 0.0, 32), (true, 2e-3, 32), (true, 0.0, 16)] {
+    let kernels = [(false, 0.0, 32, None), (true, 2e-3, 32, None), (true, 0.0, 16, None)];
+    // Those of GPUs and CPUs, whichever the device has.
+    let others = [(true, 2e-3, 32, Some(false)), (true, 2e-3, 32, Some(true))];
+    for (metallic, regularizer, table_bits, cpu) in kernels.into_iter().chain(others) {
+        scene.case.cpu = cpu;
         scene.case.step.regularizer = regularizer;
         scene.case.table_bits = table_bits;
         let alone = scene.unshadowed(&gpu, metallic);
@@ -243,7 +247,8 @@ fn field_gradients_under_lights_match_reference() {
         // The pass adds to the lights' own gradients.
         inputs.push((into.lights, bytes(&[[100.0_f32; 3]; LIGHTS])));
         let options = BackwardOptions { add_places: true, ..options };
-        visibility_lights_bwd(&mut g, gpu.tuning(), &what, &field, gradient, &options, &into).unwrap();
+        let tuning = scene.case.backward_tuning(&gpu);
+        visibility_lights_bwd(&mut g, tuning, &what, &field, gradient, &options, &into).unwrap();
         let out = gpu.run(g, &inputs);
         let (words, scale) = (out.get::<u32>(into.tables), out.get::<f32>(into.scale));
         let found = Found {

@@ -16,18 +16,30 @@
 //! million pixels. This requires 32-bit atomics only; see ADR 0017. Gradients of light positions are exact: direction
 //! and distance both follow the light, except along axes where its position is clamped to the box.
 //!
+//! GPUs batch pairs: a lane evaluates its pixel's pairs by itself, and lanes exchange numbers for the gradients of
+//! weights only. On CPUs the lanes of a subgroup share a pair, because loads are executed lane by lane there. Instructions
+//! of a subgroup of 32 per pair, with the smoothness term and gradients of positions, by count in the source:
+//!
+//! | | batched | lanes share a pair |
+//! |---|---|---|
+//! | multiply-adds | 148 | 148 |
+//! | shuffles | 0.2 | 120 |
+//! | loads of four weights, the same address in all lanes | 27 | 0 |
+//! | loads of rows, neighboring addresses | 2 | 0 |
+//! | accesses of shared memory, four numbers each | 6 | 0 |
+//!
 //! Cost per pair: 3 x 1024 multiply-adds for value and gradient, 1024 more with the smoothness term, and about 500 for
 //! the rest. Per pixel: 384 gathers of 8 bytes (4 with 16-bit tables), 5 x 1024 multiply-adds, 256 to 512 atomics.
 //! Memory: 128 bytes per pixel, and 256 for each pixel of a chunk.
 
-use super::{Field, View, visibility_encode};
+use super::{Field, View, field_batched, visibility_encode};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::visibility::FIELD_WIDTH;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
-    semantic_reduce, visibility_bwd as pairs, visibility_encode_bwd as points, visibility_reduce as reduce,
-    visibility_scale as scale,
+    semantic_reduce, visibility_bwd as pairs, visibility_bwd_lanes as lanes, visibility_encode_bwd as points,
+    visibility_reduce as reduce, visibility_scale as scale,
 };
 
 /// Maximum number of pixels of a chunk, whose rows are in memory together. Gradients of rows are in memory for all
@@ -36,6 +48,9 @@ const CHUNK: u32 = 1 << 19;
 
 /// Sums that a workgroup of `visibility_bwd` writes.
 const SUMS: u64 = (FIELD_WIDTH * (FIELD_WIDTH + 5)) as u64;
+
+/// Subgroups of a compute unit: three for each of four schedulers, which their registers allow.
+const PER_UNIT: u32 = 12;
 
 /// Bytes of a pixel's row.
 const ROW: u64 = 4 * FIELD_WIDTH as u64;
@@ -87,14 +102,13 @@ pub struct Gradients {
     pub scale: Buffer,
 }
 
-/// Returns the number of single-subgroup workgroups for `count` pixels. Each batch of four pixels per 32 lanes takes
-/// `rounds` loop iterations.
-fn subgroups(tuning: Tuning, count: u32, rounds: u64) -> u32 {
-    let batch = 4 * tuning.subgroup_size.div_ceil(32).max(1);
+/// Returns the number of single-subgroup workgroups for `count` pixels. Each batch of pixels takes `rounds` loop
+/// iterations.
+fn subgroups(tuning: Tuning, count: u32, batch: u32, rounds: u64) -> u32 {
     let batches = u64::from(count.div_ceil(batch).max(1));
     let least = (batches * rounds).div_ceil(u64::from(tuning.rounds) / 4 * 3);
     // An even number, so that slices of sums start at an offset that buffers can be bound at.
-    (least.max(u64::from(tuning.workers)).min(batches) as u32).next_multiple_of(2)
+    (least.max(u64::from(tuning.parts(PER_UNIT))).min(batches) as u32).next_multiple_of(2)
 }
 
 /// Adds the passes for lights of constant radiance. `most` is the maximum number of lights; the step's `lights` is the
@@ -117,33 +131,43 @@ pub fn visibility_bwd(
     for (first, count) in plan.chunks() {
         let [rows, moved] = plan.rows(g, field, view, [first, count])?;
         let chunk = plan.chunk(first, count);
-        let bindings = pairs::Bindings {
-            field_params: field.step.into(),
-            mlp: field.mlp.into(),
-            points: view.points.into(),
-            coverage: view.coverage.into(),
-            rows: rows.into(),
-            moved_rows: moved.into(),
-            row_gradients: chunk.gradients,
-            sums_of: chunk.sums,
-            place_sums: plan.places.into(),
-            jitter_sums: plan.jitter.into(),
-            extent: plan.extent.into(),
-            light_positions: view.lights.into(),
-            light_radiance: requested.radiance.into(),
-            radiance_gradient: requested.radiance_gradient.into(),
-        };
-        let specs = pairs::Specs {
-            subgroup: tuning.subgroup_size,
-            levels: field.config.levels,
-            regularized: options.regularized,
-            places: options.places,
-            sample: options.sample,
-        };
-        let push = pairs::Push { first, count, most, normalizer: 1.0 };
-        stage(g, "visibility_bwd", &pairs::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
-            .subgroup_size(Some(tuning.subgroup_size))
-            .dispatch([chunk.groups, 1, 1])?;
+        macro_rules! of_pairs {
+            ($kernel:ident, { $($more:tt)* }) => {{
+                let bindings = $kernel::Bindings {
+                    field_params: field.step.into(),
+                    mlp: field.mlp.into(),
+                    points: view.points.into(),
+                    coverage: view.coverage.into(),
+                    rows: rows.into(),
+                    moved_rows: moved.into(),
+                    row_gradients: chunk.gradients,
+                    sums_of: chunk.sums,
+                    place_sums: plan.places.into(),
+                    jitter_sums: plan.jitter.into(),
+                    extent: plan.extent.into(),
+                    light_positions: view.lights.into(),
+                    light_radiance: requested.radiance.into(),
+                    radiance_gradient: requested.radiance_gradient.into(),
+                    $($more)*
+                };
+                let specs = $kernel::Specs {
+                    subgroup: tuning.subgroup_size,
+                    levels: field.config.levels,
+                    regularized: options.regularized,
+                    places: options.places,
+                    sample: options.sample,
+                };
+                let push = $kernel::Push { first, count, most, normalizer: 1.0 };
+                let (kernel, bytes) = (&$kernel::KERNEL, bytemuck::bytes_of(&push));
+                stage(g, "visibility_bwd", kernel, bindings.entries(), specs.entries(), bytes)
+                    .subgroup_size(Some(tuning.subgroup_size))
+                    .dispatch([chunk.groups, 1, 1])?;
+            }};
+        }
+        match field_batched(tuning) {
+            true => of_pairs!(pairs, { mlp_fours: field.mlp.into(), }),
+            false => of_pairs!(lanes, {}),
+        }
     }
     plan.finish(g, field, view, into)
 }
@@ -155,10 +179,12 @@ pub(super) struct Plan {
     pixels: u32,
     lights: u32,
     options: BackwardOptions,
-    /// Groups of 32 lanes in a subgroup, each of which writes its own sums.
-    sides: u32,
     /// Workgroups of a whole chunk, for pairs and for points.
     groups: [u32; 2],
+    /// Sets of sums of a chunk that these write.
+    sets: [u32; 2],
+    /// Rows of sums for the lights' positions.
+    place_rows: u32,
     gradients: Buffer,
     sums: Buffer,
     feature_sums: Buffer,
@@ -186,12 +212,20 @@ impl Plan {
         let pixels = view.pixels.max(1);
         let chunk = pixels.min(CHUNK);
         let sides = tuning.subgroup_size.div_ceil(32).max(1);
-        // Iterations per batch. Pairs: two nested loops over the lights, which share the counter, with two iterations
-        // and the lobes in each. Points: levels, features and corners.
-        let by_batch = [(4 + u64::from(lobes)) * u64::from(lights) + 8, 16 + 4 + 8 * 9 + 8];
-        let groups = by_batch.map(|rounds| subgroups(tuning, chunk, rounds));
+        // Groups of 32 lanes process their own pixels in one kernel for pairs, and in that for points.
+        let (batched, lobes, most) = (field_batched(tuning), u64::from(lobes), u64::from(lights));
+        let pixels_of_pairs = if batched { tuning.subgroup_size } else { 4 * sides };
+        // Iterations per batch. Pairs: the loops over the lights, and those in them, share a counter. Points: levels,
+        // features and corners.
+        let by_light = if batched { 24 + lobes + u64::from(tuning.subgroup_size.min(32) / 2) } else { 4 + lobes };
+        let groups = [
+            subgroups(tuning, chunk, pixels_of_pairs, by_light * most + 8),
+            subgroups(tuning, chunk, 4 * sides, 16 + 4 + 8 * 9 + 8),
+        ];
+        let sets = [groups[0] * if batched { 1 } else { sides }, groups[1] * sides];
+        // With sampling, groups of eight lanes visit different lights.
+        let place_rows = if batched && options.sample > 1 { groups[0] * tuning.subgroup_size / 8 } else { sets[0] };
         let chunks = u64::from(pixels.div_ceil(CHUNK));
-        let sets = groups.map(|n| chunks * u64::from(n * sides));
         let levels = field.config.levels;
         let plan = Plan {
             tuning,
@@ -199,14 +233,16 @@ impl Plan {
             pixels,
             lights,
             options: *options,
-            sides,
             groups,
+            sets,
+            place_rows,
             gradients: g.transient("visibility.gradients", u64::from(pixels) * ROW),
-            sums: g.transient("visibility.sums", sets[0] * SUMS * 4),
-            feature_sums: g.transient("visibility.feature_sums", sets[1] * u64::from(levels) * 2 * ROW),
-            places: g.transient("visibility.places", u64::from(groups[0] * sides * lights.max(1)) * 12),
+            sums: g.transient("visibility.sums", chunks * u64::from(sets[0]) * SUMS * 4),
+            feature_sums: g
+                .transient("visibility.feature_sums", chunks * u64::from(sets[1]) * u64::from(levels) * 2 * ROW),
+            places: g.transient("visibility.places", u64::from(place_rows * lights.max(1)) * 12),
             extent: g.transient("visibility.extent", 4),
-            jitter: g.transient("visibility.jitter", 4 * u64::from(groups[0] * sides)),
+            jitter: g.transient("visibility.jitter", 4 * u64::from(sets[0])),
         };
         g.fill("visibility.clear_jitter", plan.jitter, 0)?;
         g.fill("visibility.clear_extent", plan.extent, 0)?;
@@ -214,10 +250,10 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Returns the weighted sums of the smoothness term, and their number. Each group of 32 lanes of a workgroup has
-    /// one sum. Returns `None` without the term.
+    /// Returns the weighted sums of the smoothness term, and their number. Each set of sums has one. Returns `None`
+    /// without the term.
     pub(super) fn jitter(&self) -> Option<(Buffer, u32)> {
-        self.options.regularized.then_some((self.jitter, self.groups[0] * self.sides))
+        self.options.regularized.then_some((self.jitter, self.sets[0]))
     }
 
     /// Returns the first pixel and the number of pixels of each chunk.
@@ -234,7 +270,7 @@ impl Plan {
         view: &View,
         [first, count]: [u32; 2],
     ) -> Result<[Buffer; 2], GraphError> {
-        let bytes = u64::from(count) * ROW;
+        let bytes = u64::from(count.next_multiple_of(self.tuning.subgroup_size)) * ROW;
         let rows = g.transient("visibility.rows", bytes);
         visibility_encode(g, self.tuning, "visibility_encode", field, view, [first, count], false, rows)?;
         if !self.options.regularized {
@@ -246,7 +282,7 @@ impl Plan {
     }
 
     pub(super) fn chunk(&self, first: u32, count: u32) -> Chunk {
-        let sets = u64::from(self.groups[0] * self.sides) * SUMS * 4;
+        let sets = u64::from(self.sets[0]) * SUMS * 4;
         Chunk {
             groups: self.groups[0],
             gradients: self.gradients.slice(u64::from(first) * ROW, u64::from(count) * ROW),
@@ -265,7 +301,7 @@ impl Plan {
         };
         let specs = scale::Specs { workgroup: 32, levels };
         stage(g, "visibility_scale", &scale::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])?;
-        let sets = u64::from(self.groups[1] * self.sides) * u64::from(levels) * 2 * ROW;
+        let sets = u64::from(self.sets[1]) * u64::from(levels) * 2 * ROW;
         for (first, count) in self.chunks() {
             let bindings = points::Bindings {
                 params: field.step.into(),
@@ -294,17 +330,18 @@ impl Plan {
             mlp_gradient: into.mlp.into(),
         };
         let chunks = self.pixels.div_ceil(CHUNK);
-        let [pairs, points] = self.groups.map(|n| chunks * n * self.sides);
+        let [pairs, points] = self.sets.map(|n| chunks * n);
         let workgroup = 64;
+        let stripes = if tuning.cpu { 1 } else { 8 };
         let push = reduce::Push { pairs, points };
-        let specs = reduce::Specs { workgroup, levels };
+        let specs = reduce::Specs { workgroup, levels, stripes };
         stage(g, "visibility_reduce", &reduce::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
-            .dispatch(groups(field.config.weights() as u64, workgroup))?;
+            .dispatch(groups(field.config.weights() as u64, workgroup / stripes))?;
         if !self.options.places && self.options.add_places {
             return Ok(());
         }
         let specs = semantic_reduce::Specs { workgroup: tuning.workgroup, add: self.options.add_places, parts: 1 };
-        let push = semantic_reduce::Push { width: 3 * self.lights, groups: self.groups[0] * self.sides };
+        let push = semantic_reduce::Push { width: 3 * self.lights, groups: self.place_rows };
         let name = "visibility_reduce_places";
         let pass = stage(g, name, &semantic_reduce::KERNEL, [], specs.entries(), bytemuck::bytes_of(&push));
         let pass = pass.bind("partials", self.places);

@@ -6,7 +6,7 @@
 //! is recomputed where needed. Regularization covers the lights that are on.
 
 use super::bwd::Plan;
-use super::{BackwardOptions, Field, Gradients, View, field_spread, forward};
+use super::{BackwardOptions, Field, Gradients, View, field_batched, field_spread, forward};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::lights::backward::{OWN, cut, sum_rows};
@@ -17,6 +17,7 @@ use sgs_shaders::{
     lights_bwd_field as lights_kernel, lights_field as render, lights_field_halves as render_halves,
     lights_normals_bwd_field as normals, lights_split_field as split, lights_split_field_halves as split_halves,
     lights_train_field as train, lights_train_field_halves as train_halves, visibility_lights_bwd as pairs,
+    visibility_lights_bwd_lanes as lanes,
 };
 
 /// Writes `direct`, `[P * 3]` floats: linear radiance towards the camera. Ignores `per_lane` of `a.shape`.
@@ -229,34 +230,43 @@ pub fn visibility_lights_bwd(
     for (first, count) in plan.chunks() {
         let [rows, moved] = plan.rows(g, field, &view, [first, count])?;
         let chunk = plan.chunk(first, count);
-        let bindings = of_lights!(pairs, a, {
-            field_params: field.step.into(),
-            mlp: field.mlp.into(),
-            rows: rows.into(),
-            moved_rows: moved.into(),
-            row_gradients: chunk.gradients,
-            sums_of: chunk.sums,
-            place_sums: plan.places.into(),
-            jitter_sums: plan.jitter.into(),
-            extent: plan.extent.into(),
-            radiance_gradient: radiance_gradient.into(),
-        });
-        let specs = pairs::Specs {
-            subgroup: a.shape.subgroup,
-            lobes: a.prepared.model.lobes,
-            metallic: p.materials.metallic.is_some(),
-            per_lane: 1,
-            spread: a.shape.spread,
-            levels: field.config.levels,
-            regularized: options.regularized,
-            places: options.places,
-            sample: options.sample,
-        };
-        let push = pairs::Push { first, count, most, normalizer: a.normalizer };
-        let bytes = bytemuck::bytes_of(&push);
-        stage(g, "visibility_lights_bwd", &pairs::KERNEL, bindings.entries(), specs.entries(), bytes)
-            .subgroup_size(Some(a.shape.subgroup))
-            .dispatch([chunk.groups, 1, 1])?;
+        macro_rules! of_pairs {
+            ($kernel:ident, { $($more:tt)* }) => {{
+                let bindings = of_lights!($kernel, a, {
+                    field_params: field.step.into(),
+                    mlp: field.mlp.into(),
+                    rows: rows.into(),
+                    moved_rows: moved.into(),
+                    row_gradients: chunk.gradients,
+                    sums_of: chunk.sums,
+                    place_sums: plan.places.into(),
+                    jitter_sums: plan.jitter.into(),
+                    extent: plan.extent.into(),
+                    radiance_gradient: radiance_gradient.into(),
+                    $($more)*
+                });
+                let specs = $kernel::Specs {
+                    subgroup: a.shape.subgroup,
+                    lobes: a.prepared.model.lobes,
+                    metallic: p.materials.metallic.is_some(),
+                    per_lane: 1,
+                    spread: a.shape.spread,
+                    levels: field.config.levels,
+                    regularized: options.regularized,
+                    places: options.places,
+                    sample: options.sample,
+                };
+                let push = $kernel::Push { first, count, most, normalizer: a.normalizer };
+                let (kernel, bytes) = (&$kernel::KERNEL, bytemuck::bytes_of(&push));
+                stage(g, "visibility_lights_bwd", kernel, bindings.entries(), specs.entries(), bytes)
+                    .subgroup_size(Some(a.shape.subgroup))
+                    .dispatch([chunk.groups, 1, 1])?;
+            }};
+        }
+        match field_batched(tuning) {
+            true => of_pairs!(pairs, { mlp_fours: field.mlp.into(), }),
+            false => of_pairs!(lanes, {}),
+        }
     }
     plan.finish(g, field, &view, into)?;
     Ok(plan.jitter())

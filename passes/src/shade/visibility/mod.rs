@@ -85,6 +85,12 @@ fn field_spread(tuning: Tuning) -> bool {
     tuning.subgroup_size == 8
 }
 
+/// Returns whether the backward pass batches pairs. On CPUs lanes share a pair instead, because loads from buffers and
+/// shared memory cost more than products there.
+fn field_batched(tuning: Tuning) -> bool {
+    !tuning.cpu
+}
+
 /// Returns the workgroup and subgroup sizes, and whether subgroups cooperate.
 fn shape(tuning: Tuning) -> ([u32; 2], bool) {
     let spread = field_spread(tuning);
@@ -154,7 +160,8 @@ pub fn visibility(
 }
 
 /// Adds the pass that writes the first layer's output for points of pixels. Encodes `count` pixels from `first` on.
-/// `into` holds rows of 32 floats, written for shaded and unshaded pixels alike. With `jitter`, points are displaced
+/// `into` holds rows of 32 floats, written for shaded and unshaded pixels alike. Where the backward pass batches pairs,
+/// rows of as many pixels as a subgroup has lanes are side by side, and `into` holds whole blocks of them. With `jitter`, points are displaced
 /// slightly for the smoothness term.
 ///
 /// # Errors
@@ -181,7 +188,8 @@ pub fn visibility_encode(
     };
     let ([workgroup, subgroup], field_spread) = shape(tuning);
     let (levels, table_bits) = (field.config.levels, field.table_bits());
-    let specs = encode_kernel::Specs { workgroup, subgroup, field_spread, levels, table_bits };
+    let specs =
+        encode_kernel::Specs { workgroup, subgroup, field_spread, levels, table_bits, by_block: field_batched(tuning) };
     let push = encode_kernel::Push { first, count, moved: jitter.into() };
     stage(g, name, &encode_kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .subgroup_size(Some(subgroup))

@@ -1,0 +1,4 @@
+// Backward of the visibility field, first half, under lights of constant radiance, for CPUs.
+#version 460
+#include "visibility_pair_constant.glsl"
+#include "visibility_bwd_lanes.glsl"

@@ -1,0 +1,4 @@
+// Backward of the visibility field, first half, under prepared lights, for CPUs.
+#version 460
+#include "visibility_pair_lights.glsl"
+#include "visibility_bwd_lanes.glsl"
