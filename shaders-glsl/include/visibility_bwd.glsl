@@ -36,16 +36,18 @@ shared vec4 shared_neurons[SUBGROUP * PITCH]; // outputs of the first layer, the
 shared vec4 shared_slopes[ACROSS * PITCH];    // gradients of the second layer, over the last one's weights
 shared float shared_ways[SUBGROUP * 4u];
 
-IN(vec4, mlp_fours); // mlp
+IN(vec4, mlp); // four weights each
 
 #define EACH(i, count) [[unroll]] for (uint i = 0u; i < count; i++)
 
 // Weights of the second layer by output and block of inputs, and of the first layer's direction and distance.
-vec4 second_from(uint i) { return mlp_fours[SECOND / 4u + i]; }
+vec4 second_from(uint i) { return mlp[SECOND / 4u + i]; }
+
+float weight(uint i) { return mlp[i / 4u][i % 4u]; }
 
 vec4 pair_from(uint n) {
     uint at = n * INPUTS + 2u * LEVELS;
-    return vec4(mlp[at], mlp[at + 1u], mlp[at + 2u], mlp[at + 3u]);
+    return vec4(weight(at), weight(at + 1u), weight(at + 2u), weight(at + 3u));
 }
 
 // What other lanes of the subgroup, which is the workgroup, have written to shared memory.
@@ -103,7 +105,7 @@ void layers() {
         shared_neurons[gl_SubgroupInvocationID * PITCH + b] = hidden;
         EACH(n, WIDTH) slopes[n] = added(second_from(n * BLOCKS + b), hidden, slopes[n]);
     }
-    EACH(n, WIDTH) logit = fma(mlp[LAST + n], rectified(slopes[n]), logit);
+    EACH(n, WIDTH) logit = fma(weight(LAST + n), rectified(slopes[n]), logit);
 }
 
 // Adds a lane's pair, whose slopes are in a row of shared_slopes, to the tile of the second layer.
@@ -144,7 +146,7 @@ void back(float slope) {
         EACH_PAIR(i, ACROSS) add_second(writer * ACROSS + i, i);
         exchange();
     }
-    EACH(n, WIDTH) slopes[n] *= mlp[LAST + n];
+    EACH(n, WIDTH) slopes[n] *= weight(LAST + n);
     [[dont_unroll]] for (uint b = 0u; b < BLOCKS; b++) {
         vec4 g = vec4(0.0);
         EACH(n, WIDTH) g = fma(second_from(n * BLOCKS + b), vec4(slopes[n]), g);
@@ -203,7 +205,7 @@ void write_sums() {
         vec4 sum = sum_from(ACROSS, by_second[j]);
         float by_last = dot(sum, second_from(n * BLOCKS + block));
         [[unroll]] for (uint reach = 1u; reach < BLOCKS; reach *= 2u) by_last += subgroupShuffleXor(by_last, reach);
-        sum *= mlp[LAST + n];
+        sum *= weight(LAST + n);
         if (writes) {
             EACH(k, 4u) sums_of[to + n * WIDTH + 4u * block + k] = sum[k];
             if (block == 0u) sums_of[to + WIDTH * (WIDTH + 4u) + n] = by_last;
@@ -291,7 +293,10 @@ void main() {
         [[unroll]] for (uint reach = 1u; reach < SUBGROUP; reach *= 2u) jitter += subgroupShuffleXor(jitter, reach);
         if (gl_SubgroupInvocationID == 0u) jitter_sums[gl_WorkGroupID.x] += jitter;
     }
-    uint top = subgroupMax(floatBitsToUint(largest));
-    if (subgroupElect()) atomicMax(extent[0], top);
+    largest = subgroupMax(largest);
+    if (subgroupElect()) {
+        uint at = gl_NumWorkGroups.x + gl_WorkGroupID.x;
+        jitter_sums[at] = max(jitter_sums[at], largest);
+    }
     write_sums();
 }

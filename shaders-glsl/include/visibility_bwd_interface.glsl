@@ -1,4 +1,5 @@
-// Constants and buffers of visibility_bwd.glsl and visibility_bwd_lanes.glsl. Define FIELD_PIXELS if points and coverage are already declared.
+// Constants and buffers of visibility_bwd.glsl and visibility_bwd_lanes.glsl, which declare the weights. Define FIELD_PIXELS if
+// points and coverage are already declared.
 
 layout(constant_id = 10) const uint LEVELS = 16;
 layout(constant_id = 11) const bool REGULARIZED = true; // with the smoothness term
@@ -14,7 +15,6 @@ layout(push_constant, scalar) uniform Push {
 
 layout(scalar) uniform FieldBlock { FieldStep field; } field_params;
 
-IN(float, mlp);
 #ifndef FIELD_PIXELS
 IN(vec3, points);
 IN(float, coverage);
@@ -24,5 +24,5 @@ IN(float, moved_rows);      // likewise, moved
 OUT(float, row_gradients);  // count x 32
 OUT(float, sums_of);        // by workgroup and side
 INOUT(float, place_sums);   // by workgroup and side or group, light
-INOUT(float, jitter_sums);  // by workgroup and side: the smoothness term, with its weight
-INOUT(uint, extent);        // largest magnitude of row_gradients, as bits
+INOUT(float, jitter_sums);  // by workgroup and side: the smoothness term, with its weight; then the largest magnitude of
+                            // row_gradients

@@ -30,6 +30,8 @@ float columns[WIDTH * HELD]; // of the second layer
 float rows_of[WIDTH * HELD]; // its rows
 float last[HELD];
 
+IN(float, mlp);
+
 float pair_column(uint k, uint h) { return mlp[neuron(h) * INPUTS + 2u * LEVELS + k]; }
 float second_column(uint k, uint h) { return mlp[SECOND + neuron(h) * WIDTH + k]; }
 float second_row(uint o, uint h) { return mlp[SECOND + o * WIDTH + neuron(h)]; }
@@ -231,8 +233,11 @@ void main() {
         [[unroll]] for (uint i = 0u; i < ITEMS; i++) of_side += from_lane(jitter, i);
         if (column() == 0u) jitter_sums[gl_WorkGroupID.x * SIDES + side] += of_side;
     }
-    uint top = subgroupMax(floatBitsToUint(largest));
-    if (subgroupElect()) atomicMax(extent[0], top);
+    largest = subgroupMax(largest);
+    if (subgroupElect()) {
+        uint at = gl_NumWorkGroups.x * SIDES + gl_WorkGroupID.x;
+        jitter_sums[at] = max(jitter_sums[at], largest);
+    }
     float staged[(WIDTH + 5u) * HELD];
     [[unroll]] for (uint i = 0u; i < WIDTH * HELD; i++) staged[i] = by_second[i];
     [[unroll]] for (uint i = 0u; i < 4u * HELD; i++) staged[WIDTH * HELD + i] = by_pair[i];

@@ -209,7 +209,7 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         let lanes = sizes.max_compute_workgroup_subgroups.saturating_mul(subgroup.subgroup_size);
         need(basic.limits.max_compute_work_group_invocations >= 256 && lanes >= 256, "workgroups of 256 invocations");
         need(basic.limits.max_compute_shared_memory_size >= 32768, "32 KiB of shared memory");
-        need(storage_buffers >= 32, &format!("32 storage buffers per kernel (it allows {storage_buffers})"));
+        need(storage_buffers >= 16, &format!("16 storage buffers per kernel (it allows {storage_buffers})"));
     }
     let subgroup_sizes = (sizes.min_subgroup_size, sizes.max_subgroup_size);
     let subgroup_size_control =

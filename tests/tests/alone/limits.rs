@@ -8,6 +8,7 @@ use sgs_engine::exec::Executor;
 use sgs_engine::graph::Graph;
 use sgs_engine::{Device, DeviceOptions, Error, Location};
 use sgs_scene::{Scene, SceneOptions, Splats};
+use sgs_shaders::BindingKind;
 use sgs_tests::kernels::kernel;
 use sgs_tests::place::Place;
 use sgs_tests::rooms::Room;
@@ -32,13 +33,22 @@ fn every_limit_of_the_device_is_known() {
     let own = open(Limits::default());
     let info = own.info();
     assert!(info.max_buffer >= 1 << 27 && info.max_allocation >= 1 << 27, "{info:?}");
-    assert!(info.max_storage_buffers >= 32 && info.largest_binding() <= info.max_storage_range);
+    assert!(info.max_storage_buffers >= 16 && info.largest_binding() <= info.max_storage_range);
     let limits = Limits { storage_range: 1 << 24, buffer: 1 << 23, allocation: 1 << 22, storage_buffers: 4 };
     let device = open(limits);
     let info = device.info();
     let found = [info.max_storage_range, info.max_buffer, info.max_allocation, info.max_storage_buffers.into()];
     assert_eq!(found, [1 << 24, 1 << 23, 1 << 22, 4]);
     assert_eq!((info.largest_buffer(), info.largest_binding()), (1 << 22, 1 << 22));
+}
+
+/// Every device that the engine opens allows as many.
+#[test]
+fn kernels_bind_at_most_sixteen_storage_buffers() {
+    for kernel in sgs_shaders::ALL {
+        let count = kernel.bindings.iter().filter(|b| b.kind == BindingKind::Storage).count();
+        assert!(count <= 16, "{} binds {count} storage buffers", kernel.name);
+    }
 }
 
 #[test]

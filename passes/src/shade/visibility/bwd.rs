@@ -132,7 +132,7 @@ pub fn visibility_bwd(
         let [rows, moved] = plan.rows(g, field, view, [first, count])?;
         let chunk = plan.chunk(first, count);
         macro_rules! of_pairs {
-            ($kernel:ident, { $($more:tt)* }) => {{
+            ($kernel:ident) => {{
                 let bindings = $kernel::Bindings {
                     field_params: field.step.into(),
                     mlp: field.mlp.into(),
@@ -144,11 +144,9 @@ pub fn visibility_bwd(
                     sums_of: chunk.sums,
                     place_sums: plan.places.into(),
                     jitter_sums: plan.jitter.into(),
-                    extent: plan.extent.into(),
                     light_positions: view.lights.into(),
                     light_radiance: requested.radiance.into(),
                     radiance_gradient: requested.radiance_gradient.into(),
-                    $($more)*
                 };
                 let specs = $kernel::Specs {
                     subgroup: tuning.subgroup_size,
@@ -165,8 +163,8 @@ pub fn visibility_bwd(
             }};
         }
         match field_batched(tuning) {
-            true => of_pairs!(pairs, { mlp_fours: field.mlp.into(), }),
-            false => of_pairs!(lanes, {}),
+            true => of_pairs!(pairs),
+            false => of_pairs!(lanes),
         }
     }
     plan.finish(g, field, view, into)
@@ -189,7 +187,7 @@ pub(super) struct Plan {
     sums: Buffer,
     feature_sums: Buffer,
     pub places: Buffer,
-    pub extent: Buffer,
+    /// The smoothness term by set of sums, and then the largest gradient of a row by workgroup.
     pub jitter: Buffer,
 }
 
@@ -241,11 +239,9 @@ impl Plan {
             feature_sums: g
                 .transient("visibility.feature_sums", chunks * u64::from(sets[1]) * u64::from(levels) * 2 * ROW),
             places: g.transient("visibility.places", u64::from(place_rows * lights.max(1)) * 12),
-            extent: g.transient("visibility.extent", 4),
-            jitter: g.transient("visibility.jitter", 4 * u64::from(sets[0])),
+            jitter: g.transient("visibility.jitter", 4 * u64::from(sets[0] + groups[0])),
         };
         g.fill("visibility.clear_jitter", plan.jitter, 0)?;
-        g.fill("visibility.clear_extent", plan.extent, 0)?;
         g.fill("visibility.clear_places", plan.places, 0)?;
         Ok(plan)
     }
@@ -296,11 +292,13 @@ impl Plan {
         let bindings = scale::Bindings {
             params: field.step.into(),
             mlp: field.mlp.into(),
-            extent: self.extent.into(),
+            extents: self.jitter.into(),
             scale: into.scale.into(),
         };
         let specs = scale::Specs { workgroup: 32, levels };
-        stage(g, "visibility_scale", &scale::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])?;
+        let push = scale::Push { first: self.sets[0], count: self.groups[0] };
+        let push = bytemuck::bytes_of(&push);
+        stage(g, "visibility_scale", &scale::KERNEL, bindings.entries(), specs.entries(), push).dispatch([1, 1, 1])?;
         let sets = u64::from(self.sets[1]) * u64::from(levels) * 2 * ROW;
         for (first, count) in self.chunks() {
             let bindings = points::Bindings {

@@ -231,7 +231,7 @@ pub fn visibility_lights_bwd(
         let [rows, moved] = plan.rows(g, field, &view, [first, count])?;
         let chunk = plan.chunk(first, count);
         macro_rules! of_pairs {
-            ($kernel:ident, { $($more:tt)* }) => {{
+            ($kernel:ident) => {{
                 let bindings = of_lights!($kernel, a, {
                     field_params: field.step.into(),
                     mlp: field.mlp.into(),
@@ -241,9 +241,7 @@ pub fn visibility_lights_bwd(
                     sums_of: chunk.sums,
                     place_sums: plan.places.into(),
                     jitter_sums: plan.jitter.into(),
-                    extent: plan.extent.into(),
                     radiance_gradient: radiance_gradient.into(),
-                    $($more)*
                 });
                 let specs = $kernel::Specs {
                     subgroup: a.shape.subgroup,
@@ -264,8 +262,8 @@ pub fn visibility_lights_bwd(
             }};
         }
         match field_batched(tuning) {
-            true => of_pairs!(pairs, { mlp_fours: field.mlp.into(), }),
-            false => of_pairs!(lanes, {}),
+            true => of_pairs!(pairs),
+            false => of_pairs!(lanes),
         }
     }
     plan.finish(g, field, &view, into)?;
