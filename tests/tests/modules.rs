@@ -13,6 +13,7 @@ const CRATES: &[&str] = &[
     "bench",
     "engine",
     "passes",
+    "tests/emulator",
     "tools/api",
     "tools/batch",
     "tools/capi",

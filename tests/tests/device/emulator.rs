@@ -1,14 +1,18 @@
 //! Emulator of kernels: agreement with the device, independence of the order, and planted faults.
 
-use sgs_emulator::{Binding, Dispatch, Fault, Kernel, Schedule, Store};
-use sgs_engine::graph::Graph;
+use sgs_emulator::{Binding, Dispatch, Emulator, Fault, Kernel, Run, Schedule, Store};
+use sgs_engine::graph::{CompileOptions, Graph, PassKind, Plan};
+use sgs_engine::shader::Shader;
 use sgs_passes::kernel::{groups, stage};
-use sgs_passes::prim::{Count, SortShape, exclusive_scan, radix_sort};
+use sgs_passes::prim::{Count, ScanShape, SortShape, exclusive_scan, radix_sort};
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::splat::BackwardKernel;
 use sgs_tests::gradients::Case;
 use sgs_tests::kernels::kernel;
 use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference, scenes};
+use std::borrow::Cow;
+use std::collections::BTreeSet;
+use std::sync::Arc;
 
 const LANES: [u32; 4] = [8, 16, 32, 64];
 const SCHEDULES: [Schedule; 4] =
@@ -76,6 +80,65 @@ fn planted_faults_are_detected_at_every_width() {
     }
 }
 
+/// Removes all barriers of a kernel.
+fn without_barriers(shader: &Shader) -> Shader {
+    const BARRIER: u32 = 4 << 16 | 224;
+    const NOTHING: u32 = 1 << 16;
+    let mut words = shader.spirv.to_vec();
+    let mut at = 5;
+    while at < words.len() {
+        let length = (words[at] >> 16) as usize;
+        if words[at] == BARRIER {
+            words[at..at + length].fill(NOTHING);
+        }
+        at += length;
+    }
+    Shader { spirv: Cow::Owned(words), ..shader.clone() }
+}
+
+#[test]
+fn removed_barriers_of_scans_and_sorts_are_detected() {
+    for subgroup_size in [32, 64] {
+        // Sums of 79 blocks need several subgroups in the kernel that adds them.
+        let count = 20_000;
+        let mut g = Graph::new("barriers");
+        let bytes = 4 * u64::from(count);
+        let source = g.input("source", bytes);
+        let [sums, total, keys] = [("sums", bytes), ("total", 4), ("keys", bytes)].map(|(name, n)| g.external(name, n));
+        let scan = ScanShape { subgroup_size, workgroup: 256, items: 1 };
+        exclusive_scan(&mut g, scan, "scan", source, None, sums, total, Count::Host(count)).unwrap();
+        let sort = SortShape { subgroup_size, workgroup: 256, items: 1, digit_bits: 8, copies: 4, direct: false };
+        let sorted = radix_sort(&mut g, sort, "sort", source, None, 0..8, true, Count::Host(count)).unwrap();
+        g.copy("keys", sorted.keys.unwrap(), keys).unwrap();
+        let plan = g.compile(&CompileOptions::default()).unwrap();
+        let words: Vec<u8> = (0..count).flat_map(|i: u32| (i.wrapping_mul(0x9e37_79b9) >> 13).to_le_bytes()).collect();
+        let emulator = Emulator::default();
+        let run = |plan: &Plan| {
+            let run = Run { lanes: subgroup_size, schedule: Schedule::Shuffled(3), replays: 1, tolerated: &[] };
+            emulator.run(plan, &[(source.index(), &words)], run)
+        };
+        run(&plan).unwrap();
+        let mut kernels = BTreeSet::new();
+        for index in 0..plan.passes.len() {
+            let mut damaged = plan.clone();
+            let PassKind::Compute { shader, .. } = &mut damaged.passes[index].kind else { continue };
+            let fewer = without_barriers(shader);
+            if fewer == **shader {
+                continue;
+            }
+            kernels.insert(shader.name.to_string());
+            *shader = Arc::new(fewer);
+            let pass = plan.passes[index].name.clone();
+            let fault = run(&damaged).map(|_| ()).expect_err(&pass);
+            assert!(matches!(fault.cause(), Fault::Race { .. } | Fault::Uninitialized { .. }), "{fault}");
+        }
+        let expected = ["radix_histogram", "radix_scatter", "scan_down", "scan_reduce", "scan_spine"];
+        for kernel in expected {
+            assert!(kernels.iter().any(|k| k.starts_with(kernel)), "{kernel} is not among {kernels:?}");
+        }
+    }
+}
+
 #[test]
 fn missing_instructions_are_named() {
     // A header, then `OpTypeForwardPointer` and an unknown opcode.
@@ -85,7 +148,9 @@ fn missing_instructions_are_named() {
     assert!(matches!(damaged(&[9 << 16 | 17, 1]), Fault::Damaged(_)));
 }
 
-/// Tests a kernel whose pass has a map of 512 by 1024 pixels, which takes long on the emulator.
+/// Tests a kernel on a small map.
+///
+/// Its pass has a map of 512 by 1024 pixels, which takes long on the emulator.
 #[test]
 fn differences_of_a_small_map_match_reference() {
     use sgs_shaders::environment_map_smoothness::{Bindings, KERNEL, Push, Specs};
