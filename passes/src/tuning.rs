@@ -58,8 +58,8 @@ impl Tuning {
             // cost more where all lanes have such splats, since the subgroup then processes as many one by one.
             large_tiles: 4 * subgroup_size,
             // Sub-tiles leave half of the pairs of entry and slot, with slots about as wide as high. CPUs run both sides of
-            // a branch for lanes in lockstep and win nothing: with 8 lanes on llvmpipe, blending takes 1.07 times as long
-            // with them, and its backward pass 1.45 times (`engine-bench passes --filter sub_tiles`).
+            // a branch for lanes in lockstep and win nothing: with 8 lanes on llvmpipe, blending takes 1.1 times as long
+            // with them, and its backward pass 1.7 to 2 times (`engine-bench passes --filter sub_tiles`).
             slot_width: match subgroup_size {
                 ..16 => width,
                 16 => 4,

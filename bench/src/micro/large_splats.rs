@@ -158,7 +158,7 @@ fn build(s: &Subject<'_>) -> anyhow::Result<(Rig, Outputs)> {
     })
 }
 
-/// Returns the relative error of the color's gradient of a Gaussian in front of all others.
+/// Returns the relative error of the color gradient of the frontmost Gaussian.
 fn gradient_error(rig: &Rig, outputs: &Outputs, gaussian: usize, s: &Subject<'_>) -> anyhow::Result<f64> {
     let count = rig.get::<Work>(outputs.count)?[0].count as usize;
     let ids: Vec<u32> = rig.get(outputs.ids)?;

@@ -19,8 +19,11 @@ const ROUNDS: u32 = 5;
 /// Measures every variant and counts the slots.
 pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let t = c.tuning;
-    let mut widths = vec![t.tile[0], t.slot_width];
+    // Rows of the tile, and blocks.
+    let mut widths = vec![t.tile[0], t.slot_width, 4];
+    widths.sort_unstable();
     widths.dedup();
+    widths.retain(|w| t.subgroup_size / w <= t.tile[1]);
     let variants: Vec<Tuning> = widths
         .iter()
         .flat_map(|&slot_width| [false, true].map(|sub_tiles| Tuning { slot_width, sub_tiles, ..t }))

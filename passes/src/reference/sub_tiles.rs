@@ -7,10 +7,10 @@ use sgs_shaders::structs::Splat;
 /// Pixels around a slot in the kernels (`include/sub_tiles.glsl`).
 pub const GAP: f64 = 0.0625;
 
-/// Returns the slots of the tile at pixel `corner` that a splat touches, one bit each, by rows of slots.
+/// Returns the slots of a tile that a splat touches, one bit each, row by row.
 ///
-/// A slot is the rectangle around the centers of its pixels, `gap` pixels larger on each side. A splat touches it if
-/// its alpha reaches `alpha_min` somewhere in it, by `margin` of the exponent more.
+/// The tile's first pixel is `corner`. A slot is the rectangle around the centers of its pixels, `gap` pixels larger on
+/// each side. A splat touches it if its alpha reaches `alpha_min` somewhere in it, by `margin` of the exponent more.
 pub fn touched(
     splat: &Splat,
     alpha_min: f64,
