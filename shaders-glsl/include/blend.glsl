@@ -58,7 +58,8 @@ void main() {
             // The first bucket of a tile starts with nothing blended.
             if (reached > 0u) {
                 [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                    uint at = checkpoint(begin, reached, k * SUBGROUP + gl_SubgroupInvocationID);
+                    uvec2 pixel = uvec2(tile.first.x, tile.first.y + k * tile.step_y) % uvec2(TILE_WIDTH, TILE_HEIGHT);
+                    uint at = checkpoint(begin, reached, pixel.y * TILE_WIDTH + pixel.x);
                     checkpoints[at] = T[k];
                     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c)
                         checkpoints[at + (1u + c) * PIXELS] = sum[k * CHANNELS + c];
