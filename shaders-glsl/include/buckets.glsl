@@ -16,7 +16,8 @@ uint bucket_count(uint begin, uint end) { return (end - begin + BUCKET - 1u) / B
 
 uint first_bucket(uint begin, uint tile) { return begin / BUCKET + tile; }
 
-// Where a pixel's transmittance lies; channel c follows (1 + c) * PIXELS later. `bucket`: in its tile, not the first.
+// Where a pixel's transmittance lies; channel c follows (1 + c) * PIXELS later. `bucket`: in its tile, not the first;
+// `pixel`: in its tile, by rows.
 uint checkpoint(uint begin, uint bucket, uint pixel) {
     return (begin / BUCKET + bucket - 1u) * (1u + CHANNELS) * PIXELS + pixel;
 }
