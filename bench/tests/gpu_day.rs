@@ -1,4 +1,6 @@
-//! `bench/gpu-day` packs programs and scenes, runs its parts under time limits, and keeps what each part left.
+//! Rehearsal of `bench/gpu-day` at tiny sizes.
+//!
+//! It packs programs and scenes, runs its parts under time limits, and keeps what each part left.
 
 use serde_json::Value;
 use std::os::unix::fs::PermissionsExt;

@@ -91,7 +91,7 @@ struct Predicted {
 /// Share of the bound below which latencies determine the time of a pass.
 const LATENCY: f64 = 0.05;
 
-/// Share of the bound from which bandwidth or arithmetic determine the time of a pass.
+/// Share of the bound from which bandwidth or arithmetic limit a pass.
 const LIMITED: f64 = 0.4;
 
 /// Share of the bound that passes reach at best.

@@ -64,7 +64,7 @@ pub fn adam_unseen(
         .dispatch_indirect(gaussians.work, 0)
 }
 
-/// Adds the pass of dense Adam for the semantic features of Gaussians that a step did not see.
+/// Adds the pass of dense Adam for features of Gaussians that a step did not see.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.

@@ -374,7 +374,7 @@ pub struct Handles {
     pub model: Model,
     /// Largest number of Gaussians.
     pub capacity: u32,
-    /// All groups but the semantic features, in columns of four numbers ([`Model::to_columns`]).
+    /// All groups but the features, in columns of four numbers ([`Model::to_columns`]).
     pub parameters: Buffer,
     /// `[Gaussians * 32]` semantic features; a placeholder if the model has none.
     pub semantics: Buffer,
@@ -398,7 +398,9 @@ pub struct MomentHandles {
 }
 
 impl Handles {
-    /// Returns buffers and contents that hold `data`, for graphs whose memory the caller owns.
+    /// Returns the contents of the buffers for `data`.
+    ///
+    /// They are for graphs whose memory the caller owns.
     pub fn contents(&self, data: &GaussianData) -> Vec<(Buffer, Vec<u8>)> {
         let bytes = |values: &[f32]| bytemuck::cast_slice(values).to_vec();
         let mut all = vec![

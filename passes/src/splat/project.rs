@@ -146,9 +146,9 @@ pub struct EntryGradients {
 /// Gradients of a step. Passes write those of visible Gaussians only, so the caller clears them first.
 #[derive(Clone, Copy, Debug)]
 pub struct Gradients {
-    /// All groups but the semantic features, in the columns of the parameters ([`Model::from_columns`]).
+    /// All groups but the features, in the columns of the parameters.
     ///
-    /// [`Model::from_columns`]: crate::scene::Model::from_columns
+    /// See [`Model::from_columns`](crate::scene::Model::from_columns).
     pub parameters: Buffer,
     /// Screen-space gradient of each visible splat, in pixels.
     pub means2d: Buffer,

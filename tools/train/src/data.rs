@@ -14,7 +14,7 @@ use sgs_scene::{Image, Scene};
 pub struct TrainingData {
     /// Photographs and priors; at least one part.
     pub parts: Vec<Photographs>,
-    /// Camera of each training view, and its first pixel in its part, in the order of the split.
+    /// Camera and first pixel in its part of each training view, as in the split.
     pub views: Vec<(Camera, u32)>,
     /// Part of each view.
     pub part_of: Vec<usize>,
@@ -92,8 +92,9 @@ impl Packed {
         Ok(())
     }
 
-    /// Distributes the views over parts of at most `most` bytes, of about equal size. A larger photograph has a part of
-    /// its own.
+    /// Distributes the views over parts of at most `most` bytes.
+    ///
+    /// Parts have about equal sizes. A larger photograph has a part of its own.
     pub fn split(&mut self, most: u64) {
         let of = |image: &Vec<u32>| 4 * image.len() as u64;
         let total = bytes(&self.images);

@@ -45,7 +45,7 @@ pub struct SemanticInputs<'a> {
 pub struct InputSizes {
     /// Bytes of the photographs.
     pub targets: u64,
-    /// Number of buffers of photographs, of which a step binds one, and as many of priors. 0 is one.
+    /// Number of buffers of photographs, and of priors. A step binds one; 0 is one.
     pub parts: u64,
     /// Bytes of the normal priors.
     pub normals: Option<u64>,

@@ -95,8 +95,9 @@ impl GeometryStep {
         Ok(GeometryStep { exec, steps, inputs, tile: tuning.tile, options })
     }
 
-    /// Binds the photographs of the next steps, for scenes whose photographs take several buffers. Those that were used
-    /// before are not recorded again. `normals` are the priors of the same views.
+    /// Binds the photographs of the next steps, if a scene has several buffers of them.
+    ///
+    /// Buffers that were used before are not recorded again. `normals` are the priors of the same views.
     ///
     /// # Errors
     /// If a buffer is smaller than the one that the step was built with.

@@ -187,7 +187,7 @@ pub(super) struct Plan {
     sums: Buffer,
     feature_sums: Buffer,
     pub places: Buffer,
-    /// The smoothness term by set of sums, and then the largest gradient of a row by workgroup.
+    /// Smoothness term by set of sums, then the largest row gradient by workgroup.
     pub jitter: Buffer,
 }
 
