@@ -2,7 +2,7 @@
 //!
 //! Requests beyond a limit are refused before any allocation.
 
-use sgs_config::Settings;
+use sgs_config::{Settings, ShDegree};
 use sgs_engine::device::Limits;
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::Graph;
@@ -137,10 +137,11 @@ fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
 #[test]
 fn photographs_in_several_buffers_train_the_same_bits() {
     let _turn = turn();
-    let place = Place::new(Room { views: 40, size: [64, 48], spacing: 8, priors: true, ..Room::default() });
+    let place = Place::new(Room { views: 120, size: [64, 48], spacing: 8, priors: true, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = Settings::default();
     (s.geometry.steps, s.geometry.densify.until) = (40, 0.0);
+    s.geometry.sh_degree = ShDegree::Fixed(0);
     let train = |limits: Limits| {
         let device = open(limits);
         let mut training = Geometry::new(&device, &scene, &s, None).unwrap();
@@ -150,7 +151,7 @@ fn photographs_in_several_buffers_train_the_same_bits() {
         assert_eq!(device.messages().take(), Vec::<String>::new());
         splats
     };
-    // The photographs of all 30 training views take 360 KiB.
-    let split = train(Limits { storage_range: 300 << 10, ..Default::default() });
+    // The photographs of all 90 training views take 1080 KiB.
+    let split = train(Limits { storage_range: 1000 << 10, ..Default::default() });
     assert!(split == train(Limits::default()), "the parameters differ");
 }

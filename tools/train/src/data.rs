@@ -150,7 +150,7 @@ impl Packed {
         sizes.into_iter().max().unwrap_or(0)
     }
 
-    /// Returns the number of bytes of the normal priors of the largest part, if there are any.
+    /// Returns the bytes of the normal priors of the largest part, if there are any.
     pub fn normal_bytes(&self) -> Option<u64> {
         self.normals.as_ref().map(|_| self.image_bytes())
     }
