@@ -173,7 +173,7 @@ fn gradient_error(rig: &Rig, outputs: &Outputs, gaussian: usize, s: &Subject<'_>
     };
     let expected = 0.5 * SH0 * (0..width * height).map(alpha).sum::<f64>();
     let columns: Vec<f32> = rig.get(outputs.parameters)?;
-    let gradients = s.model.from_columns(&columns, s.data.len());
+    let gradients = s.model.from_columns(&columns, gaussian + 1);
     let found = &gradients.group(Group::Sh0)[3 * gaussian..][..3];
     let errors = found.iter().map(|g| (f64::from(*g) / expected - 1.0).abs());
     Ok(errors.fold(0.0, |most, e| if e > most || e.is_nan() { e } else { most }))

@@ -100,12 +100,12 @@ pub fn check_series(root: &Path, tables: &[&str], batch: &str) -> anyhow::Result
 
 /// Refuses a directory for a batch that holds anything else. A directory with results of a batch is one.
 pub fn check_batch(root: &Path) -> anyhow::Result<()> {
-    if root.join("results").is_dir() && root.join("leases").is_dir() {
-        return Ok(());
-    }
+    let is_batch = || root.join("results").is_dir() && root.join("leases").is_dir();
     // Another command over the directory may be hashing the scenes, or was stopped while it did.
     let own = ["hashes", "leases", "results", "runs", "variants"];
-    if root.join("hashes").is_dir() && entries(root).iter().all(|entry| own.contains(&entry.as_str())) {
+    let begun = || root.join("hashes").is_dir() && entries(root).iter().all(|entry| own.contains(&entry.as_str()));
+    // It may also finish its first folders between the two checks, and go on with other files.
+    if is_batch() || begun() || is_batch() {
         return Ok(());
     }
     if let Contents::Run(_) = check_kind(root, "a batch")? {
