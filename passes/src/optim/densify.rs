@@ -20,11 +20,11 @@
 //! Passes: `densify_decide` writes verdicts and a histogram of gradient strengths. `densify_plan` computes totals and,
 //! if the cap applies, the cut-off. `densify_flags` and prefix sums of three flags rank the pruned Gaussians, the
 //! strong ones and those at the cut-off. `densify_slots` lists the holes, `densify_assign` the copies and their
-//! targets. `densify_move` copies columns, `densify_move_features` features, `densify_split` makes the halves of splits. Finally the statistics
-//! are cleared.
+//! targets. `densify_move` copies columns, `densify_move_features` features, `densify_split` makes the halves of
+//! splits. Finally the statistics are cleared.
 //!
 //! Cost per Gaussian: 80 bytes of parameters and statistics read; 100 bytes of flags, ranks and lists read and written.
-//! Cloned, split and moved Gaussians add 12 bytes read and 12 to 24 written per scalar (59 scalars with all bands of
+//! Cloned, split and moved Gaussians add 48 bytes read and 48 to 96 written per column (15 columns with all bands of
 //! spherical harmonics). Memory: 36 bytes per Gaussian of the capacity, during the passes.
 
 use crate::Tuning;
@@ -44,7 +44,7 @@ const COUNTERS: u64 = 5 + 2048;
 /// Inputs of densification.
 #[derive(Clone, Copy, Debug)]
 pub struct Densify {
-    /// Gaussians with their moments.
+    /// Parameters, number and capacity.
     pub gaussians: Handles,
     /// Their moments.
     pub moments: MomentHandles,

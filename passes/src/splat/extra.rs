@@ -3,9 +3,7 @@
 //! Propagates gradients from features to the Gaussians' positions, shapes and opacities. The passes of such views add,
 //! one after the other, to rows by Gaussian that begin as zeros. The fused update of the training view
 //! ([`super::project_bwd_adam`]) reads the rows; [`crate::optim::adam_unseen()`] processes the Gaussians that it does
-//! not move.
-//! If one gradient of a Gaussian is not finite, all of them become non-finite, so that all its groups are skipped
-//! alike.
+//! not move. If one gradient of a Gaussian is not finite, all of them become non-finite, so that all are skipped alike.
 //!
 //! Cost per visible splat: one flag per entry, and 24 bytes more per entry whose flag is set. If any is set, 44 bytes
 //! of parameters and 44 of gradients read, 44 written, about 300 operations.

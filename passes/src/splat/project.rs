@@ -3,7 +3,7 @@
 //! Cost per Gaussian of N: 48 bytes read and one bit written, which is read again. Cost per visible one: the 48 bytes
 //! again and the columns of harmonics read (16 bytes for every four of their 3 (d+1)² numbers), 36 + 4 C written (4 fewer
 //! with 16-bit colors). Backward, fused: the gradients of its entries read once (4 (6 + C) bytes each), 48 bytes read and
-//! 48 written per column: 720 each of parameters and moments with all bands.
+//! 48 written per column of parameters and moments: 720 each with all bands.
 
 use super::{Channels, EntryFeatures, ExtraGradients, Screen, Statistic};
 use crate::Tuning;
