@@ -99,7 +99,9 @@ fn training_memory_matches_estimate() {
         let error = Geometry::new(gpu.device(), &scene, &s, None).err().unwrap();
         assert!(matches!(error, TrainError::Memory(_)), "{error}");
         for word in ["The first step needs", "parameters", "moments", "arena", "--memory-budget"] {
-            assert!(error.to_string().contains(word), "{word}: {error}");
+            // Less than 64 KiB are not listed, such as the compact parameters of this small room.
+            let listed = word != "parameters" || bits == 32;
+            assert!(!listed || error.to_string().contains(word), "{word}: {error}");
         }
         assert_eq!(gpu.device().memory_use().0, 0);
         s.memory.budget = needs.total();
