@@ -5,6 +5,7 @@ mod ablate_materials;
 mod bands;
 mod batch;
 mod batch_faults;
+mod coarse;
 mod datasets;
 mod decided;
 mod divergence;

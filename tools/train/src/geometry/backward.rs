@@ -85,7 +85,7 @@ impl Geometry {
         self.options.backward = kernel;
         self.rebuild()?;
         for step in 1..=5 {
-            let values = self.values(step);
+            let values = self.values_after(step, 0);
             self.exec_of(step)?.submit(&values)?;
         }
         self.exec()?.finish()?;

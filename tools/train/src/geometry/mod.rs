@@ -29,8 +29,9 @@ use crate::idle::{self, FoundForGeometry, IdleLoss};
 use crate::limits;
 use crate::memory::Needs;
 use crate::normals::{Prior, initial_normals};
+use crate::reduce::LEAST;
 use crate::region_provider::FrameRendering;
-use crate::schedule::Schedule;
+use crate::schedule::{MOST_HALVINGS, Schedule};
 use crate::semantics::{SemanticData, SemanticMaps};
 use backward::kernel_of;
 pub(crate) use bands::Bands;
@@ -176,6 +177,7 @@ impl Geometry {
         let wants_views = g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
         let (mut data, maps) = source.read(wants_normals, wants_semantics)?;
+        data.reduce(if g.coarse > 0.0 { MOST_HALVINGS } else { 0 });
         data.split(device.info().largest_binding());
         maps.iter().try_for_each(|maps| maps.check(device))?;
         let inputs = InputSizes {
@@ -194,7 +196,7 @@ impl Geometry {
         let mut start = start;
         if let (Some(priors), None) = (data.normals(), &start.normals) {
             let cameras = source.cameras();
-            let views: Vec<Prior> = cameras.into_iter().zip(priors).map(|(c, prior)| (c, prior.as_slice())).collect();
+            let views: Vec<Prior> = cameras.into_iter().zip(priors).collect();
             initial = start.clone();
             initial.normals = Some(initial_normals(&start.means, &views));
             start = &initial;
@@ -425,8 +427,27 @@ impl Geometry {
 
     /// Makes the uniform of a step.
     fn values(&self, step: u32) -> Step {
+        self.values_after(step, self.halvings(step))
+    }
+
+    /// Returns how often the photograph of a step is halved.
+    fn halvings(&self, step: u32) -> u32 {
+        // Regions are stored at full size.
+        let compares = self.correspondence.is_some() && step >= self.settings.geometry.correspondence_from;
+        let most = if compares { 0 } else { self.schedule.halvings(step).min(self.data.halvings) };
         let view = self.view(step);
-        let (camera, offset) = self.data.views[view];
+        let map = self.semantics.as_ref().map_or([0, 0], |(data, _)| data.views[view].size);
+        let fits = |halvings: &u32| {
+            let size = self.data.reduced(view, *halvings).0.size;
+            size.iter().zip(map).all(|(n, cells)| *n >= cells.max(LEAST))
+        };
+        (1..=most).take_while(fits).last().unwrap_or(0)
+    }
+
+    /// Makes the uniform of a step whose photograph is halved this often.
+    fn values_after(&self, step: u32, halvings: u32) -> Step {
+        let view = self.view(step);
+        let (camera, offset) = self.data.reduced(view, halvings);
         let mut values = self.schedule.step(step, &camera, offset);
         if let Some((data, _)) = &self.semantics {
             data.views[view].fill(&mut values);
