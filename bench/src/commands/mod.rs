@@ -3,6 +3,7 @@
 pub mod batch;
 pub mod ceiling;
 pub mod compile;
+pub mod host;
 pub mod intrinsic;
 pub mod isa;
 pub mod passes;

@@ -42,8 +42,8 @@ use fit::{allowance, last_that};
 use inputs::GeometryInputs;
 pub use log::StepLog;
 use sgs_config::{Backward, Settings, ShDegree};
-use sgs_engine::Device;
 use sgs_engine::exec::PassTime;
+use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, OpacityReset, PSEUDO_VIEWS,
@@ -322,6 +322,11 @@ impl Geometry {
     /// Returns the source of regions in pseudo-views, if the stage uses pseudo-views.
     pub fn masks(&self) -> Option<Masks> {
         self.correspondence.as_ref().map(Correspondence::masks)
+    }
+
+    /// Returns the ring of the steps' reports, for drivers that run no kernels.
+    pub fn reports(&self) -> &DeviceBuffer {
+        self.status.reports()
     }
 
     /// Returns the device.
