@@ -1,0 +1,73 @@
+//! Uploads through a queue that only transfers, with validation on the null driver, which has one.
+//!
+//! No device of the tests has such a queue. The null driver executes copies, so that their bytes can be compared. The
+//! validation layer checks the use of both queues.
+
+use sgs_engine::{Device, DeviceOptions, Location};
+use sgs_null_driver::{BYTES, Counter, FILE_VARIABLE, manifest, read};
+use std::path::Path;
+use std::process::Command;
+
+/// Variable with the file of counts, in the process that has the null driver.
+const CHILD: &str = "SGS_TEST_NULL_DRIVER";
+
+fn pattern(bytes: usize) -> Vec<u8> {
+    (0..bytes as u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect()
+}
+
+/// Uploads on the null driver. Runs in a process of its own.
+fn upload(counts: &Path) {
+    let device = Device::open(&DeviceOptions { validation: true, ..Default::default() }).unwrap();
+    assert_eq!(device.info().name, "null driver");
+    let submits = || read(counts).unwrap()[Counter::TransferSubmits as usize];
+    let chunks = 10;
+    let data = pattern((chunks << 20) - 3);
+    let buffer = device.buffer("target", data.len() as u64 + (1 << 20), Location::Device).unwrap();
+    device.fill(&buffer, 7).unwrap();
+    assert_eq!(submits(), 0);
+    device.upload(&buffer, 5, &data).unwrap();
+    assert_eq!(submits(), chunks as u64);
+    assert_eq!(device.activity().most_chunks_in_flight, 4);
+    // Copies are done before their staging memory is used again, so that only the end waits.
+    assert_eq!((device.activity().upload_chunks, device.activity().upload_waits), (chunks as u64, 1));
+    let found = device.download(&buffer, 0, buffer.bytes()).unwrap();
+    assert!(found[5..][..data.len()] == data, "other bytes arrived");
+    assert_eq!(found[..4], [7, 0, 0, 0]);
+    // Several pieces, twice into the same ranges: the second upload waits for the first.
+    for seed in 0..2 {
+        let other: Vec<u8> = data.iter().map(|byte| byte ^ seed).collect();
+        let (a, b) = other.split_at(3 << 20);
+        device.upload_all(&[(&buffer, 0, a), (&buffer, 4 << 20, b)]).unwrap();
+        let found = device.download(&buffer, 0, buffer.bytes()).unwrap();
+        assert!(found[..a.len()] == *a && found[4 << 20..][..b.len()] == *b, "other bytes arrived");
+    }
+    // Small data take the main queue.
+    let before = submits();
+    device.upload(&buffer, 0, &data[..1000]).unwrap();
+    assert_eq!(submits(), before);
+    let (messages, objects) = (device.messages().clone(), device.objects().clone());
+    drop(buffer);
+    drop(device);
+    assert_eq!(messages.take(), Vec::<String>::new());
+    assert_eq!(objects.alive(), []);
+}
+
+#[test]
+fn large_uploads_take_the_transfer_queue() {
+    if let Some(counts) = std::env::var_os(CHILD) {
+        return upload(Path::new(&counts));
+    }
+    let test = std::env::current_exe().unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let [json, counts] = ["null.json", "counts"].map(|name| folder.path().join(name));
+    let library = test.with_file_name("libsgs_null_driver.so");
+    std::fs::write(&json, manifest(&library)).unwrap();
+    std::fs::write(&counts, [0; BYTES]).unwrap();
+    let mut child = Command::new(&test);
+    child.args(["--exact", "large_uploads_take_the_transfer_queue", "--nocapture"]);
+    child.env(CHILD, &counts).env(FILE_VARIABLE, &counts).env("VK_DRIVER_FILES", &json).env("VK_ICD_FILENAMES", &json);
+    let out = child.output().unwrap();
+    let text = [&out.stdout[..], &out.stderr].map(String::from_utf8_lossy).concat();
+    assert!(out.status.success(), "{text}");
+    assert!(read(&counts).unwrap()[Counter::TransferSubmits as usize] > 20, "the child has not uploaded: {text}");
+}
