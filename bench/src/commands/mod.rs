@@ -6,6 +6,7 @@ pub mod compile;
 pub mod host;
 pub mod intrinsic;
 pub mod isa;
+mod own_step;
 pub mod passes;
 pub mod results;
 pub mod roofline;
