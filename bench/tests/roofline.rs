@@ -29,7 +29,7 @@ fn stored_step_is_predicted_and_errors_are_sentences() {
     let done = run(&[&step[..], &["--ratios", "llvmpipe.json,gaussians=20000", "--rows", "5"]].concat());
     let text = String::from_utf8(done.stdout).unwrap();
     assert!(
-        done.status.success() && text.contains("34 other passes") && text.contains("Error from counts: -"),
+        done.status.success() && text.contains("34 other passes") && text.contains("Error from counts: +1"),
         "{text}"
     );
     for (arguments, words) in [

@@ -1,8 +1,9 @@
-//! Uploads through a queue that only transfers, with validation on the null driver, which has one.
+//! Uploads through a queue that only transfers, with validation.
 //!
-//! No device of the tests has such a queue. The null driver executes copies, so that their bytes can be compared. The
+//! Of the devices of tests only the null driver has such a queue. It executes copies, so that their bytes can be compared. The
 //! validation layer checks the use of both queues.
 
+use sgs_engine::device::{Fault, FaultKind, Faults, Objects};
 use sgs_engine::{Device, DeviceOptions, Location};
 use sgs_null_driver::{BYTES, Counter, FILE_VARIABLE, manifest, read};
 use std::path::Path;
@@ -52,10 +53,50 @@ fn upload(counts: &Path) {
     assert_eq!(objects.alive(), []);
 }
 
+/// Fails each call of an upload once. Nothing may be left, and only the failed upload may report an error.
+fn fail_each_call() {
+    let open = |faults: &Faults, objects: &Objects| {
+        let (faults, objects) = (faults.clone(), objects.clone());
+        Device::open(&DeviceOptions { validation: true, faults, objects, ..Default::default() }).unwrap()
+    };
+    let data = pattern(6 << 20);
+    let work = |device: &Device| {
+        let buffer = device.buffer("target", data.len() as u64, Location::Device)?;
+        device.upload(&buffer, 0, &data)
+    };
+    let recorded = Faults::default();
+    let device = open(&recorded, &Objects::default());
+    recorded.record();
+    work(&device).unwrap();
+    let calls = recorded.take_record();
+    drop(device);
+    assert!(calls.iter().filter(|call| call.call == "vkQueueSubmit2").count() == 7, "{calls:?}");
+    for (n, call) in calls.iter().enumerate() {
+        for kind in FaultKind::of(call.call) {
+            let context = format!("{} for \"{}\", {kind:?}", call.call, call.what);
+            let (faults, objects) = (Faults::default(), Objects::default());
+            let device = open(&faults, &objects);
+            let messages = device.messages().clone();
+            faults.inject(Fault { call: Fault::ANY, skip: n as u64, result: *kind });
+            let failed = work(&device).is_err();
+            assert!(failed || call.call == "vkSetDebugUtilsObjectNameEXT", "{context}: nobody noticed");
+            if *kind != FaultKind::DeviceLost {
+                device.wait(device.last_ticket(), "the rest").unwrap();
+                assert_eq!((device.collect(), device.memory_use().0), (0, 0), "{context}");
+                work(&device).unwrap();
+            }
+            drop(device);
+            assert_eq!(objects.alive(), [], "{context}");
+            assert_eq!(messages.take(), Vec::<String>::new(), "{context}");
+        }
+    }
+}
+
 #[test]
 fn large_uploads_take_the_transfer_queue() {
     if let Some(counts) = std::env::var_os(CHILD) {
-        return upload(Path::new(&counts));
+        upload(Path::new(&counts));
+        return fail_each_call();
     }
     let test = std::env::current_exe().unwrap();
     let folder = tempfile::tempdir().unwrap();

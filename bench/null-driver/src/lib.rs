@@ -29,7 +29,7 @@ pub fn manifest(library: &Path) -> String {
     format!(r#"{{"file_format_version": "1.0.0", "ICD": {{"library_path": "{path}", "api_version": "1.3.250"}}}}"#)
 }
 
-/// Highest version of the interface between loader and driver that this driver knows.
+/// Highest known version of the interface between loader and driver.
 const INTERFACE: u32 = 5;
 
 /// Agrees with the loader on the version of their interface.

@@ -87,7 +87,7 @@ fn built_with(program: &Path) -> Option<PathBuf> {
 
 /// Times and counts of measured steps.
 struct Measured {
-    /// Microseconds of each step, from submission to the evaluation of an earlier report.
+    /// Microseconds of each step, with the evaluation of an earlier report.
     steps: Vec<f64>,
     /// Calls in the measured steps, and before them.
     calls: [u64; Counter::ALL.len()],

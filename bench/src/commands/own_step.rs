@@ -13,6 +13,8 @@ struct Rates {
     bytes: f64,
     operations: f64,
     dispatch: f64,
+    /// Bytes per second of a kernel that writes a word per invocation, on a processor.
+    words: Option<f64>,
 }
 
 impl Rates {
@@ -20,7 +22,20 @@ impl Rates {
         use anyhow::Context;
         let ceiling = report.ceiling.as_ref().context("The report has no measured rates of its device.")?;
         let (bytes, operations) = (ceiling.bytes_per_second, ceiling.operations_per_second);
-        Ok(Rates { bytes, operations, dispatch: ceiling.dispatch_seconds })
+        let words = (report.device.kind == "cpu").then_some(ceiling.fill_bytes_per_second).filter(|rate| *rate > 0.0);
+        Ok(Rates { bytes, operations, dispatch: ceiling.dispatch_seconds, words })
+    }
+
+    /// Predicts the nanoseconds of a pass.
+    ///
+    /// A software device takes instructions for each word that a lane reads or writes, one after the other with those of
+    /// its arithmetic. No kernel comes near the rate of a copy there.
+    fn predict(&self, pass: &PassRow) -> f64 {
+        let work = match self.words {
+            Some(words) => 1e9 * (pass.bytes.unwrap_or(0.0) / words + pass.operations.unwrap_or(0.0) / self.operations),
+            None => self.bound(pass),
+        };
+        1e9 * self.dispatch + work
     }
 
     /// Returns the least nanoseconds that bytes and operations take.
@@ -41,7 +56,7 @@ pub struct Checked {
     ratios: Option<f64>,
 }
 
-/// Predicts a step by its counts, and by the ratios of another step on the same device.
+/// Predicts a step by its counts, and by the ratios of another step.
 ///
 /// # Errors
 /// If the devices differ, the steps are the same, or a report has no rates.
@@ -70,7 +85,7 @@ pub fn predict(
             // The shortest pass is an empty one. A pass without counts has the same time in every step.
             if least > 0.0 { fixed + (time - fixed) / least * bound } else { time }
         });
-        let counts = 1e9 * own.dispatch + bound;
+        let counts = own.predict(pass);
         Checked { name: pass.pass.clone(), measured: pass.nanoseconds.median, counts, ratios }
     };
     Ok(passes.iter().map(one).collect())
@@ -136,7 +151,7 @@ mod tests {
     fn report(gaussians: u32, passes: &[(&str, f64, Option<f64>)]) -> Report {
         let line = DeviceLine {
             name: "small".into(),
-            kind: "cpu".into(),
+            kind: "discrete".into(),
             driver: "none".into(),
             api: "1.3".into(),
             subgroup_size: 8,
@@ -187,6 +202,18 @@ mod tests {
         assert!(sentence.contains("-61.8 % of the sum, 61.8 % of the time"), "{sentence}");
         assert!(sentence.contains("-16.8 % of the sum, 16.8 % of the time"), "{sentence}");
         assert!(sentence.contains("1 passes have no ratio"), "{sentence}");
+    }
+
+    #[test]
+    fn processors_take_time_for_words_and_for_arithmetic() {
+        let mut step = report(2, &[("a", 440.0, Some(200.0))]);
+        step.passes[0].operations = Some(50.0);
+        assert_eq!(Rates::of(&step).unwrap().predict(&step.passes[0]), 210.0);
+        step.device.kind = "cpu".into();
+        step.ceiling.as_mut().unwrap().fill_bytes_per_second = 1e8;
+        let rates = Rates::of(&step).unwrap();
+        assert!((rates.predict(&step.passes[0]) - (10.0 + 2000.0 + 50.0)).abs() < 1e-9);
+        assert_eq!(rates.bound(&step.passes[0]), 200.0);
     }
 
     #[test]

@@ -146,7 +146,7 @@ impl<'d> Ring<'d> {
         (self.submitted % self.copied.len() as u64) as usize
     }
 
-    /// Waits for the copy that used the next chunk of staging memory, unless it is done.
+    /// Waits for the copy from the next chunk of staging memory, unless it is done.
     fn wait_for_slot(&mut self) -> Result<()> {
         let slot = self.slot();
         match self.copied[slot].take() {
@@ -253,7 +253,9 @@ impl<'d> Ring<'d> {
     }
 }
 
-/// Returns barriers that pass the ranges of pieces from one queue family to another, without their halves.
+/// Returns barriers that pass ranges to another queue family.
+///
+/// Each queue completes its half of them.
 fn passed(pieces: &[Piece<'_>], from: u32, to: u32) -> Vec<vk::BufferMemoryBarrier2<'static>> {
     let written = pieces.iter().filter(|(_, _, data)| !data.is_empty());
     let barrier = |(buffer, offset, data): &Piece<'_>| {
