@@ -107,6 +107,9 @@ fn large_uploads_take_the_transfer_queue() {
     let mut child = Command::new(&test);
     child.args(["--exact", "large_uploads_take_the_transfer_queue", "--nocapture"]);
     child.env(CHILD, &counts).env(FILE_VARIABLE, &counts).env("VK_DRIVER_FILES", &json).env("VK_ICD_FILENAMES", &json);
+    // Across submissions, layer 1.3.239 knows no timeline semaphores, by which the queues wait for each other and the host for
+    // both: it reports every pair of accesses. Within command buffers it checks barriers and transfers of ownership.
+    child.env_remove("VK_LAYER_ENABLES");
     let out = child.output().unwrap();
     let text = [&out.stdout[..], &out.stderr].map(String::from_utf8_lossy).concat();
     assert!(out.status.success(), "{text}");
