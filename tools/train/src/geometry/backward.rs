@@ -80,11 +80,15 @@ impl Geometry {
         Ok(self.device.cache_file(&sort.file()).map(|file| (file, sort)))
     }
 
-    /// Continues with a kernel.
+    /// Continues with a kernel. Steps of the same kernel stay as they are.
     fn use_backward(&mut self, chosen: Backward) -> Result<()> {
-        self.options.backward = kernel_of(chosen, &self.device)?;
+        let kernel = kernel_of(chosen, &self.device)?;
         self.settings.geometry.backward = chosen;
-        self.rebuild()
+        if self.options.backward != kernel {
+            self.options.backward = kernel;
+            self.rebuild()?;
+        }
+        Ok(())
     }
 
     /// Times the deterministic kernels on the current step and selects the fastest.
@@ -121,7 +125,9 @@ impl Geometry {
             "backward kernel"
         );
         self.options.timestamps = false;
-        self.use_backward(kernel)?;
+        self.options.backward = kernel_of(kernel, &self.device)?;
+        self.settings.geometry.backward = kernel;
+        self.rebuild()?;
         self.status.clear_flags(&self.device)?;
         if let Some((file, sort)) = cache {
             choice::write(&file, &Choice { sort, buckets, kernel });
@@ -133,11 +139,14 @@ impl Geometry {
     fn buckets_fit(&mut self) -> Result<bool> {
         let count = self.gaussians.count(&self.device)?;
         let limit = if self.settings.geometry.densify.enabled() { self.most.max(count) } else { count };
+        let current = self.options.backward;
         self.options.backward = BackwardKernel::Pixel;
         let without = self.most_that_fit(count, limit)?;
         self.options.backward = BackwardKernel::Bucket;
         let fits = self.fits(&self.gaussians.layout(), self.options.entry_capacity)?;
-        Ok(fits && self.most_that_fit(count, limit)? == without)
+        let fits = fits && self.most_that_fit(count, limit)? == without;
+        self.options.backward = current;
+        Ok(fits)
     }
 
     /// Returns the least times of a backward kernel and of blending over five steps.
