@@ -2,6 +2,7 @@
 
 mod ablate;
 mod ablate_materials;
+mod backward_choice;
 mod bands;
 mod batch;
 mod batch_faults;

@@ -6,7 +6,7 @@
 use crate::error::{Requirement, Result};
 use crate::reduce::{halved_image, halved_normals, halved_size};
 use rayon::prelude::*;
-use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_engine::{Device, DeviceBuffer, Location, Piece};
 use sgs_passes::pipeline::Camera;
 use sgs_run::{camera, pack_image, pack_normals};
 use sgs_scene::{Image, Scene};
@@ -191,10 +191,13 @@ impl Packed {
         let part = |name: &str, images: &[Vec<u32>], part: usize| -> Result<DeviceBuffer> {
             let buffer = device.buffer(name, size, Location::Device)?;
             let mut offset = 0;
+            let mut pieces: Vec<Piece<'_>> = Vec::new();
             for (image, _) in images.iter().zip(&self.part_of).filter(|(_, of)| **of == part) {
-                device.upload(&buffer, offset, bytemuck::cast_slice(image))?;
+                pieces.push((&buffer, offset, bytemuck::cast_slice(image)));
                 offset += 4 * image.len() as u64;
             }
+            device.upload_all(&pieces)?;
+            drop(pieces);
             Ok(buffer)
         };
         let mut parts = Vec::new();

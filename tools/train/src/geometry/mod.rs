@@ -8,6 +8,7 @@ mod backward;
 mod bands;
 mod capacity;
 pub(crate) mod checkpoint;
+mod choice;
 mod decision;
 mod expect;
 mod fit;
@@ -42,8 +43,8 @@ use fit::{allowance, last_that};
 use inputs::GeometryInputs;
 pub use log::StepLog;
 use sgs_config::{Backward, Settings, ShDegree};
-use sgs_engine::Device;
 use sgs_engine::exec::PassTime;
+use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, OpacityReset, PSEUDO_VIEWS,
@@ -58,7 +59,7 @@ pub use thin::{MANY_POINTS, MOST_THINNED};
 /// Number of replays in flight.
 const IN_FLIGHT: usize = 2;
 
-/// Number of steps after which backward kernels can be timed.
+/// Number of steps before the choice of the backward kernel. They use the pixel kernel.
 const WARM: u32 = 16;
 
 /// Progress of the stage.
@@ -269,15 +270,10 @@ impl Geometry {
         let status = Status::new(device)?;
         let schedule = Schedule::new(settings, source.extent(), data.views.len());
         let promised = settings.memory.budget > 0;
-        let mut settings = settings.clone();
-        // CPU devices run lanes one after the other. In `engine-bench` the pixel kernel is faster on them by far.
-        if settings.geometry.backward == Backward::Auto && device.info().kind == "cpu" {
-            settings.geometry.backward = Backward::Pixel;
-        }
         let mut training = Geometry {
             device: device.clone(),
             tuning,
-            settings,
+            settings: settings.clone(),
             schedule,
             data,
             semantics,
@@ -330,6 +326,11 @@ impl Geometry {
         self.correspondence.as_ref().map(Correspondence::masks)
     }
 
+    /// Returns the ring of the steps' reports, for drivers that run no kernels.
+    pub fn reports(&self) -> &DeviceBuffer {
+        self.status.reports()
+    }
+
     /// Returns the device.
     pub fn device(&self) -> &Device {
         &self.device
@@ -356,8 +357,10 @@ impl Geometry {
         mut go_on: impl FnMut() -> bool,
     ) -> Result<()> {
         while self.done < last && go_on() {
-            if self.settings.geometry.backward == Backward::Auto && self.done >= WARM && self.drain(&mut on_report)? {
-                self.choose_backward()?;
+            // Always after the same step, so that neither stops nor cached choices change the result.
+            let undecided = self.settings.geometry.backward == Backward::Auto && self.submitted < last;
+            if undecided && self.submitted >= WARM && self.drain(&mut on_report)? && self.done >= WARM {
+                self.decide_backward()?;
             }
             if self.submitted < last {
                 self.submit_next()?;
