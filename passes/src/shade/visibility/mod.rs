@@ -24,7 +24,7 @@
 //! | two lights together | 148 | 64 bytes |
 //! | four lights together | 74 | 32 bytes |
 //!
-//! No lanes exchange values. On narrow subgroups lanes hold neurons, and two pixels share loads of the second layer.
+//! No lanes exchange values. On CPUs with eight lanes, lanes hold neurons, and two pixels share loads of the second layer.
 
 mod adam;
 mod bwd;
@@ -90,9 +90,9 @@ pub struct View {
     pub lights: Buffer,
 }
 
-/// Returns whether subgroups process their pixels together.
+/// Returns whether subgroups process their pixels together, lanes over neurons.
 fn field_spread(tuning: Tuning) -> bool {
-    tuning.subgroup_size == 8
+    tuning.cpu && tuning.subgroup_size == 8
 }
 
 /// Returns whether the backward pass batches pairs. On CPUs lanes share a pair instead, because loads from buffers and
