@@ -10,7 +10,7 @@ use sgs_engine::graph::Plan;
 use sgs_engine::{Activity, Device};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Status, StepReport};
-use sgs_passes::scene::{GaussianData, Gaussians};
+use sgs_passes::scene::{GaussianData, Gaussians, Layout};
 use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_train::{Correspondence, FrameRendering, Schedule};
 use std::sync::{Mutex, MutexGuard};
@@ -90,7 +90,9 @@ impl<'w> Trainer<'w> {
         let count = workload.start.len() as u32;
         // Capacity for the new Gaussians of one densification.
         let capacity = if densify { count + count / 2 } else { count };
-        let gaussians = Gaussians::with(device, workload.model, capacity, true, densify)?;
+        let storage = tuning.accuracy.storage();
+        let layout = Layout { model: workload.model, capacity, training: true, statistics: densify, storage };
+        let gaussians = Gaussians::of(device, &layout)?;
         gaussians.upload(device, &workload.start)?;
         let masks = match &workload.correspondence {
             Some(c) => Some(locked(c)?.masks()),

@@ -1,7 +1,7 @@
 //! Selection of cooperative matrices for the layers of networks.
 //!
 //! Matrix units (`VK_KHR_cooperative_matrix`) multiply 16-bit operands and sum in 32 bits. They run if three conditions
-//! hold: [`Accuracy::visibility_operands`](crate::Accuracy::visibility_operands) is 16, the device has a suitable
+//! hold: [`Accuracy::visibility_bits`](crate::Accuracy::visibility_bits) is 16, the device has a suitable
 //! shape, and the GLSL compiler of this build supports the extension. Otherwise the portable kernels run, in 32 bits;
 //! [`Matrices::for_device`] returns the reason.
 

@@ -91,7 +91,7 @@ impl Tuning {
     /// Returns the tiling of the visibility field's second layer in the forward pass. `None` selects the portable
     /// kernels.
     pub fn field_matrices(&self) -> Option<Matrices> {
-        self.matrices.filter(|m| self.accuracy.visibility_operands == 16 && (Matrices::compiled() || !m.units))
+        self.matrices.filter(|m| self.accuracy.visibility_bits == 16 && (Matrices::compiled() || !m.units))
     }
 
     /// Returns the number of single-subgroup workgroups that run at once.

@@ -1,6 +1,8 @@
 // Shared part of the kernels of project_bwd: sums one visible splat's gradients over its entries and takes them back
 // through projection. Included after large_splats.glsl, and after the buffers and constants that it names are declared.
 
+#include "parameter_columns.glsl"
+
 // Of an entry: moments, colors, weight, and the statistic's own moments.
 const uint SUMS = 6u + CHANNELS + WEIGHTS + STATISTIC_FLOATS;
 
@@ -78,11 +80,11 @@ Visible visible_splat(uint v, float sums[SUMS]) {
     [[unroll]] for (uint j = 0u; j < 6u; ++j) any_gradient |= magnitude_bits(moments[j]);
     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) any_gradient |= magnitude_bits(colors[c]);
     s.touched = any_gradient != 0u;
-    vec4 place = parameters[column_of(s.gaussian, 0u)];
+    vec4 place = parameter_column(s.gaussian, 0u);
     s.mean = place.xyz;
     s.opacity_logit = place.w;
-    s.log_scale = parameters[column_of(s.gaussian, 1u)].xyz;
-    s.rotation = parameters[column_of(s.gaussian, 2u)];
+    s.log_scale = parameter_column(s.gaussian, 1u).xyz;
+    s.rotation = parameter_column(s.gaussian, 2u);
     Projection p;
     project_splat(camera, s.mean, s.log_scale, s.rotation, s.opacity_logit, p);
     uint at = v * CHANNEL_WORDS;
@@ -98,7 +100,7 @@ Visible visible_splat(uint v, float sums[SUMS]) {
     s.normal = vec3(0.0);
     if (HAS_NORMALS) {
         vec3 d = vec3(colors[3u % CHANNELS], colors[4u % CHANNELS], colors[5u % CHANNELS]);
-        vec3 raw = parameters[column_of(s.gaussian, COLUMNS - 1u)].xyz;
+        vec3 raw = parameter_column(s.gaussian, COLUMNS - 1u).xyz;
         float n = length(raw);
         // n / max(|n|, 1e-3): below the floor the map is linear.
         s.normal = n > 1e-3 ? (d - raw * (dot(raw, d) / (n * n))) / n : d * 1e3;

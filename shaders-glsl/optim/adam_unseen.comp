@@ -21,13 +21,26 @@ IN(Work, live);
 IN(uint, flags);
 IN(uint, seen);  // nonzero for Gaussians that this pass must skip
 IN(float, extra); // [Gaussians * EXTRA_WIDTH]
-INOUT(vec4, parameters);
-INOUT(vec4, first_moments);
-INOUT(vec4, second_moments);
+INOUT(uvec4, parameters);
+INOUT(uvec4, first_moments);
+INOUT(uvec4, second_moments);
 INOUT(uint, skipped); // Gaussians whose gradients were not finite
 
-void update(uint at, vec4 by_values, vec4 rates) {
-    vec4 values = parameters[at], first = first_moments[at], second = second_moments[at];
+#include "adam_columns.glsl"
+
+vec4 rates_of(uint column) {
+    if (column == 0u) return vec4(vec3(params.step.lr_means), params.step.lr_opacities);
+    if (column == 1u) return vec4(params.step.lr_scales);
+    if (column == 2u) return vec4(params.step.lr_rotations);
+    if (HAS_NORMALS && column == MOMENT_COLUMNS - 1u) return vec4(params.step.lr_normals);
+    if (column == HARMONICS) return vec4(vec3(params.step.lr_sh0), params.step.lr_sh_rest);
+    return vec4(params.step.lr_sh_rest);
+}
+
+// Moves the values of a column, and writes their moments if any of them changed.
+bool update(uint i, uint column, uint key, inout vec4 values, vec4 by_values, vec4 rates) {
+    vec4 first, second;
+    read_moments(i, column, first, second);
     bool changed = false;
     [[unroll]] for (uint j = 0u; j < 4u; ++j) {
         if (SPARSE && is_zero(by_values[j])) continue;
@@ -41,24 +54,20 @@ void update(uint at, vec4 by_values, vec4 rates) {
         second[j] = moments.y;
         changed = true;
     }
-    if (!changed) return;
-    parameters[at] = values;
-    first_moments[at] = first;
-    second_moments[at] = second;
+    if (changed) write_moments(i, column, key, first, second);
+    return changed;
 }
 
-vec4 rates_of(uint column) {
-    if (column == 0u) return vec4(vec3(params.step.lr_means), params.step.lr_opacities);
-    if (column == 1u) return vec4(params.step.lr_scales);
-    if (column == 2u) return vec4(params.step.lr_rotations);
-    if (HAS_NORMALS && column == COLUMNS - 1u) return vec4(params.step.lr_normals);
-    if (column == HARMONICS) return vec4(vec3(params.step.lr_sh0), params.step.lr_sh_rest);
-    return vec4(params.step.lr_sh_rest);
+// Moves a column that compact storage keeps in 32 bits. Its parameters and its moments may have different columns.
+void update_column(uint i, uint column, uint moments, uint key, vec4 by_values) {
+    vec4 values = parameter_column(i, column);
+    if (update(i, moments, key, values, by_values, rates_of(moments))) write_column(i, column, values);
 }
 
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= live[0].count || flags[0] != 0u || seen[i] != 0u) return;
+    uint key = COMPACT ? rounding_key(params.step.seed, i) : 0u;
     vec4 by_place = vec4(0.0), by_size = vec4(0.0), by_rotation = vec4(0.0);
     bool finite = true;
     if (EXTRA) {
@@ -73,12 +82,16 @@ void main() {
         if (!finite) atomicAdd(skipped[0], 1u);
     }
     if (finite) {
-        update(column_of(i, 0u), by_place, rates_of(0u));
-        update(column_of(i, 1u), by_size, rates_of(1u));
-        update(column_of(i, 2u), by_rotation, rates_of(2u));
+        update_column(i, 0u, 0u, key, by_place);
+        update_column(i, 1u, 1u, key, by_size);
+        update_column(i, 2u, 2u, key, by_rotation);
     }
     if (SPARSE) return;
-    for (uint column = HARMONICS; column < COLUMNS; ++column) {
-        update(column_of(i, column), vec4(0.0), rates_of(column));
+    uvec4 pair = uvec4(0u);
+    for (uint column = HARMONICS; column < MOMENT_COLUMNS - uint(HAS_NORMALS); ++column) {
+        uint c = column - HARMONICS;
+        vec4 values = harmonic_column(pair, i, c);
+        if (update(i, column, key, values, vec4(0.0), rates_of(column))) write_harmonics(i, c, key, values);
     }
+    if (HAS_NORMALS) update_column(i, COLUMNS - 1u, MOMENT_COLUMNS - 1u, key, vec4(0.0));
 }

@@ -12,21 +12,24 @@ layout(local_size_x_id = 0) in;
 layout(scalar) uniform DensifyBlock { Densify densify; } params;
 
 IN(Work, live);
-IN(vec4, parameters);
+IN(uvec4, parameters);
 IN(vec4, statistics);  // by Gaussian: sum of screen gradients, count, sum of weights, sum of gradients by the raw normal
 OUT(uint, verdicts);
 INOUT(uint, counters);
+
+#include "parameter_columns.glsl"
 
 bool finite(vec3 v) { return is_finite(v.x) && is_finite(v.y) && is_finite(v.z); }
 
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     if (i >= live[0].count) return;
-    vec4 place = parameters[column_of(i, 0u)], rotation = parameters[column_of(i, 2u)];
-    vec3 log_scale = parameters[column_of(i, 1u)].xyz;
+    vec4 place = parameter_column(i, 0u), rotation = parameter_column(i, 2u);
+    vec3 log_scale = parameter_column(i, 1u).xyz;
+    uvec4 pair;
     float logit = place.w;
     bool valid = finite(place.xyz) && finite(log_scale) && finite(rotation.xyz) && is_finite(rotation.w)
-              && is_finite(logit) && finite(parameters[column_of(i, HARMONICS)].xyz);
+              && is_finite(logit) && finite(harmonic_column(pair, i, 0u).xyz);
     // Both clamped where the exponential of a 32-bit number still is one.
     float opacity = 1.0 / (1.0 + exp(-clamp(logit, -80.0, 80.0)));
     float largest = exp(clamp(max(max(log_scale.x, log_scale.y), log_scale.z), -80.0, 80.0));

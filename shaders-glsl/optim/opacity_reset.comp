@@ -10,8 +10,8 @@ layout(local_size_x_id = 0) in;
 
 IN(Work, live);
 INOUT(vec4, parameters);
-INOUT(vec4, first_moments);
-INOUT(vec4, second_moments);
+INOUT(uvec4, first_moments);
+INOUT(uvec4, second_moments);
 
 const float LOGIT = -4.5951198501345898; // of 0.01
 
@@ -20,5 +20,12 @@ void main() {
     if (i >= live[0].count) return;
     uint at = column_of(i, 0u);
     if (!(parameters[at].w <= LOGIT)) parameters[at].w = LOGIT; // NaN as well
-    first_moments[at].w = second_moments[at].w = 0.0;
+    uint moments = moments_of(i, 0u);
+    if (COMPACT) {
+        // The upper halves of the words: the last of the four first moments, and of the second.
+        first_moments[moments].y &= 0xffffu;
+        first_moments[moments].w &= 0xffffu;
+    } else {
+        first_moments[moments].w = second_moments[moments].w = 0u;
+    }
 }

@@ -25,7 +25,7 @@ layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, gaussians);
-IN(vec4, parameters);
+IN(uvec4, parameters);
 IN(uint, visible_bits);
 IN(uint, block_offsets);
 OUT(uint, splat_ids);
@@ -33,6 +33,8 @@ OUT(uint, depth_keys);
 OUT(Splat, splats);
 OUT(uint, features);
 OUT(uint, tile_counts);
+
+#include "parameter_columns.glsl"
 
 const uint NO_SLOT = 0xffffffffu;
 
@@ -45,9 +47,10 @@ vec3 color_of(uint i, vec3 mean) {
     float basis[16];
     sh_basis(d, degree, basis);
     vec3 color = vec3(0.0);
+    uvec4 pair = uvec4(0u);
     [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
         if (4u * c >= harmonic_numbers(degree)) continue;
-        vec4 values = parameters[column_of(i, HARMONICS + c)];
+        vec4 values = harmonic_column(pair, i, c);
         [[unroll]] for (uint j = 0u; j < 4u; ++j) {
             uint number = 4u * c + j;
             if (number < harmonic_numbers(SH_DEGREE)) color[number % 3u] += basis[number / 3u] * values[j];
@@ -109,8 +112,7 @@ uint project_own(out Footprint footprint) {
     uint v = block_offsets[block] + bitCount(bits & (bit - 1u));
     for (uint w = block * (WORKGROUP / 32u); w < word; ++w) v += bitCount(visible_bits[w]);
     Camera camera = params.step.camera;
-    vec4 place = parameters[column_of(i, 0u)], size = parameters[column_of(i, 1u)];
-    vec4 rotation = parameters[column_of(i, 2u)];
+    vec4 place = parameter_column(i, 0u), size = parameter_column(i, 1u), rotation = parameter_column(i, 2u);
     Projection p;
     bool projects = project_splat(camera, place.xyz, size.xyz, rotation, place.w, p);
     if (!projects) {
@@ -140,7 +142,7 @@ uint project_own(out Footprint footprint) {
         }
     }
     if (HAS_NORMALS) {
-        vec3 n = parameters[column_of(i, COLUMNS - 1u)].xyz;
+        vec3 n = parameter_column(i, COLUMNS - 1u).xyz;
         n /= max(length(n), 1e-3);
         features[at] = floatBitsToUint(n.x);
         features[at + 1u] = floatBitsToUint(n.y);

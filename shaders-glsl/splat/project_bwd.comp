@@ -33,8 +33,8 @@ IN(uint, features);
 IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);
-IN(vec4, parameters);
-OUT(vec4, gradients);    // in the columns of the parameters
+IN(uvec4, parameters);
+OUT(vec4, gradients);    // in the columns of the moments
 OUT(vec2, grad_means2d); // by visible splat, pixels
 OUT(float, pose_partials); // [workgroups * 12]: rows of the rotation, then the translation
 
@@ -58,23 +58,23 @@ void main() {
         sh_basis(s.direction, degree, basis);
         float s_dot[16];
         [[unroll]] for (uint k = 0u; k < 16u; ++k) s_dot[k] = 0.0;
+        uvec4 pair = uvec4(0u);
         [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
-            uint at = column_of(s.gaussian, HARMONICS + c);
-            vec4 values = parameters[at], by_values = vec4(0.0);
+            vec4 values = harmonic_column(pair, s.gaussian, c), by_values = vec4(0.0);
             [[unroll]] for (uint j = 0u; j < 4u; ++j) {
                 uint number = 4u * c + j;
                 if (number >= harmonic_numbers(SH_DEGREE)) continue;
                 by_values[j] = basis[number / 3u] * s.color[number % 3u];
                 s_dot[number / 3u] += values[j] * s.color[number % 3u];
             }
-            gradients[at] = by_values;
+            gradients[moments_of(s.gaussian, HARMONICS + c)] = by_values;
         }
         vec3 by_direction = direction_to_mean(s, degree, s_dot);
-        gradients[column_of(s.gaussian, 0u)] = vec4(s.gradient.mean + by_direction, s.gradient.opacity_logit);
-        gradients[column_of(s.gaussian, 1u)] = vec4(s.gradient.log_scale, 0.0);
-        gradients[column_of(s.gaussian, 2u)] = s.gradient.rotation;
+        gradients[moments_of(s.gaussian, 0u)] = vec4(s.gradient.mean + by_direction, s.gradient.opacity_logit);
+        gradients[moments_of(s.gaussian, 1u)] = vec4(s.gradient.log_scale, 0.0);
+        gradients[moments_of(s.gaussian, 2u)] = s.gradient.rotation;
         grad_means2d[v] = s.gradient.mean2d;
-        if (HAS_NORMALS) gradients[column_of(s.gaussian, COLUMNS - 1u)] = vec4(s.normal, 0.0);
+        if (HAS_NORMALS) gradients[moments_of(s.gaussian, MOMENT_COLUMNS - 1u)] = vec4(s.normal, 0.0);
         if (POSE) {
             // The camera stands at -W^T t, and the direction moves against it: d/dt = W by_direction,
             // d/dW = t by_direction^T (as rows).

@@ -41,18 +41,20 @@ IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);
 IN(float, extra); // [Gaussians * EXTRA_WIDTH]
-INOUT(vec4, parameters);
-INOUT(vec4, first_moments);  // in the columns of the parameters
-INOUT(vec4, second_moments);
+INOUT(uvec4, parameters);
+INOUT(uvec4, first_moments);
+INOUT(uvec4, second_moments);
 INOUT(vec4, statistics);  // by Gaussian: sum of screen gradients, count, sum of weights, sum of gradients by the raw normal
 INOUT(uint, skipped);     // splats whose gradients were not finite
 OUT(uint, seen);          // by Gaussian: whether it was updated here; with `extra`, also if it was skipped here
 
 #include "splat_sum.glsl"
+#include "adam_columns.glsl"
 
-// One step of a column; numbers outside the mask stay as they are.
-void update(uint at, vec4 values, vec4 by_values, vec4 rates, bvec4 mask) {
-    vec4 first = first_moments[at], second = second_moments[at];
+// One step of a column, whose moments it writes; numbers outside the mask stay as they are.
+vec4 update(uint i, uint column, uint key, vec4 values, vec4 by_values, vec4 rates, bvec4 mask) {
+    vec4 first, second;
+    read_moments(i, column, first, second);
     [[unroll]] for (uint j = 0u; j < 4u; ++j) {
         if (!mask[j]) continue;
         float value = values[j];
@@ -62,9 +64,8 @@ void update(uint at, vec4 values, vec4 by_values, vec4 rates, bvec4 mask) {
         first[j] = moments.x;
         second[j] = moments.y;
     }
-    parameters[at] = values;
-    first_moments[at] = first;
-    second_moments[at] = second;
+    write_moments(i, column, key, first, second);
+    return values;
 }
 
 void main() {
@@ -121,11 +122,12 @@ void main() {
     sh_basis(s.direction, degree, basis);
     float s_dot[16];
     [[unroll]] for (uint k = 0u; k < 16u; ++k) s_dot[k] = 0.0;
+    uint key = COMPACT ? rounding_key(params.step.seed, i) : 0u;
+    uvec4 pair = uvec4(0u);
     // Bands above the active degree have no gradient yet and stay as they are.
     [[unroll]] for (uint c = 0u; c < harmonic_columns(SH_DEGREE); ++c) {
         if (4u * c >= harmonic_numbers(degree)) continue;
-        uint at = column_of(i, HARMONICS + c);
-        vec4 values = parameters[at], by_values = vec4(0.0), rates;
+        vec4 values = harmonic_column(pair, i, c), by_values = vec4(0.0), rates;
         bvec4 mask;
         [[unroll]] for (uint j = 0u; j < 4u; ++j) {
             uint number = 4u * c + j;
@@ -135,16 +137,17 @@ void main() {
             by_values[j] = basis[number / 3u] * s.color[number % 3u];
             if (mask[j]) s_dot[number / 3u] += values[j] * s.color[number % 3u];
         }
-        update(at, values, by_values, rates, mask);
+        write_harmonics(i, c, key, update(i, HARMONICS + c, key, values, by_values, rates, mask));
     }
     gm += direction_to_mean(s, degree, s_dot);
-    update(column_of(i, 0u), vec4(s.mean, s.opacity_logit), vec4(gm, go),
-           vec4(vec3(params.step.lr_means), params.step.lr_opacities), bvec4(true));
-    uint at_size = column_of(i, 1u);
-    update(at_size, parameters[at_size], vec4(gs, 0.0), vec4(params.step.lr_scales), bvec4(true, true, true, false));
-    update(column_of(i, 2u), s.rotation, gr, vec4(params.step.lr_rotations), bvec4(true));
+    const bvec4 THREE = bvec4(true, true, true, false);
+    vec4 place_rates = vec4(vec3(params.step.lr_means), params.step.lr_opacities);
+    write_column(i, 0u, update(i, 0u, key, vec4(s.mean, s.opacity_logit), vec4(gm, go), place_rates, bvec4(true)));
+    vec4 size_rates = vec4(params.step.lr_scales);
+    write_column(i, 1u, update(i, 1u, key, parameter_column(i, 1u), vec4(gs, 0.0), size_rates, THREE));
+    write_column(i, 2u, update(i, 2u, key, s.rotation, gr, vec4(params.step.lr_rotations), bvec4(true)));
     if (HAS_NORMALS) {
-        uint at = column_of(i, COLUMNS - 1u);
-        update(at, parameters[at], vec4(s.normal, 0.0), vec4(params.step.lr_normals), bvec4(true, true, true, false));
+        vec4 raw = parameter_column(i, COLUMNS - 1u), rates = vec4(params.step.lr_normals);
+        write_column(i, COLUMNS - 1u, update(i, MOMENT_COLUMNS - 1u, key, raw, vec4(s.normal, 0.0), rates, THREE));
     }
 }

@@ -10,6 +10,7 @@ use crate::report::Report;
 use crate::stats::Summary;
 use crate::trainer::{Run, Trainer, first_entry_capacity};
 use crate::workload::{Priors, Synthetic, Workload, directory, synthetic};
+use sgs_config::{ACCURACY_LEVELS, Settings, accuracy_named};
 use sgs_engine::Device;
 use sgs_engine::exec::PassTime;
 use sgs_engine::graph::Plan;
@@ -73,6 +74,9 @@ pub struct Args {
     /// Backward kernel of blending.
     #[arg(long, value_enum, default_value = "pixel")]
     pub backward: Backward,
+    /// Accuracy level of the geometry stage, as of `sgs train`.
+    #[arg(long, value_name = "NAME", value_parser = clap::builder::PossibleValuesParser::new(ACCURACY_LEVELS))]
+    pub accuracy: Option<String>,
     /// Report the driver's statistics of each kernel, such as registers.
     #[arg(long)]
     pub kernels: bool,
@@ -123,6 +127,16 @@ impl Args {
         let cpu = device.info().kind == "cpu";
         let gaussians = gaussians.unwrap_or(if cpu { 20_000 } else { 1_000_000 });
         (gaussians, size.unwrap_or(if cpu { [320, 240] } else { [1920, 1080] }))
+    }
+
+    /// Returns the tuning of training, and adds its accuracy level to the report.
+    ///
+    /// # Errors
+    /// If the level does not exist.
+    fn tuning(&self, device: &Device, report: &mut Report) -> anyhow::Result<Tuning> {
+        let Some(level) = &self.accuracy else { return Ok(Tuning::for_device(device.info())) };
+        report.setting("accuracy", level.clone());
+        Ok(Settings::from_table(accuracy_named(level)?)?.tuning(device.info()))
     }
 
     /// Loads or creates the scene, and adds its sizes to the report.
@@ -181,7 +195,8 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let workload = a.workload(&device, &mut report)?;
 
     let capacity = first_entry_capacity(workload.start.len());
-    let mut trainer = Trainer::new(&device, &workload, a.backward.into(), capacity)?;
+    let tuning = a.tuning(&device, &mut report)?;
+    let mut trainer = Trainer::with(&device, &workload, tuning, a.backward.into(), false, capacity)?;
     // Once through all views, so that no later step grows the entry capacity.
     trainer.run(common.warmup.max(workload.views.len() as u32))?;
     let plain = trainer.run(steps)?;
@@ -194,7 +209,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     add_passes(&mut report, &plan, &timed.times, &counts, &ceiling);
     report.value("step on the device, timestamps on", "ms", Summary::of(&spans(&timed.times)).scaled(1e-6));
     shape(&mut report, "step", &plan);
-    memory(&mut report, &device, &workload, &mut trainer)?;
+    memory(&mut report, &device, &workload, &mut trainer, tuning)?;
     losses(&mut report, &plain, &timed)?;
     let render = render(&device, common, &workload, &trainer, &mut report, &ceiling, &counts)?;
     if a.densify {
@@ -364,7 +379,13 @@ pub(super) fn shape(report: &mut Report, what: &str, plan: &Plan) {
 /// Adds memory in total and per Gaussian.
 ///
 /// The slope comes from the same scene with half of the Gaussians.
-fn memory(report: &mut Report, device: &Device, workload: &Workload, trainer: &mut Trainer<'_>) -> anyhow::Result<()> {
+fn memory(
+    report: &mut Report,
+    device: &Device,
+    workload: &Workload,
+    trainer: &mut Trainer<'_>,
+    tuning: Tuning,
+) -> anyhow::Result<()> {
     let count = workload.start.len();
     let (used, _) = device.memory_use();
     let sizes = workload.inputs().sizes();
@@ -379,7 +400,7 @@ fn memory(report: &mut Report, device: &Device, workload: &Workload, trainer: &m
     let cost = |part: usize| -> anyhow::Result<u64> {
         let less = Workload { start: part_of(workload, count / part), ..shallow(workload) };
         let before = device.memory_use().0;
-        let _trainer = Trainer::new(device, &less, backward, entries / part as u32)?;
+        let _trainer = Trainer::with(device, &less, tuning, backward, false, entries / part as u32)?;
         Ok(device.memory_use().0 - before)
     };
     let (all, half) = (cost(1)?, cost(2)?);

@@ -44,7 +44,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     visibility(&mut g, c.tuning, &f, &view, None, true, seen)?;
     visibility(&mut g, c.tuning, &f, &view, None, false, plain)?;
     // Separate pass if the device has cooperative matrices and this build has kernels for them.
-    let halves = c.tuning.with(Accuracy { visibility_operands: 16, ..c.tuning.accuracy });
+    let halves = c.tuning.with(Accuracy { visibility_bits: 16, ..c.tuning.accuracy });
     let on_units = halves.field_matrices().map(|_| g.external("on_units", 4 * n as u64));
     if let Some(into) = on_units {
         visibility(&mut g, halves, &f, &view, None, true, into)?;

@@ -16,6 +16,10 @@ const PROJECT_BWD: f64 = 479.0;
 /// Operations of an Adam step of one scalar. Two moments 7, corrections, root and division 12.
 const ADAM: f64 = 19.0;
 
+/// Operations of rounding a scalar and its moments at random and of unpacking them. Random bits 14, moments 9, half
+/// precision 12, unpacking 5.
+const ROUND: f64 = 40.0;
+
 /// Bytes of a splat's footprint. Mean 2, factor 3, opacity 1.
 const SPLAT_BYTES: f64 = 24.0;
 
@@ -36,13 +40,20 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
     let fetched = 8.0 + SPLAT_BYTES + 4.0 * words;
     let own = if spec("STATISTIC") > 0.0 { 2.0 } else { 0.0 };
     let gradients = 4.0 * (6.0 + channels + spec("WEIGHTS") + own);
+    // Bytes of reading and writing the moments of columns, and operations of an Adam step of one scalar.
+    let compact = spec("COMPACT") > 0.0;
+    let moments_of = |columns: f64| if compact { 32.0 * columns } else { 64.0 * columns };
+    let moments = moments_of(spec("MOMENT_COLUMNS"));
+    let adam = if compact { ADAM + ROUND } else { ADAM };
     let (bytes, operations) = match s.kernel {
         // Also one bit per Gaussian.
         "project_count" => ((SHAPE_BYTES + 0.125) * n, PROJECT * n),
         "project" => {
             let degree = spec("SH_DEGREE");
-            // Whole columns of four numbers.
-            let read = 16.0 * (0.75 * (degree + 1.0).powi(2)).ceil() + 16.0 * spec("HAS_NORMALS");
+            // Whole columns of four numbers; two of them in 16 bytes if compact.
+            let harmonic_columns = (0.75 * (degree + 1.0).powi(2)).ceil();
+            let packed = if compact { (harmonic_columns / 2.0).ceil() } else { harmonic_columns };
+            let read = 16.0 * packed + 16.0 * spec("HAS_NORMALS");
             // Id, depth, number of tiles, footprint, features. Tiles are counted row by row: about 3 rows of 30.
             let written = 12.0 + SPLAT_BYTES + 4.0 * words;
             (0.125 * n + (SHAPE_BYTES + read + written) * v, (PROJECT + harmonics(degree) + 90.0) * v)
@@ -86,8 +97,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "geometry_loss" => (56.0 * p, 450.0 * p),
         "project_bwd_adam" => {
             // Every column of a visible Gaussian and of both its moments, read and written.
-            let gaussian = 96.0 * spec("COLUMNS") + 12.0 + 4.0 * words + 32.0 * spec("STATISTICS");
-            let arithmetic = PROJECT_BWD + 2.0 * harmonics(spec("SH_DEGREE")) + ADAM * c.width;
+            let gaussian = 32.0 * spec("COLUMNS") + moments + 12.0 + 4.0 * words + 32.0 * spec("STATISTICS");
+            let arithmetic = PROJECT_BWD + 2.0 * harmonics(spec("SH_DEGREE")) + adam * c.width;
             let summed = if spec("REDUCED") > 0.0 { v } else { e };
             (gradients * summed + gaussian * v, (6.0 + channels) * summed + arithmetic * v)
         }
@@ -95,12 +106,14 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "adam" => (28.0 * elements, ADAM * elements),
         // Only place, shape and opacity where zero gradients move nothing; gradients of other views are rows of 11.
         "adam_unseen" => {
-            let columns = if spec("SPARSE") > 0.0 { 3.0 } else { spec("COLUMNS") };
-            ((96.0 * columns + 44.0 * spec("EXTRA") + 4.0) * n, 4.0 * ADAM * columns * n)
+            let sparse = spec("SPARSE") > 0.0;
+            let columns = if sparse { 3.0 } else { spec("MOMENT_COLUMNS") };
+            let all = if sparse { 32.0 * columns + moments_of(columns) } else { 32.0 * spec("COLUMNS") + moments };
+            ((all + 44.0 * spec("EXTRA") + 4.0) * n, 4.0 * adam * columns * n)
         }
         "adam_unseen_features" => (24.0 * spec("WIDTH") * n, ADAM * spec("WIDTH") * n),
         // One number of a column; memory moves in larger pieces.
-        "opacity_reset" => (96.0 * n, 4.0 * n),
+        "opacity_reset" => ((32.0 + moments_of(1.0)) * n, 4.0 * n),
         // A single workgroup, which takes little time.
         "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),
         _ => {
@@ -161,7 +174,11 @@ fn densify(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "densify_slots" => 8.0 * n + 4.0 * c.moved,
         "densify_assign" => 16.0 * n + 20.0 * c.moved,
         // A column or a feature, and its moments, are read once and written up to twice.
-        "densify_move" => (16.0 + 144.0 * (s.specs)("COLUMNS")) * c.moved,
+        "densify_move" => {
+            let spec = s.specs;
+            let moments = if spec("COMPACT") > 0.0 { 48.0 } else { 96.0 } * spec("MOMENT_COLUMNS");
+            (16.0 + 48.0 * spec("COLUMNS") + moments) * c.moved
+        }
         "densify_move_features" => (16.0 + 36.0 * (s.specs)("WIDTH")) * c.moved,
         "densify_split" => 112.0 * c.moved,
         _ => return None,

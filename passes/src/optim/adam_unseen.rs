@@ -55,7 +55,9 @@ pub fn adam_unseen(
     };
     let specs = kernel::Specs {
         workgroup: t.workgroup,
-        columns: gaussians.model.columns(),
+        columns: gaussians.columns(),
+        moment_columns: gaussians.model.columns(),
+        compact: gaussians.compact(),
         extra: a.extra.is_some(),
         sparse: a.sparse,
         has_normals: gaussians.model.normals,

@@ -67,6 +67,11 @@ impl Densify {
             stats,
         })
     }
+
+    /// Returns columns of parameters and of moments, and whether storage is compact.
+    fn columns(&self) -> (u32, u32, bool) {
+        (self.gaussians.columns(), self.gaussians.model.columns(), self.gaussians.compact())
+    }
 }
 
 /// Buffers that passes write for later passes.
@@ -129,7 +134,8 @@ fn decide(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(
         verdicts: lists.verdicts.into(),
         counters: lists.counters.into(),
     };
-    let specs = densify_decide::Specs { workgroup, columns: a.gaussians.model.columns() };
+    let (columns, moment_columns, compact) = a.columns();
+    let specs = densify_decide::Specs { workgroup, columns, moment_columns, compact };
     stage(g, "densify_decide", &densify_decide::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(a.gaussians.work, 0)?;
 
@@ -213,8 +219,8 @@ fn copy(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(),
         first_moments: a.moments.first.into(),
         second_moments: a.moments.second.into(),
     };
-    let columns = a.gaussians.model.columns();
-    let specs = densify_move::Specs { workgroup, columns };
+    let (columns, moment_columns, compact) = a.columns();
+    let specs = densify_move::Specs { workgroup, columns, moment_columns, compact };
     stage(g, "densify_move", &densify_move::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(lists.moves, 0)?;
     if a.gaussians.model.semantics {
@@ -235,7 +241,7 @@ fn copy(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(),
         entries: lists.entries.into(),
         parameters: a.gaussians.parameters.into(),
     };
-    let specs = splat_specs!(densify_split, tuning, { workgroup, columns, });
+    let specs = splat_specs!(densify_split, tuning, { workgroup, columns, moment_columns, compact, });
     stage(g, "densify_split", &densify_split::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(lists.moves, 0)
 }

@@ -25,7 +25,12 @@ pub fn opacity_reset(
         first_moments: moments.first.into(),
         second_moments: moments.second.into(),
     };
-    let specs = opacity_reset::Specs { workgroup: tuning.workgroup, columns: gaussians.model.columns() };
+    let specs = opacity_reset::Specs {
+        workgroup: tuning.workgroup,
+        columns: gaussians.columns(),
+        moment_columns: gaussians.model.columns(),
+        compact: gaussians.compact(),
+    };
     stage(g, "opacity_reset", &opacity_reset::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(gaussians.work, 0)
 }

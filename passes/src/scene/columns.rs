@@ -7,7 +7,8 @@
 //! column, with an unused number. `shaders-glsl/include/gaussian.glsl` has the same layout. Semantic features are not
 //! part of it: they are read in rows of 32.
 //!
-//! Moments of Adam have the layout of the parameters, in a buffer each for the first and the second.
+//! Moments of Adam have the layout of the parameters, in a buffer each for the first and the second. Compact storage
+//! ([`super::Storage`]) differs.
 
 use super::{GaussianData, Group, Model};
 
@@ -18,12 +19,25 @@ pub const BLOCK: u32 = 32;
 const PIECE: usize = 4;
 
 /// First column of the harmonics.
-const HARMONICS: u32 = 3;
+pub(super) const HARMONICS: u32 = 3;
+
+/// Returns the position of one of a Gaussian's `columns` columns, in columns.
+pub(super) fn column_at(gaussian: usize, column: usize, columns: usize) -> usize {
+    let block = BLOCK as usize;
+    let first = column / PIECE * PIECE;
+    let width = PIECE.min(columns - first);
+    block * (gaussian / block * columns + first) + gaussian % block * width + column % PIECE
+}
 
 impl Model {
     /// Returns the columns per Gaussian.
     pub fn columns(&self) -> u32 {
-        HARMONICS + (3 * (self.sh_degree + 1).pow(2)).div_ceil(4) + u32::from(self.normals)
+        HARMONICS + self.harmonic_columns() + u32::from(self.normals)
+    }
+
+    /// Returns the columns of the spherical harmonics.
+    pub(super) fn harmonic_columns(&self) -> u32 {
+        (3 * (self.sh_degree + 1).pow(2)).div_ceil(4)
     }
 
     /// Returns the bytes of the columns of `capacity` Gaussians.
@@ -35,11 +49,7 @@ impl Model {
     /// [`Group::Semantics`].
     fn position(&self, group: Group, gaussian: usize, number: usize) -> usize {
         let (column, component) = self.place(group, number);
-        let (block, columns) = (BLOCK as usize, self.columns() as usize);
-        let first = column / PIECE * PIECE;
-        let width = PIECE.min(columns - first);
-        let piece = block * (gaussian / block * columns + first) + gaussian % block * width;
-        4 * (piece + column % PIECE) + component
+        4 * column_at(gaussian, column, self.columns() as usize) + component
     }
 
     /// Returns column and component of a number of a group.

@@ -1,6 +1,6 @@
 //! Buffers of Gaussians, and their handles in a graph.
 
-use super::{Group, Model};
+use super::{Group, Model, Storage};
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{Device, DeviceBuffer, Location, Result};
@@ -45,6 +45,8 @@ pub struct Layout {
     pub training: bool,
     /// Whether densification statistics exist; never without training.
     pub statistics: bool,
+    /// Storage of parameters and moments.
+    pub storage: Storage,
 }
 
 impl Layout {
@@ -58,12 +60,13 @@ impl Layout {
 
     /// Returns the bytes of the parameters.
     pub fn parameter_bytes(&self) -> u64 {
-        self.model.column_bytes(self.capacity) + 4 * self.features()
+        self.storage.parameter_bytes(&self.model, self.capacity) + 4 * self.features()
     }
 
     /// Returns the bytes of Adam's moments.
     pub fn moment_bytes(&self) -> u64 {
-        if self.training { 2 * self.parameter_bytes() } else { 0 }
+        let [first, second] = self.storage.moment_bytes(&self.model, self.capacity);
+        if self.training { first + second + 8 * self.features() } else { 0 }
     }
 
     /// Returns the bytes of the densification statistics.
@@ -78,17 +81,18 @@ impl Layout {
     /// Declares the buffers in a graph. Kernels may write them if `training`.
     pub fn declare(&self, g: &mut Graph, training: bool) -> Handles {
         let mut add = |name: &str, bytes: u64| if training { g.external(name, bytes) } else { g.input(name, bytes) };
-        let columns = self.model.column_bytes(self.capacity);
-        let parameters = add("parameters", columns);
+        let parameters = add("parameters", self.storage.parameter_bytes(&self.model, self.capacity));
         let semantics = add("semantics", 4 * self.features());
+        let columns = self.storage.moment_bytes(&self.model, self.capacity);
         let moments = (self.training && training).then(|| MomentHandles {
-            first: add("first_moments", columns),
-            second: add("second_moments", columns),
+            first: add(MOMENTS[0], columns[0]),
+            second: add(MOMENTS[1], columns[1]),
             semantics: add("semantics_moments", 8 * self.features()),
         });
         let statistics = moments.is_some().then(|| add("statistics", self.statistics_bytes()));
         let work = add("gaussians", size_of::<Work>() as u64);
-        Handles { model: self.model, capacity: self.capacity, parameters, semantics, moments, statistics, work }
+        let Layout { model, capacity, storage, .. } = *self;
+        Handles { model, capacity, storage, parameters, semantics, moments, statistics, work }
     }
 }
 
@@ -99,6 +103,8 @@ pub struct Gaussians {
     pub model: Model,
     /// Largest number of Gaussians.
     pub capacity: u32,
+    /// Storage of parameters and moments.
+    storage: Storage,
     /// All groups but the semantic features, in columns.
     parameters: DeviceBuffer,
     semantics: DeviceBuffer,
@@ -111,7 +117,7 @@ pub struct Gaussians {
 /// Adam's moments.
 #[derive(Debug)]
 struct Moments {
-    /// First and second moments, in the columns of the parameters.
+    /// First and second moments in columns. Compact storage has both in the first buffer.
     columns: [DeviceBuffer; 2],
     /// Pairs of moments of the semantic features.
     semantics: DeviceBuffer,
@@ -133,15 +139,24 @@ impl Gaussians {
     /// # Errors
     /// If memory runs out.
     pub fn with(device: &Device, model: Model, capacity: u32, training: bool, statistics: bool) -> Result<Gaussians> {
-        let capacity = capacity.max(1);
-        let layout = Layout { model, capacity, training, statistics };
+        let storage = Storage::Exact;
+        Gaussians::of(device, &Layout { model, capacity, training, statistics, storage })
+    }
+
+    /// Creates the buffers of a layout. A capacity of zero becomes one.
+    ///
+    /// # Errors
+    /// If memory runs out.
+    pub fn of(device: &Device, layout: &Layout) -> Result<Gaussians> {
+        let layout = Layout { capacity: layout.capacity.max(1), ..*layout };
+        let Layout { model, capacity, training, storage, .. } = layout;
         let buffer = |name: &str, bytes: u64| device.buffer(name, bytes, Location::Device);
-        let columns = model.column_bytes(capacity);
-        let parameters = buffer("parameters", columns)?;
+        let parameters = buffer("parameters", storage.parameter_bytes(&model, capacity))?;
         let semantics = buffer("semantics", 4 * layout.features())?;
+        let columns = storage.moment_bytes(&model, capacity);
         let moments = match training {
             true => Some(Moments {
-                columns: [buffer(MOMENTS[0], columns)?, buffer(MOMENTS[1], columns)?],
+                columns: [buffer(MOMENTS[0], columns[0])?, buffer(MOMENTS[1], columns[1])?],
                 semantics: buffer("semantics_moments", 8 * layout.features())?,
             }),
             false => None,
@@ -151,18 +166,19 @@ impl Gaussians {
             bytes => Some(buffer("statistics", bytes)?),
         };
         let work = buffer("gaussians", size_of::<Work>() as u64)?;
-        let gaussians = Gaussians { model, capacity, parameters, semantics, moments, statistics, work };
+        let gaussians = Gaussians { model, capacity, storage, parameters, semantics, moments, statistics, work };
         gaussians.reset_optimizer(device)?;
         device.upload(&gaussians.work, 0, bytemuck::bytes_of(&work_of(0)))?;
         Ok(gaussians)
     }
 
-    /// Replaces the parameters and resets the optimizer.
+    /// Replaces the parameters and resets the optimizer. Compact storage rounds to nearest.
     ///
     /// # Errors
     /// If the device fails or the data exceeds the capacity.
     pub fn upload(&self, device: &Device, data: &GaussianData) -> Result<()> {
-        device.upload(&self.parameters, 0, bytemuck::cast_slice(&self.model.to_columns(data)))?;
+        let words = self.storage.store(&self.model, &self.model.to_columns(data));
+        device.upload(&self.parameters, 0, bytemuck::cast_slice(&words))?;
         if self.model.semantics {
             device.upload(&self.semantics, 0, bytemuck::cast_slice(data.group(Group::Semantics)))?;
         }
@@ -176,7 +192,7 @@ impl Gaussians {
     /// If the device fails.
     pub fn download(&self, device: &Device) -> Result<GaussianData> {
         let count = self.count(device)? as usize;
-        let mut data = self.model.from_columns(&self.columns(device, &self.parameters, count)?, count);
+        let mut data = self.model.from_columns(&self.columns(device, count)?, count);
         if self.model.semantics {
             let features = count * Group::Semantics.width() as usize;
             data.groups[Group::Semantics as usize] = device.download_as(&self.semantics, features)?;
@@ -185,8 +201,17 @@ impl Gaussians {
     }
 
     /// Returns the columns of the first `count` Gaussians.
-    fn columns(&self, device: &Device, buffer: &DeviceBuffer, count: usize) -> Result<Vec<f32>> {
-        device.download_as(buffer, self.model.column_bytes(count as u32) as usize / 4)
+    fn columns(&self, device: &Device, count: usize) -> Result<Vec<f32>> {
+        let words = self.storage.parameter_bytes(&self.model, count as u32) as usize / 4;
+        Ok(self.storage.load(&self.model, &device.download_as::<u32>(&self.parameters, words)?))
+    }
+
+    /// Returns the columns of both moments of the first `count` Gaussians.
+    fn moment_columns(&self, device: &Device, moments: &Moments, count: usize) -> Result<[Vec<f32>; 2]> {
+        let [first, second] = self.storage.moment_bytes(&self.model, count as u32).map(|bytes| bytes as usize / 4);
+        let first = device.download_as::<u32>(&moments.columns[0], first)?;
+        let second = device.download_as::<u32>(&moments.columns[1], second)?;
+        Ok(self.storage.load_moments([&first, &second]))
     }
 
     /// Returns Adam's moments and the densification statistics, for checkpoints. Moments are pairs, by group.
@@ -198,8 +223,7 @@ impl Gaussians {
         let mut data = GaussianData::default();
         let mut statistics = Vec::new();
         if let (Some(moments), Some(buffer)) = (&self.moments, &self.statistics) {
-            let [first, second] = &moments.columns;
-            let (first, second) = (self.columns(device, first, count)?, self.columns(device, second, count)?);
+            let [first, second] = self.moment_columns(device, moments, count)?;
             data = self.model.moments_from_columns([&first, &second], count);
             if self.model.semantics {
                 let pairs = 2 * count * Group::Semantics.width() as usize;
@@ -218,8 +242,8 @@ impl Gaussians {
     /// If the device fails.
     pub fn upload_optimizer(&self, device: &Device, moments: &GaussianData, statistics: &[f32]) -> Result<()> {
         if let (Some(buffers), Some(buffer)) = (&self.moments, &self.statistics) {
-            let columns = self.model.moments_to_columns(moments);
-            for (to, from) in buffers.columns.iter().zip(&columns) {
+            let [first, second] = self.model.moments_to_columns(moments);
+            for (to, from) in buffers.columns.iter().zip(&self.storage.store_moments([&first, &second])) {
                 device.upload(to, 0, bytemuck::cast_slice(from))?;
             }
             if self.model.semantics {
@@ -244,12 +268,15 @@ impl Gaussians {
             *from = to;
             Ok(())
         };
-        let [columns, used] = [layout, old].map(|l| l.model.column_bytes(l.capacity));
+        let [columns, used] = [layout, old].map(|l| l.storage.parameter_bytes(&l.model, l.capacity));
         let [features, used_features] = [layout, old].map(|l| l.features());
         larger("parameters", &mut self.parameters, columns, used)?;
         if let Some(moments) = &mut self.moments {
-            for (name, buffer) in MOMENTS.into_iter().zip(&mut moments.columns) {
-                larger(name, buffer, columns, used)?;
+            let [columns, used] = [layout, old].map(|l| l.storage.moment_bytes(&l.model, l.capacity));
+            for (k, buffer) in moments.columns.iter_mut().enumerate() {
+                if columns[k] > used[k] {
+                    larger(MOMENTS[k], buffer, columns[k], used[k])?;
+                }
             }
         }
         if old.model.semantics {
@@ -274,11 +301,10 @@ impl Gaussians {
     /// If memory runs out. The Gaussians are unchanged then.
     pub fn set_degree(&mut self, device: &Device, sh_degree: u32) -> Result<()> {
         let (from, to) = (self.model, Model { sh_degree, ..self.model });
-        let moments = self.moments.iter().flat_map(|m| &m.columns);
-        let buffers: Vec<_> = std::iter::once(&self.parameters).chain(moments).collect();
-        let mut old = Vec::new();
-        for buffer in buffers {
-            old.push(self.columns(device, buffer, self.capacity as usize)?);
+        let capacity = self.capacity as usize;
+        let mut old = vec![self.columns(device, capacity)?];
+        if let Some(moments) = &self.moments {
+            old.extend(self.moment_columns(device, moments, capacity)?);
         }
         let new: Vec<_> = old.iter().map(|columns| from.converted(columns, &to)).collect();
         if let Err(error) = self.replace_columns(device, &to, &new) {
@@ -289,16 +315,21 @@ impl Gaussians {
         Ok(())
     }
 
+    /// Replaces the buffers by those of columns: the parameters, then first and second moments if there are any.
     fn replace_columns(&mut self, device: &Device, model: &Model, columns: &[Vec<f32>]) -> Result<()> {
+        let mut words = vec![self.storage.store(model, &columns[0])];
+        if let [first, second] = &columns[1..] {
+            words.extend(self.storage.store_moments([first, second]));
+        }
         let moments = self.moments.iter_mut().flat_map(|m| &mut m.columns);
         let mut buffers: Vec<_> = std::iter::once(&mut self.parameters).chain(moments).collect();
         for buffer in &mut buffers {
             **buffer = self.work.clone();
         }
         let names = ["parameters"].into_iter().chain(MOMENTS);
-        for ((buffer, name), columns) in buffers.into_iter().zip(names).zip(columns) {
-            *buffer = device.buffer(name, model.column_bytes(self.capacity), Location::Device)?;
-            device.upload(buffer, 0, bytemuck::cast_slice(columns))?;
+        for ((buffer, name), words) in buffers.into_iter().zip(names).zip(&words) {
+            *buffer = device.buffer(name, 4 * words.len() as u64, Location::Device)?;
+            device.upload(buffer, 0, bytemuck::cast_slice(words))?;
         }
         Ok(())
     }
@@ -334,7 +365,7 @@ impl Gaussians {
     /// Returns the sizes of the buffers.
     pub fn layout(&self) -> Layout {
         let (training, statistics) = (self.moments.is_some(), self.has_statistics());
-        Layout { model: self.model, capacity: self.capacity, training, statistics }
+        Layout { model: self.model, capacity: self.capacity, training, statistics, storage: self.storage }
     }
 
     /// Declares the buffers in a graph. Kernels may write them if `training`.
@@ -374,7 +405,9 @@ pub struct Handles {
     pub model: Model,
     /// Largest number of Gaussians.
     pub capacity: u32,
-    /// All groups but the features, in columns of four numbers ([`Model::to_columns`]).
+    /// Storage of parameters and moments.
+    pub storage: Storage,
+    /// All groups but the features, in columns ([`Model::to_columns`], [`Storage::store`]).
     pub parameters: Buffer,
     /// `[Gaussians * 32]` semantic features; a placeholder if the model has none.
     pub semantics: Buffer,
@@ -389,26 +422,36 @@ pub struct Handles {
 /// Buffers of Adam's moments in one graph.
 #[derive(Clone, Copy, Debug)]
 pub struct MomentHandles {
-    /// First moments, in the columns of the parameters.
+    /// First moments in columns; both moments if storage is compact ([`Storage`]).
     pub first: Buffer,
-    /// Second moments, in the columns of the parameters.
+    /// Second moments in columns; a placeholder in compact storage.
     pub second: Buffer,
     /// `[Gaussians * 32]` pairs of moments of the semantic features.
     pub semantics: Buffer,
 }
 
 impl Handles {
+    /// Returns the columns of 16 bytes of a Gaussian's parameters.
+    pub fn columns(&self) -> u32 {
+        self.storage.columns(&self.model)
+    }
+
+    /// Returns whether storage is compact.
+    pub fn compact(&self) -> bool {
+        self.storage == Storage::Compact
+    }
+
     /// Returns the contents of the buffers for `data`.
     ///
     /// They are for graphs whose memory the caller owns.
     pub fn contents(&self, data: &GaussianData) -> Vec<(Buffer, Vec<u8>)> {
-        let bytes = |values: &[f32]| bytemuck::cast_slice(values).to_vec();
+        let parameters = self.storage.store(&self.model, &self.model.to_columns(data));
         let mut all = vec![
-            (self.parameters, bytes(&self.model.to_columns(data))),
+            (self.parameters, bytemuck::cast_slice(&parameters).to_vec()),
             (self.work, bytemuck::bytes_of(&work_of(data.len() as u32)).to_vec()),
         ];
         if self.model.semantics {
-            all.push((self.semantics, bytes(data.group(Group::Semantics))));
+            all.push((self.semantics, bytemuck::cast_slice(data.group(Group::Semantics)).to_vec()));
         }
         all
     }

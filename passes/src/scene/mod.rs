@@ -4,12 +4,14 @@
 //! their own. Guarantees: features that the model lacks take placeholders of four scalars. The tools read and write files.
 
 mod columns;
+mod compact;
 mod decoder;
 mod gaussians;
 mod model;
 mod trainable;
 
 pub use columns::BLOCK;
+pub use compact::Storage;
 pub use decoder::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES};
 pub use gaussians::{GaussianData, Gaussians, Handles, Layout, MomentHandles, STATISTICS};
 pub use model::{Group, Model, SEMANTIC_FEATURES};

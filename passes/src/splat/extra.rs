@@ -63,7 +63,9 @@ pub fn project_bwd_features(
         extra: into.buffer.into(),
     };
     let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
-        columns: gaussians.model.columns(),
+        columns: gaussians.columns(),
+        moment_columns: gaussians.model.columns(),
+        compact: gaussians.compact(),
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         features: Group::Semantics.width(), });

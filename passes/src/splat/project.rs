@@ -69,7 +69,9 @@ pub fn project(
         block_counts: block_counts.into(),
     };
     let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroup: t.subgroup_size,
-        columns: gaussians.model.columns(), });
+        columns: gaussians.columns(),
+        moment_columns: gaussians.model.columns(),
+        compact: gaussians.compact(), });
     stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(n, t.workgroup))?;
@@ -108,7 +110,9 @@ pub fn project(
         tile_counts: visible.tile_counts.into(),
     };
     let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
-        columns: gaussians.model.columns(),
+        columns: gaussians.columns(),
+        moment_columns: gaussians.model.columns(),
+        compact: gaussians.compact(),
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
@@ -187,7 +191,9 @@ pub fn project_bwd(
         pose_partials: partials.into(),
     };
     let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
-        columns: gaussians.model.columns(),
+        columns: gaussians.columns(),
+        moment_columns: gaussians.model.columns(),
+        compact: gaussians.compact(),
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         sh_degree: gaussians.model.sh_degree,
@@ -271,7 +277,9 @@ pub fn project_bwd_adam(
         seen: seen.into(),
     };
     let specs = splat_specs!(fused, t, { workgroup: t.workgroup,
-        columns: gaussians.model.columns(),
+        columns: gaussians.columns(),
+        moment_columns: gaussians.model.columns(),
+        compact: gaussians.compact(),
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         sh_degree: gaussians.model.sh_degree,

@@ -54,8 +54,16 @@ fn training_memory_matches_estimate() {
     let place = Place::new(Room { priors: true, ..Room::default() });
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::fresh();
-    for (densify, backward) in [(true, Backward::Auto), (false, Backward::Auto), (false, Backward::Bucket)] {
+    let cases = [
+        (true, Backward::Auto, 32),
+        (false, Backward::Auto, 32),
+        (false, Backward::Bucket, 32),
+        (true, Backward::Auto, 16),
+        (false, Backward::Auto, 16),
+    ];
+    for (densify, backward, bits) in cases {
         let mut s = settings(4);
+        s.accuracy.state_bits = bits;
         s.geometry.backward = backward;
         s.geometry.densify.until = if densify { 0.8 } else { 0.0 };
         s.geometry.entry_capacity = 1 << 15;
@@ -126,7 +134,7 @@ fn intrinsic_memory_matches_estimate() {
     let used = || gpu.device().memory_use().0;
     let mut sizes = Vec::new();
     for (field, requested, bits) in [(true, false, 16), (true, false, 32), (true, true, 32), (false, false, 32)] {
-        (s.accuracy.weight_bits, s.accuracy.table_bits) = (bits, bits);
+        (s.accuracy.weight_bits, s.accuracy.visibility_bits) = (bits, bits);
         if !field {
             (s.intrinsic.visibility.kind, s.intrinsic.environment.every) = (VisibilityKind::None, 4);
         }

@@ -8,7 +8,7 @@ use sgs_passes::Accuracy;
 use sgs_passes::pipeline::{Renderer, Step};
 use sgs_passes::reference::blend::{Blended, render, render_at};
 use sgs_passes::reference::project::{Camera, Gaussians, Projected, project_at};
-use sgs_passes::scene::{Gaussians as GpuGaussians, Layout, Model};
+use sgs_passes::scene::{Gaussians as GpuGaussians, Layout, Model, Storage};
 use sgs_passes::splat::{Channels, Screen, Visible, project};
 use sgs_tests::Gpu;
 use sgs_tests::feature_view::gaussian_inputs;
@@ -188,7 +188,8 @@ fn records(gpu: &Gpu, g: &Gaussians, color_bits: u32) -> (Vec<u32>, usize) {
     let camera = scenes::camera([80, 60]);
     let t = gpu.tuning().with(Accuracy { color_bits, ..EXACT });
     let model = Model { sh_degree: 0, normals: true, ..Default::default() };
-    let layout = Layout { model, capacity: g.len() as u32, training: false, statistics: false };
+    let layout =
+        Layout { model, capacity: g.len() as u32, training: false, statistics: false, storage: Storage::Exact };
     let mut graph = Graph::new("records");
     let handles = layout.declare(&mut graph, false);
     let step = graph.uniform("step", size_of::<Step>() as u64);

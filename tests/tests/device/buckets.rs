@@ -6,7 +6,7 @@
 use sgs_engine::graph::{Graph, Slice};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::project::Gaussians;
-use sgs_passes::scene::{Layout, Model};
+use sgs_passes::scene::{Layout, Model, Storage};
 use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, Screen, Statistic, blend_bwd, blend_debt, blend_for, intersect, project,
     statistic_debt,
@@ -46,7 +46,8 @@ fn both(gpu: &Gpu, t: &Tuning, scene: &Gaussians, size: [u32; 2], statistic: Opt
     let model = Model { normals: !scene.normals.is_empty(), ..Model::default() };
     let channels = Channels { colors: true, normals: model.normals, depth: model.normals };
     let n = scene.len() as u32;
-    let handles = Layout { model, capacity: n, training: false, statistics: false }.declare(&mut g, false);
+    let handles = Layout { model, capacity: n, training: false, statistics: false, storage: Storage::Exact }
+        .declare(&mut g, false);
     let step = g.uniform("step", size_of::<Step>() as u64);
     let screen = Screen { step, largest: size, tile: t.tile };
     let flags = g.external("flags", 4);

@@ -5,7 +5,7 @@ use sgs_passes::optim::{Densify, densify, opacity_reset};
 use sgs_passes::reference::densify as reference;
 use sgs_passes::reference::densify::{Candidate, Origin, Settings};
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::scene::{GaussianData, Group, Layout, Model};
+use sgs_passes::scene::{GaussianData, Group, Layout, Model, Storage};
 use sgs_shaders::structs::{self, DensifyStats, Work};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
@@ -146,8 +146,12 @@ impl Scene {
 
     /// Returns the densified scene and the reported statistics.
     fn run(&self, gpu: &Gpu, s: &Settings) -> (Scene, DensifyStats) {
+        self.run_in(gpu, s, Storage::Exact)
+    }
+
+    fn run_in(&self, gpu: &Gpu, s: &Settings, storage: Storage) -> (Scene, DensifyStats) {
         let mut g = Graph::new("densify");
-        let layout = Layout { model: MODEL, capacity: self.capacity as u32, training: true, statistics: true };
+        let layout = Layout { model: MODEL, capacity: self.capacity as u32, training: true, statistics: true, storage };
         let handles = layout.declare(&mut g, true);
         let stats = g.external("stats", size_of::<DensifyStats>() as u64);
         let settings = g.uniform("settings", size_of::<structs::Densify>() as u64);
@@ -165,23 +169,25 @@ impl Scene {
         };
         let data = |groups: &[Vec<f32>; Group::COUNT]| GaussianData { groups: groups.clone() };
         let [first, second] = MODEL.moments_to_columns(&data(&self.moments));
+        let [first, second] = storage.store_moments([&first, &second]);
         let inputs = [
             (settings, bytes(&[values])),
             (handles.work, bytes(&[work_of(self.count)])),
             (a.statistics, bytes(&self.statistics)),
-            (handles.parameters, bytes(&MODEL.to_columns(&data(&self.parameters)))),
+            (handles.parameters, bytes(&storage.store(&MODEL, &MODEL.to_columns(&data(&self.parameters))))),
             (a.moments.first, bytes(&first)),
             (a.moments.second, bytes(&second)),
         ];
         let out = gpu.run(g, &inputs);
         let work: Work = out.get(handles.work)[0];
         assert_eq!(work, work_of(work.count as usize));
-        let columns = |buffer| out.get::<f32>(buffer);
-        let moments = [columns(a.moments.first), columns(a.moments.second)];
+        let words = |buffer| out.get::<u32>(buffer);
+        let moments = storage.load_moments([&words(a.moments.first), &words(a.moments.second)]);
+        let parameters = storage.load(&MODEL, &words(handles.parameters));
         let after = Scene {
             count: work.count as usize,
             capacity: self.capacity,
-            parameters: MODEL.from_columns(&columns(handles.parameters), self.capacity).groups,
+            parameters: MODEL.from_columns(&parameters, self.capacity).groups,
             moments: MODEL.moments_from_columns([&moments[0], &moments[1]], self.capacity).groups,
             statistics: out.get(a.statistics),
         };
@@ -423,6 +429,30 @@ fn densify_checks_can_fail() {
     assert_ne!(reference::layout(&verdicts(&SETTINGS), 900).0, reference::layout(&verdicts(&other), 900).0);
 }
 
+/// Compact storage keeps and moves the same numbers, if 16 bits hold them.
+#[test]
+fn compact_storage_moves_the_same_numbers() {
+    let gpu = Gpu::new();
+    let mut scene = Scene::random(300, 450, 12);
+    let compact = Storage::Compact;
+    let data = |groups: &[Vec<f32>; Group::COUNT]| GaussianData { groups: groups.clone() };
+    let words = compact.store(&MODEL, &MODEL.to_columns(&data(&scene.parameters)));
+    let [first, second] = MODEL.moments_to_columns(&data(&scene.moments));
+    let [first, second] = compact.store_moments([&first, &second]);
+    let [first, second] = compact.load_moments([&first, &second]);
+    scene.parameters = MODEL.from_columns(&compact.load(&MODEL, &words), scene.capacity).groups;
+    scene.moments = MODEL.moments_from_columns([&first, &second], scene.capacity).groups;
+    let (exact, stats) = scene.run(&gpu, &SETTINGS);
+    let (moved, same) = scene.run_in(&gpu, &SETTINGS, compact);
+    assert!(stats.split > 0 && stats.cloned > 0 && stats.pruned > 0 && stats == same, "{stats:?} {same:?}");
+    for g in MODEL.groups().map(|g| g as usize) {
+        for (a, b) in [(&exact.parameters[g], &moved.parameters[g]), (&exact.moments[g], &moved.moments[g])] {
+            let same = |(a, b): (&f32, &f32)| a.to_bits() == b.to_bits() || a.is_nan() && b.is_nan();
+            assert!(a.len() == b.len() && a.iter().zip(b).all(same), "{}", Group::ALL[g].name());
+        }
+    }
+}
+
 #[test]
 fn opacity_reset_clamps_opacities_and_clears_moments() {
     let gpu = Gpu::new();
@@ -431,7 +461,7 @@ fn opacity_reset_clamps_opacities_and_clears_moments() {
     let mut logits: Vec<f32> = (0..capacity).map(|_| (-4.6 + 3.0 * rng.normal()) as f32).collect();
     (logits[0], logits[1], logits[2]) = (f32::NAN, f32::INFINITY, f32::NEG_INFINITY);
     let mut g = Graph::new("opacity_reset");
-    let layout = Layout { model: MODEL, capacity, training: true, statistics: false };
+    let layout = Layout { model: MODEL, capacity, training: true, statistics: false, storage: Storage::Exact };
     let handles = layout.declare(&mut g, true);
     let moments = handles.moments.unwrap();
     opacity_reset(&mut g, gpu.tuning(), &handles, &moments).unwrap();

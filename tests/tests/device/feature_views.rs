@@ -7,7 +7,7 @@ use sgs_passes::optim::{Adam, AdamUnseen, EPSILON, Rate, adam, adam_unseen};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::project::Gaussians;
-use sgs_passes::scene::{GaussianData, Group, Layout, Model, SEMANTIC_FEATURES};
+use sgs_passes::scene::{GaussianData, Group, Layout, Model, SEMANTIC_FEATURES, Storage};
 use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, ExtraGradients, FusedAdam, Gradients, blend, blend_bwd, blend_debt,
     features_bwd, project, project_bwd, project_bwd_adam, project_bwd_features,
@@ -45,7 +45,7 @@ fn check_gradients(gpu: &Gpu) {
     let n = scene.len();
     let mut g = Graph::new("two_views");
     let model = Model { semantics: true, ..Default::default() };
-    let layout = Layout { model, capacity: n as u32, training: false, statistics: false };
+    let layout = Layout { model, capacity: n as u32, training: false, statistics: false, storage: Storage::Exact };
     let handles = layout.declare(&mut g, false);
     let flags = g.external("flags", 4);
     let extra = ExtraGradients { buffer: g.external("extra", 4 * u64::from(ExtraGradients::WIDTH) * n as u64) };
@@ -191,7 +191,8 @@ impl Case {
         let t = gpu.tuning();
         let n = self.scene.len();
         let mut g = Graph::new("step");
-        let layout = Layout { model: MODEL, capacity: n as u32 + 3, training: true, statistics: false };
+        let layout =
+            Layout { model: MODEL, capacity: n as u32 + 3, training: true, statistics: false, storage: Storage::Exact };
         let handles = layout.declare(&mut g, true);
         let flags = g.external("flags", 4);
         let skipped = ["skipped", "skipped_unseen", "skipped_features"].map(|name| g.external(name, 4));

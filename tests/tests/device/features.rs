@@ -5,7 +5,7 @@ use sgs_passes::pipeline::Step;
 use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::blend::{Blended, render};
 use sgs_passes::reference::project::Gaussians;
-use sgs_passes::scene::{Group, Layout, Model, SEMANTIC_FEATURES};
+use sgs_passes::scene::{Group, Layout, Model, SEMANTIC_FEATURES, Storage};
 use sgs_passes::splat::{FeatureAdam, features_bwd, features_bwd_adam};
 use sgs_tests::feature_view::{View, declare, gaussian_inputs, wants};
 use sgs_tests::scenes::{self, Rng};
@@ -23,7 +23,8 @@ fn run(gpu: &Gpu, scene: &Gaussians, view: &View) -> (Vec<f32>, Vec<f32>) {
     let mut g = Graph::new("features");
     let degree = (0..4).rev().find(|b| !scene.sh[*b].is_empty()).unwrap_or(0) as u32;
     let model = Model { sh_degree: degree, semantics: true, ..Default::default() };
-    let handles = Layout { model, capacity: n as u32, training: false, statistics: false }.declare(&mut g, false);
+    let handles = Layout { model, capacity: n as u32, training: false, statistics: false, storage: Storage::Exact }
+        .declare(&mut g, false);
     let flags = g.external("flags", 4);
     let d = declare(gpu, &mut g, view, &handles, flags, Step::default());
     let into = g.external("grad_semantics", 4 * (WIDE * n) as u64);
@@ -154,7 +155,8 @@ impl Fused {
         let rates = reference::Rates::at(2e-3, 4);
         let mut g = Graph::new("fused");
         let model = Model { semantics: true, ..Default::default() };
-        let layout = Layout { model, capacity: n as u32 + 2, training: true, statistics: false };
+        let layout =
+            Layout { model, capacity: n as u32 + 2, training: true, statistics: false, storage: Storage::Exact };
         let handles = layout.declare(&mut g, true);
         let flags = g.external("flags", 4);
         let values = Step {

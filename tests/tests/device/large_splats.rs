@@ -4,7 +4,7 @@ use sgs_engine::graph::{Buffer, Graph, Slice};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::intersect::tiles;
 use sgs_passes::reference::project::{Camera, Gaussians, Projected, project as reference};
-use sgs_passes::scene::{Layout, Model};
+use sgs_passes::scene::{Layout, Model, Storage};
 use sgs_passes::splat::{Channels, Screen, intersect, project};
 use sgs_shaders::structs::Work;
 use sgs_tests::{Gpu, scenes};
@@ -30,7 +30,7 @@ fn find(gpu: &Gpu, scene: &Gaussians, camera: &Camera) -> Found {
     let capacity = 1 << 16;
     let mut g = Graph::new("large_splats");
     let model = Model::default();
-    let layout = Layout { model, capacity: n, training: false, statistics: false };
+    let layout = Layout { model, capacity: n, training: false, statistics: false, storage: Storage::Exact };
     let handles = layout.declare(&mut g, false);
     let step = g.uniform("step", size_of::<Step>() as u64);
     let screen = Screen { step, largest: camera.size, tile: t.tile };

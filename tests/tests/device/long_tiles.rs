@@ -7,7 +7,7 @@ use glam::{DMat3, DVec2, DVec3};
 use sgs_engine::graph::{Graph, Slice};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::project::{Camera, Gaussians};
-use sgs_passes::scene::{Layout, Model, SEMANTIC_FEATURES};
+use sgs_passes::scene::{Layout, Model, SEMANTIC_FEATURES, Storage};
 use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, Screen, Wanted, blend_bwd, blend_debt, blend_features, blend_features_bwd,
     blend_for, features_bwd, intersect, project, wanted_words,
@@ -56,7 +56,8 @@ fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, which: BackwardKer
     };
     let mut g = Graph::new("long_tiles");
     let model = Model { semantics: true, ..Default::default() };
-    let handles = Layout { model, capacity: n, training: false, statistics: false }.declare(&mut g, false);
+    let handles = Layout { model, capacity: n, training: false, statistics: false, storage: Storage::Exact }
+        .declare(&mut g, false);
     let step = g.uniform("step", size_of::<Step>() as u64);
     let screen = Screen { step, largest: camera.size, tile: t.tile };
     let pixels = screen.pixels();

@@ -2,6 +2,7 @@
 
 mod accuracy;
 mod buckets;
+mod compact;
 mod cornell;
 mod correspondence;
 mod decoder;

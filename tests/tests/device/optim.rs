@@ -4,7 +4,7 @@ use sgs_engine::graph::Graph;
 use sgs_passes::optim::{Adam, EPSILON, Rate, adam};
 use sgs_passes::reference::adam as reference;
 use sgs_passes::reference::rng::Pcg;
-use sgs_passes::scene::{GaussianData, Group as Columns, Layout, Model};
+use sgs_passes::scene::{GaussianData, Group as Columns, Layout, Model, Storage};
 use sgs_shaders::structs::{Step, Work};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
@@ -207,7 +207,8 @@ fn unseen_gaussians_decay_as_in_reference() {
         groups.iter_mut().for_each(|(_, group)| group.moments[..group.width].fill([0.0; 2]));
         let seen: Vec<u32> = (0..capacity as u32).map(|i| i % 3 / 2).collect();
         let mut g = Graph::new("adam_unseen");
-        let layout = Layout { model, capacity: capacity as u32, training: true, statistics: false };
+        let layout =
+            Layout { model, capacity: capacity as u32, training: true, statistics: false, storage: Storage::Exact };
         let handles = layout.declare(&mut g, true);
         let moments = handles.moments.unwrap();
         let a = AdamUnseen {

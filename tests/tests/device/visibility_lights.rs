@@ -186,7 +186,7 @@ fn light_visibility_matches_16_bit_tables() {
     assert!(apart > 1e-5 && apart < 1e-3, "{apart}");
     seen_as(&gpu, gpu.tuning(), &scene, |i, j| of(&field, i, j), Tolerance::new(1e-7, 1e-4));
     // The second layer also uses tiles of 16-bit operands.
-    let own = gpu.tuning().with(Accuracy { visibility_operands: 16, ..Accuracy::EXACT });
+    let own = gpu.tuning().with(Accuracy { visibility_bits: 16, ..Accuracy::EXACT });
     let matrices = Matrices { shape: MatrixShape { rows: 16, columns: 8, depth: 16 }, units: false };
     let half = |i, j| field.visibility_half(at(&scene.case.points, i), at(&scene.case.lights, j));
     seen_as(&gpu, Tuning { matrices: Some(matrices), ..own }, &scene, half, Tolerance::new(1e-7, 2e-4));
@@ -206,7 +206,7 @@ fn light_visibility_matches_half_precision_field() {
     let pairs = (0..PIXELS).flat_map(|i| (0..LIGHTS).map(move |j| (i, j)));
     let apart = pairs.map(|(i, j)| ((half(i, j) - exact(i, j)) / exact(i, j)).abs()).fold(0.0, f64::max);
     assert!(apart > 4e-4, "{apart}");
-    let own = gpu.tuning().with(Accuracy { visibility_operands: 16, ..Accuracy::EXACT });
+    let own = gpu.tuning().with(Accuracy { visibility_bits: 16, ..Accuracy::EXACT });
     let matrices = Matrices { shape: MatrixShape { rows: 16, columns: 8, depth: 16 }, units: false };
     seen_as(&gpu, Tuning { matrices: Some(matrices), ..own }, &scene, half, Tolerance::new(1e-7, 1e-4));
     match own.field_matrices() {

@@ -15,7 +15,7 @@ const SHAPES: [[u32; 3]; 5] = [[8, 8, 8], [16, 16, 16], [16, 8, 16], [16, 8, 8],
 
 fn by_pieces(own: Tuning, subgroup_size: u32, [rows, columns, depth]: [u32; 3], units: bool) -> Tuning {
     let matrices = Some(Matrices { shape: MatrixShape { rows, columns, depth }, units });
-    let accuracy = Accuracy { visibility_operands: 16, ..own.accuracy };
+    let accuracy = Accuracy { visibility_bits: 16, ..own.accuracy };
     Tuning { subgroup_size, matrices, accuracy, ..own }
 }
 

@@ -73,7 +73,7 @@ fn intrinsic_stage_learns_and_ignores_cache_size_and_interruptions() {
         assert!(other == trained && other_lights == lights, "{bytes} bytes, resumed at {resumed_at:?}");
     }
     // 16-bit storage is deterministic and close to 32 bits.
-    let short = Accuracy { table_bits: 16, weight_bits: 16, ..Accuracy::EXACT };
+    let short = Accuracy { visibility_bits: 16, weight_bits: 16, ..Accuracy::EXACT };
     let (trained, lights, report) = train_at(short, 0, None);
     let apart = report.iter().zip(&losses).map(|(a, b)| (f32::from_bits(a.1) / f32::from_bits(b.1) - 1.0).abs());
     let apart = apart.fold(0.0, f32::max);
@@ -168,7 +168,7 @@ fn train_command_writes_a_run_that_shades_and_evaluates() {
 fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     use sgs_passes::pipeline::{IntrinsicOptions, IntrinsicRates, IntrinsicSizes, IntrinsicStep};
     use sgs_passes::pipeline::{Masks, SurfaceBuilder, SurfaceShape};
-    use sgs_passes::scene::{Layout, Model};
+    use sgs_passes::scene::{Layout, Model, Storage};
     use sgs_passes::shade::environment::{Environment, EnvironmentOptions};
     use sgs_passes::shade::lights::LightModel;
     use sgs_passes::shade::traced::TracedShape;
@@ -220,7 +220,8 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     let sizes = IntrinsicSizes { targets: photographs, albedo: priors, roughness: priors, ..Default::default() };
     let step = IntrinsicStep::plan(&gpu.tuning(), &sizes, Some(&environment), &options).unwrap();
     let model = Model { sh_degree: 0, normals: true, semantics: false };
-    let layout = Layout { model, capacity: shape.gaussians, training: false, statistics: false };
+    let layout =
+        Layout { model, capacity: shape.gaussians, training: false, statistics: false, storage: Storage::Exact };
     let builder = SurfaceBuilder::plan(&gpu.tuning(), &layout, shape, 4_000_000).unwrap();
     let (step, view, builder) = (step.arena_bytes, shape.bytes(), builder.arena_bytes);
     let all = step + view + builder;

@@ -7,6 +7,7 @@ mod bands;
 mod batch;
 mod batch_faults;
 mod coarse;
+mod compact;
 mod datasets;
 mod decided;
 mod divergence;

@@ -7,7 +7,7 @@ use sgs_engine::{Device, DeviceOptions};
 use sgs_evaluate::{EvaluateOptions, evaluate_classes};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, InputSizes, Masks, SemanticSizes};
-use sgs_passes::scene::{EMBEDDING, Group, Layout, Model};
+use sgs_passes::scene::{EMBEDDING, Group, Layout, Model, Storage};
 use sgs_passes::splat::{BackwardKernel, Channels, Statistic};
 use sgs_provider::Fallback;
 use sgs_scene::{Scene, SceneOptions, write_ids, write_npy_f16};
@@ -254,7 +254,7 @@ fn pixel_memory_is_independent_of_embedding_width() {
     let device = device();
     let tuning = Tuning::for_device(device.info());
     let model = Model { semantics: true, ..Model::default() };
-    let layout = Layout { model, capacity: 1 << 14, training: true, statistics: true };
+    let layout = Layout { model, capacity: 1 << 14, training: true, statistics: true, storage: Storage::Exact };
     let arena = |size: [u32; 2], semantics: bool, pseudo: bool| {
         let sizes = SemanticSizes { samples: 12 * 300, largest: 300, classes: 27 };
         let pixels = u64::from(size[0]) * u64::from(size[1]);

@@ -11,7 +11,7 @@ use std::path::Path;
 pub struct Overrides {
     /// Name of a preset.
     pub preset: Option<String>,
-    /// Accuracy level: `exact`, `balanced` or `fast`.
+    /// Accuracy level: `exact`, `compact`, `balanced` or `fast`.
     pub accuracy: Option<String>,
     /// Settings as in `config.toml`.
     pub config: Option<toml::Table>,

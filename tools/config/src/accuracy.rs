@@ -15,13 +15,17 @@ struct Level {
 }
 
 /// All accuracy levels.
-const LEVELS: [Level; 3] = [
+const LEVELS: [Level; 4] = [
     Level { name: "exact", accuracy: Accuracy::EXACT, every: 1, sample: 1 },
+    Level { name: "compact", accuracy: Accuracy::COMPACT, every: 1, sample: 1 },
     Level { name: "balanced", accuracy: Accuracy::BALANCED, every: 4, sample: 4 },
     Level { name: "fast", accuracy: Accuracy::FAST, every: 4, sample: 4 },
 ];
 
-/// Returns the settings of an accuracy level: `exact`, `balanced` or `fast`.
+/// Names of the accuracy levels.
+pub const ACCURACY_LEVELS: [&str; LEVELS.len()] = [LEVELS[0].name, LEVELS[1].name, LEVELS[2].name, LEVELS[3].name];
+
+/// Returns the settings of an accuracy level: `exact`, `compact`, `balanced` or `fast`.
 ///
 /// Sets `[accuracy]`, the update interval of the environment map, and the sampling of visibility pairs.
 ///
@@ -58,10 +62,10 @@ pub(super) fn check(a: &Accuracy) -> crate::Result<()> {
         return Err(ConfigError::range("accuracy.transmittance_min", a.transmittance_min, "0.00000001 to 0.5"));
     }
     for (name, bits) in [
-        ("visibility_operands", a.visibility_operands),
+        ("visibility_bits", a.visibility_bits),
         ("color_bits", a.color_bits),
-        ("table_bits", a.table_bits),
         ("weight_bits", a.weight_bits),
+        ("state_bits", a.state_bits),
     ] {
         if ![16, 32].contains(&bits) {
             return Err(ConfigError::range(format_args!("accuracy.{name}"), bits, "16 or 32"));
@@ -79,8 +83,9 @@ mod tests {
     fn unknown_accuracy_levels_get_a_suggestion() {
         let of = |name: &str| Settings::from_table(accuracy_named(name).unwrap()).unwrap();
         assert_eq!(of("exact"), Settings::default());
-        let (balanced, fast) = (of("balanced"), of("fast"));
+        let (compact, balanced, fast) = (of("compact"), of("balanced"), of("fast"));
         assert_eq!((balanced.accuracy, fast.accuracy), (Accuracy::BALANCED, Accuracy::FAST));
+        assert_eq!(compact, Settings { accuracy: Accuracy { state_bits: 16, ..Accuracy::EXACT }, ..of("exact") });
         assert_eq!((fast.intrinsic.environment.every, fast.intrinsic.visibility.sample), (4, 4));
         // The size of the model does not depend on the level.
         let same = |mut s: Settings| {
@@ -94,13 +99,13 @@ mod tests {
             let inner = |k: &str| t["accuracy"].get(k).is_some();
             (t["accuracy"].as_table().unwrap().len(), inner("weight_bits"), t["intrinsic"].as_table().unwrap().len())
         };
-        assert!(keys("exact") == keys("balanced") && keys("exact") == keys("fast") && keys("exact") == (8, true, 2));
+        assert!(ACCURACY_LEVELS.iter().all(|name| keys(name) == (8, true, 2)));
         let message = |n: &str| accuracy_named(n).unwrap_err().to_string();
         assert_eq!(
             message("exat"),
-            "\"exat\" is no accuracy; did you mean \"exact\"? there are exact, balanced, fast."
+            "\"exat\" is no accuracy; did you mean \"exact\"? there are exact, compact, balanced, fast."
         );
-        assert_eq!(message("sloppy"), "\"sloppy\" is no accuracy; there are exact, balanced, fast.");
+        assert_eq!(message("sloppy"), "\"sloppy\" is no accuracy; there are exact, compact, balanced, fast.");
     }
 
     #[test]
@@ -112,10 +117,10 @@ mod tests {
             Accuracy { alpha_min: 0.0, ..good },
             Accuracy { alpha_min: f32::NAN, ..good },
             Accuracy { transmittance_min: 0.6, ..good },
-            Accuracy { visibility_operands: 24, ..good },
+            Accuracy { visibility_bits: 24, ..good },
             Accuracy { color_bits: 24, ..good },
-            Accuracy { table_bits: 8, ..good },
             Accuracy { weight_bits: 0, ..good },
+            Accuracy { state_bits: 8, ..good },
         ] {
             assert!(check(&bad).unwrap_err().to_string().starts_with("accuracy."));
         }

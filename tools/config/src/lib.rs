@@ -16,7 +16,7 @@ mod pseudo;
 mod train;
 mod transport;
 
-pub use accuracy::accuracy_named;
+pub use accuracy::{ACCURACY_LEVELS, accuracy_named};
 pub use automatic::{AutomaticSettings, Parts};
 pub use degree::{MOST_BANDS, ShDegree};
 pub use densify::{DensifyOptions, DensifyStatistic};

@@ -19,7 +19,7 @@ class Config:
     Args:
         settings: Settings as nested groups or by dotted names.
         preset: ``draft``, ``default``, ``paper`` or ``parity``.
-        accuracy: ``exact``, ``balanced`` or ``fast``.
+        accuracy: ``exact``, ``compact``, ``balanced`` or ``fast``.
         keywords: Groups of settings, or settings by their names with underscores for dots.
 
     Raises:

@@ -12,8 +12,7 @@ use crate::stats::Summary;
 use crate::workload::lit_settings;
 use anyhow::{Context, bail, ensure};
 use sgs_config::Settings;
-use sgs_engine::MatrixShape;
-use sgs_passes::{Matrices, Tuning};
+use sgs_passes::Tuning;
 use std::path::{Path, PathBuf};
 
 /// Options of the command.
@@ -62,10 +61,7 @@ pub fn run(a: &Args) -> anyhow::Result<()> {
 ///
 /// Also returns the names of its choices that no longer exist.
 pub fn presentation(report: &Report, config: Option<&Path>) -> anyhow::Result<(Presentation, Vec<String>)> {
-    // Includes the choices of all devices, whatever this device supports.
-    let shape = MatrixShape { rows: 8, columns: 8, depth: 8 };
-    let matrices = Some(Matrices { shape, units: false });
-    let own = Tuning { matrices, ..Tuning::for_subgroups(report.device.subgroup_size) };
+    let own = Tuning::for_subgroups(report.device.subgroup_size);
     if report.setting_text("stage").is_some() {
         let (choices, unknown) = chosen(report, of_intrinsic(&base(report, config)?, &own)?)?;
         return Ok((intrinsic::presentation(report, &intrinsic::again(report, choices)?), unknown));

@@ -111,6 +111,8 @@ pub fn of_geometry(own: &Tuning) -> anyhow::Result<Vec<Choice>> {
         add(&format!("transmittance to {least}, last splat kept"), &assignments, Kind::Accuracy)?;
     }
     add("colors in 16 bits", &["accuracy.color_bits=16"], Kind::Accuracy)?;
+    // A step has the gradients of exact; what it leaves is rounded.
+    add("compact", &["--accuracy compact"], Kind::Later)?;
     for level in ["balanced", "fast"] {
         add(level, &[&format!("--accuracy {level}")], Kind::Accuracy)?;
     }
@@ -144,10 +146,7 @@ pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>
     add("lights culled, 0.02", &["intrinsic.cull_error=0.02"], Kind::Accuracy)?;
     add("half size", &["intrinsic.scale=0.5"], Kind::Accuracy)?;
     add("weights in 16 bits", &["accuracy.weight_bits=16"], Kind::Accuracy)?;
-    add("tables in 16 bits", &["accuracy.table_bits=16"], Kind::Accuracy)?;
-    if own.matrices.is_some() {
-        add("field in 16 bits", &["accuracy.visibility_operands=16"], Kind::Accuracy)?;
-    }
+    add("field in 16 bits", &["accuracy.visibility_bits=16"], Kind::Accuracy)?;
     let rows = own.tile[1];
     for (name, rows) in [("tiles of half the rows", rows / 2), ("tiles of twice the rows", rows * 2)] {
         add(name, &[&format!("train.tile_rows={rows}")], Kind::Same)?;
@@ -184,14 +183,11 @@ pub fn of_intrinsic(base: &Settings, own: &Tuning) -> anyhow::Result<Vec<Choice>
 mod tests {
     use super::*;
     use sgs_config::Backward;
-    use sgs_engine::MatrixShape;
-    use sgs_passes::{Accuracy, Matrices};
+    use sgs_passes::Accuracy;
 
-    /// Returns all choices of both stages on a device with every capability.
+    /// Returns all choices of both stages.
     fn all() -> [Vec<Choice>; 2] {
-        let shape = MatrixShape { rows: 8, columns: 8, depth: 8 };
-        let matrices = Some(Matrices { shape, units: false });
-        let own = Tuning { matrices, ..Tuning::for_subgroups(8) };
+        let own = Tuning::for_subgroups(8);
         [of_geometry(&own).unwrap(), of_intrinsic(&Settings::default(), &own).unwrap()]
     }
 
@@ -208,10 +204,10 @@ mod tests {
             alpha_min,
             transmittance_min,
             keep_last,
-            visibility_operands,
+            visibility_bits,
             color_bits,
-            table_bits,
             weight_bits,
+            state_bits,
         } = *a;
         let exact = Accuracy::EXACT;
         let all = [
@@ -219,10 +215,10 @@ mod tests {
             ("alpha_min", alpha_min != exact.alpha_min),
             ("transmittance_min", transmittance_min != exact.transmittance_min),
             ("keep_last", keep_last != exact.keep_last),
-            ("visibility_operands", visibility_operands != exact.visibility_operands),
+            ("visibility_bits", visibility_bits != exact.visibility_bits),
             ("color_bits", color_bits != exact.color_bits),
-            ("table_bits", table_bits != exact.table_bits),
             ("weight_bits", weight_bits != exact.weight_bits),
+            ("state_bits", state_bits != exact.state_bits),
         ];
         all.into_iter().filter(|(_, differs)| *differs).map(|(name, _)| name).collect()
     }
@@ -285,6 +281,7 @@ mod tests {
             ("alpha from 1/64", Accuracy { alpha_min: 1.0 / 64.0, ..exact }),
             ("alpha from 1/32", Accuracy { alpha_min: 1.0 / 32.0, ..exact }),
             ("transmittance to 0.05, last splat kept", Accuracy { transmittance_min: 0.05, keep_last: true, ..exact }),
+            ("compact", Accuracy::COMPACT),
             ("balanced", Accuracy::BALANCED),
             ("fast", Accuracy::FAST),
             ("tiles of 8x32", exact),

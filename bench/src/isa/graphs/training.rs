@@ -49,6 +49,9 @@ pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
         all.push(with(|s| s.geometry.backward = Backward::Atomic));
     }
     all.push(with(|s| s.geometry.dense_adam = true));
+    for dense in [false, true] {
+        all.push(with(|s| (s.accuracy.state_bits, s.geometry.dense_adam) = (16, dense)));
+    }
     all.push(with(|s| s.geometry.semantic_geometry = false));
     all.push(with(|s| s.geometry.semantics = false));
     all.push(with(|s| (s.geometry.semantics, s.geometry.normals) = (false, false)));

@@ -446,7 +446,7 @@ fn declare(
         smoothness: (environment.is_some() && o.environment_every > 1).then(|| g.input("smoothness", 4)),
     };
     let tables: Option<(EnvironmentTables, u32)> = environment.map(|e| (e.declare(&mut g), e.floats()));
-    let inputs = Inputs::declare(&mut g, sizes, tables, o, t.accuracy.table_bits);
+    let inputs = Inputs::declare(&mut g, sizes, tables, o, t.accuracy.visibility_bits);
     let stored = environment.filter(|_| o.environment_every > 1).map(|e| StoredFilter::declare(&mut g, e, false));
     let resources = StepResources {
         steps: &steps,

@@ -152,7 +152,7 @@ fn declare(
     let step = g.uniform("step", size_of::<Step>() as u64);
     let surface = o.shape.declare(&mut g, "", false);
     let tables = environment.map(|e| (e.declare(&mut g), e.floats()));
-    let inputs = Inputs::declare(&mut g, sizes, tables, o, t.accuracy.table_bits);
+    let inputs = Inputs::declare(&mut g, sizes, tables, o, t.accuracy.visibility_bits);
     let screen = Screen { step, largest: o.shape.largest, tile: t.tile };
     let pixels = screen.pixels();
     let raw = RawMaterials {

@@ -91,7 +91,7 @@ pub fn packed_tables(tables: &[f32]) -> Vec<u32> {
 impl VisibilityField {
     /// Allocates a field with random initial values. The values are [`FieldConfig::initial_tables`] and
     /// [`FieldConfig::initial_weights`]. `training` adds moments and gradients. `table_bits` of 16
-    /// ([`crate::Accuracy::table_bits`]) adds a copy of the tables. The configuration must pass [`FieldConfig::check`].
+    /// ([`crate::Accuracy::visibility_bits`]) adds a copy of the tables. The configuration must pass [`FieldConfig::check`].
     ///
     /// # Errors
     /// If memory runs out.

@@ -10,7 +10,7 @@
 //! (`visibility_encode`, 128 bytes per pixel). Passes that iterate over the lights in another order, or twice, then
 //! need not look up the tables again.
 //!
-//! Tables may be looked up in 16 bits ([`crate::Accuracy::table_bits`]). The lookup reads a copy, rounded to nearest,
+//! Tables may be looked up in 16 bits ([`crate::Accuracy::visibility_bits`]). The lookup reads a copy, rounded to nearest,
 //! which is updated together with the tables. Gradients are evaluated at the rounded numbers and passed on unchanged
 //! (straight-through). Tables and moments keep 32 bits.
 //!

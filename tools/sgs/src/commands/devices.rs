@@ -126,7 +126,7 @@ fn tests(info: &DeviceInfo) -> String {
     }
 }
 
-/// Describes the cooperative matrices for `accuracy.visibility_operands = 16`.
+/// Describes the cooperative matrices for `accuracy.visibility_bits = 16`.
 ///
 /// A device without them lists this among its fallbacks.
 fn units(info: &DeviceInfo) -> Option<String> {

@@ -10,7 +10,7 @@ use anyhow::bail;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Command};
 use sgs_api::{Overrides, Stages, TrainRequest, prepare_training};
-use sgs_config::{PRESETS, Settings};
+use sgs_config::{ACCURACY_LEVELS, PRESETS, Settings};
 use sgs_engine::Device;
 use sgs_run::RunDirectory;
 use sgs_scene::SplitRule;
@@ -68,9 +68,9 @@ pub struct Options {
     /// published code). --config, --set and other options override it.
     #[arg(long, value_name = "NAME", value_parser = Names(|| PRESETS.iter().map(|p| p.name).collect()))]
     pub preset: Option<String>,
-    /// Accuracy level: "exact", "balanced" or "fast" (docs/how/accuracy.md). Sets accuracy.*, intrinsic.environment.every
-    /// and intrinsic.visibility.sample.
-    #[arg(long, value_name = "NAME", value_parser = Names(|| vec!["exact", "balanced", "fast"]))]
+    /// Accuracy level: "exact", "compact", "balanced" or "fast" (docs/how/accuracy.md). Sets accuracy.*,
+    /// intrinsic.environment.every and intrinsic.visibility.sample.
+    #[arg(long, value_name = "NAME", value_parser = Names(|| ACCURACY_LEVELS.to_vec()))]
     pub accuracy: Option<String>,
     /// Settings from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]

@@ -172,8 +172,8 @@ impl Geometry {
             retained_moments.groups[g as usize] = of(moments.group(g), 2 * width);
         }
         // Two of them would not fit.
-        self.gaussians = Gaussians::with(&device, layout.model, 1, true, layout.statistics)?;
-        self.gaussians = Gaussians::with(&device, layout.model, keep, true, layout.statistics)?;
+        self.gaussians = Gaussians::of(&device, &Layout { capacity: 1, ..layout })?;
+        self.gaussians = Gaussians::of(&device, &Layout { capacity: keep, ..layout })?;
         self.gaussians.upload(&device, &retained)?;
         let statistics = of(&statistics, STATISTICS as usize);
         Ok(self.gaussians.upload_optimizer(&device, &retained_moments, &statistics)?)

@@ -222,7 +222,13 @@ impl Geometry {
             timestamps: false,
             frames_in_flight: IN_FLIGHT,
         };
-        let layout = Layout { model, capacity: count.max(1), training: true, statistics: g.densify.enabled() };
+        let layout = Layout {
+            model,
+            capacity: count.max(1),
+            training: true,
+            statistics: g.densify.enabled(),
+            storage: tuning.accuracy.storage(),
+        };
         let budget = device.budget();
         let of = |layout: &Layout| Needs::of(device, &tuning, layout, &inputs, &options);
         let first = of(&layout)?;
@@ -265,7 +271,7 @@ impl Geometry {
         let layout = Layout { capacity, ..layout };
         let needs = of(&layout)?.with_bands(&of(&Layout { model: all_bands, ..layout })?);
         needs.check(&budget)?;
-        let gaussians = Gaussians::with(device, model, capacity, true, g.densify.enabled())?;
+        let gaussians = Gaussians::of(device, &layout)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let status = Status::new(device)?;
         let schedule = Schedule::new(settings, source.extent(), data.views.len());

@@ -54,12 +54,18 @@ impl Geometry {
         let first = first_entry_capacity(self.settings.geometry.entry_capacity, count);
         let first = self.options.entry_capacity.max(first);
         let room = if enabled { state.capacity.clamp(count, self.most.max(count)) } else { count };
-        let layout = Layout { model: state.model, capacity: room, training: true, statistics: enabled };
+        let layout = Layout {
+            model: state.model,
+            capacity: room,
+            training: true,
+            statistics: enabled,
+            storage: self.tuning.accuracy.storage(),
+        };
         let capacity = last_that(count, room, |capacity| self.fits(&Layout { capacity, ..layout }, first))?;
         // Two sets of Gaussians might not fit.
         self.forget_steps();
-        self.gaussians = Gaussians::with(&self.device, state.model, 1, true, enabled)?;
-        self.gaussians = Gaussians::with(&self.device, state.model, capacity, true, enabled)?;
+        self.gaussians = Gaussians::of(&self.device, &Layout { capacity: 1, ..layout })?;
+        self.gaussians = Gaussians::of(&self.device, &Layout { capacity, ..layout })?;
         self.gaussians.upload(&self.device, &state.parameters)?;
         self.gaussians.upload_optimizer(&self.device, &state.moments, &state.statistics)?;
         if let (Some((_, decoder)), Some(values)) = (&self.semantics, &state.decoder) {

@@ -248,10 +248,10 @@ impl Intrinsic {
             Metallic::Off => false,
         };
         let tuning = settings.tuning(device.info());
-        if settings.accuracy.visibility_operands == 16
+        if settings.accuracy.visibility_bits == 16
             && let Err(why) = Matrices::for_device(device.info())
         {
-            tracing::info!("accuracy.visibility_operands = 16 changes nothing: {why}");
+            tracing::info!("accuracy.visibility_bits = 16 uses no matrix units: {why}");
         }
         let model = Model { sh_degree: 0, normals: true, semantics: false };
         let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
@@ -423,7 +423,7 @@ impl Intrinsic {
             light_model: &light_model,
             bounds: &bounds,
             environment: environment.as_ref().map(|(environment, _)| environment),
-            table_bits: tuning.accuracy.table_bits,
+            table_bits: tuning.accuracy.visibility_bits,
             seed,
         };
         let transport = room::trainables(device, room.as_ref(), planned_room.as_ref(), splats.len())?;

@@ -130,7 +130,7 @@ impl IntrinsicNeeds {
             }
         }
         if let Some(config) = &o.visibility {
-            let bytes = VisibilityField::bytes(config, true, tuning.accuracy.table_bits);
+            let bytes = VisibilityField::bytes(config, true, tuning.accuracy.visibility_bits);
             needs.visibility =
                 bytes.map_err(|e| Requirement::Size { setting: "intrinsic.visibility", reason: e.to_string() })?;
             largest = largest.max(16 * u64::from(config.entries()));

@@ -213,7 +213,7 @@ impl Intrinsic {
             field.into_first_levels(&self.device, levels)?
         } else {
             drop(field);
-            let (seed, bits) = (self.required.seed as u32, self.tuning.accuracy.table_bits);
+            let (seed, bits) = (self.required.seed as u32, self.tuning.accuracy.visibility_bits);
             VisibilityField::new(&self.device, FieldConfig { levels, ..config }, seed, true, bits)?
         };
         self.options.visibility = Some(*made.config());
