@@ -100,9 +100,9 @@ impl Packed {
         Ok(())
     }
 
-    /// Adds smaller copies of all photographs and priors, each of half the width and height of the one before.
+    /// Adds smaller copies of all photographs and priors.
     ///
-    /// Call it once, before [`Packed::split`].
+    /// Each has half the width and height of the one before. Call it once, before [`Packed::split`].
     pub fn reduce(&mut self, halvings: u32) {
         let add = |data: &mut Vec<Vec<u32>>, halved: fn(&[u32], [u32; 2]) -> Vec<u32>| {
             data.par_iter_mut().zip(&self.views).for_each(|(data, (camera, _))| {
@@ -222,7 +222,7 @@ impl TrainingData {
         packed.upload(device)
     }
 
-    /// Returns the camera and the first pixel of a view's photograph, or of a smaller copy after this many halvings.
+    /// Returns the camera and the first pixel of a halved photograph of a view.
     pub fn reduced(&self, view: usize, halvings: u32) -> (Camera, u32) {
         let (mut camera, mut first) = self.views[view];
         for _ in 0..halvings.min(self.halvings) {

@@ -1,4 +1,4 @@
-//! Photographs and normal priors of half the width and height, for the first steps of training.
+//! Photographs and normal priors of half the width and height.
 //!
 //! A pixel is the mean of four. Colors are averaged as displayed, since Gaussians are blended as displayed. An odd last
 //! row or column is left out, so a smaller pixel always covers exactly four.
