@@ -19,6 +19,9 @@ pub struct Ceiling {
     /// Rate of the copy kernel, 16 bytes per invocation; zero in reports from before it was measured.
     #[serde(default)]
     pub copy_kernel_bytes_per_second: f64,
+    /// Seconds of a dispatch of one small workgroup, with the barrier before it; zero in reports from before it was measured.
+    #[serde(default)]
+    pub dispatch_seconds: f64,
 }
 
 impl Ceiling {

@@ -48,6 +48,8 @@ enum Command {
     Batch(Box<commands::batch::Args>),
     /// Train several rooms at a time on one device: as processes and in one process.
     Rooms(commands::rooms::Args),
+    /// Measure the host's time of a step with a driver that runs no kernels.
+    Host(commands::host::Args),
     /// Predict the step of a report on other devices, pass by pass.
     Roofline(commands::roofline::Args),
     /// Measure peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
@@ -89,6 +91,7 @@ fn main() {
         Command::Savings(a) => commands::savings::run(&cli.common, a),
         Command::Batch(a) => commands::batch::run(&cli.common, a),
         Command::Rooms(a) => commands::rooms::run(&cli.common, a),
+        Command::Host(a) => commands::host::run(&cli.common, a),
         Command::Roofline(a) => commands::roofline::run(a),
         Command::Ceiling => commands::ceiling::run(&cli.common),
         Command::Isa(a) => commands::isa::run(&cli.common, a),

@@ -54,9 +54,26 @@ pub fn median(samples: &[f64]) -> f64 {
     }
 }
 
+/// Returns the least sample that a share of all samples does not exceed.
+///
+/// 0 for no samples.
+pub fn percentile(samples: &[f64], share: f64) -> f64 {
+    let mut sorted = samples.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let place = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(place.saturating_sub(1).min(sorted.len().saturating_sub(1))).copied().unwrap_or(0.0)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn percentile_is_the_sample_that_a_share_does_not_exceed() {
+        let samples: Vec<f64> = (1..=200).rev().map(f64::from).collect();
+        assert_eq!([0.0, 0.5, 0.99, 1.0].map(|share| percentile(&samples, share)), [1.0, 100.0, 198.0, 200.0]);
+        assert_eq!(percentile(&[], 0.99), 0.0);
+    }
 
     #[test]
     fn outlier_does_not_change_the_statistics() {

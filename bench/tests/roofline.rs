@@ -24,7 +24,17 @@ fn stored_step_is_predicted_and_errors_are_sentences() {
     let done = run(&[&step[..], &["--against", "nvidia-h100.json"]].concat());
     let text = String::from_utf8(done.stdout).unwrap();
     assert!(text.contains("ratio 1.00, for 39 of 39 passes. Ratio of a pass: median 1.00"), "{text}");
+    // A step of 100 000 Gaussians by the ratios of one of 20 000, and by counts alone.
+    let step = ["llvmpipe.json", "gaussians=100000"];
+    let done = run(&[&step[..], &["--ratios", "llvmpipe.json,gaussians=20000", "--rows", "5"]].concat());
+    let text = String::from_utf8(done.stdout).unwrap();
+    assert!(
+        done.status.success() && text.contains("34 other passes") && text.contains("Error from counts: +1"),
+        "{text}"
+    );
     for (arguments, words) in [
+        (vec!["llvmpipe.json", "gaussians=100000", "--ratios", "llvmpipe.json,gaussians=100000"], "the same step"),
+        (vec!["llvmpipe.json", "gaussians=100000", "--ratios", "nvidia-h100.json,gaussians=1000000"], "--against"),
         (vec!["nvidia-h100.json"], "Reports of \"step\" are"),
         (vec!["none.json"], "none.json"),
         (vec!["nvidia-h100.json", "gaussians=1000000", "--plan", "none"], "no plan \"none\""),

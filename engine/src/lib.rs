@@ -22,5 +22,5 @@ pub use device::{
 };
 pub use error::{Error, Result};
 pub use format::ImageFormat;
-pub use memory::{DeviceBuffer, DeviceImage, Location, STAGING_BYTES};
+pub use memory::{DeviceBuffer, DeviceImage, Location, Piece, STAGING_BYTES};
 pub use swapchain::{PresentStatus, Swapchain};

@@ -98,7 +98,7 @@ void main() {
         Walk way = begin_walk();
         uint light;
         vec3 place;
-        while (walk(way, light, place)) {
+        while (next_light(way, light, place)) {
             Ray rays[PER_LANE];
             Lit lits[PER_LANE];
             float reaching[PER_LANE];

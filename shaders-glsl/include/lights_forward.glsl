@@ -43,7 +43,7 @@ void main() {
     Walk way = begin_walk();
     uint light;
     vec3 place;
-    while (walk(way, light, place)) {
+    while (next_light(way, light, place)) {
         vec3 l[PER_LANE], emitted[PER_LANE];
         float nl[PER_LANE], weight[PER_LANE];
         EACH_PIXEL(p) {

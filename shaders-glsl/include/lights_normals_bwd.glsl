@@ -44,7 +44,7 @@ void main() {
     Walk way = begin_walk();
     uint light;
     vec3 place;
-    while (walk(way, light, place)) {
+    while (next_light(way, light, place)) {
         Ray rays[PER_LANE];
         vec3 emitted[PER_LANE];
         EACH_PIXEL(p) {

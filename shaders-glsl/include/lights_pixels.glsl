@@ -4,9 +4,11 @@
 // that one of their pixels faces. Include common.glsl and step.glsl before.
 //
 // A kernel that includes this and one of the bodies (lights_forward.glsl, lights_bwd.glsl, ...) defines visibility in
-// between, as two functions:
+// between, as three functions:
 //     void visibility_begin(uint slot, uint pixel)   before the first light, for each of the lane's PER_LANE pixels
-//     float visibility(uint slot, uint light)        0 to 1, for the pixel that visibility_begin named last for this slot
+//     bool next_light(inout Walk way, out uint light, out vec3 place)   walk() below, or the same for lights ahead
+//     float visibility(uint slot, uint light)        0 to 1, for the pixel that visibility_begin named last for this slot,
+//                                                  and the light that next_light found last
 // Slots are constants after unrolling, so arrays by slot stay in registers. points[pixel] is the place of a pixel and
 // prepared[light_at(light)].xyz that of a light. Every lane of a subgroup calls them together; where pair_lit is false the
 // result does not matter, and `pixel` may be any pixel of the view.

@@ -1,9 +1,10 @@
 // Compact list of the set bits of a mask; cost follows the number of set bits.
 //
-// A workgroup, which is one subgroup, visits every n-th word of the mask and processes the list when it is nearly full.
+// A workgroup, which is one subgroup, visits every n-th block of the mask and processes the list when it is nearly full.
 // Needs SUBGROUP and MASK(word), the mask's words.
 
-const uint BLOCK = 32u * SUBGROUP; // pixels whose words the lanes fetch at once
+const uint LANE_PIXELS = SUBGROUP >= 64u ? 16u : 32u; // half a word each on wide subgroups, so that the list stays below 8 KiB
+const uint BLOCK = LANE_PIXELS * SUBGROUP;            // pixels whose words the lanes fetch at once
 const uint ROOM = BLOCK + 768u;
 
 shared uint listed[ROOM];
@@ -17,10 +18,11 @@ uint fill_list(inout uint block, uint pixels) {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
     while (block < blocks && count <= ROOM - BLOCK) {
-        uint first = block * BLOCK + gl_SubgroupInvocationID * 32u;
+        uint first = block * BLOCK + gl_SubgroupInvocationID * LANE_PIXELS;
         uint bits = 0u, left = pixels - min(first, pixels);
         if (left > 0u) bits = MASK(first / 32u);
-        if (left < 32u) bits &= (1u << left) - 1u;
+        if (LANE_PIXELS < 32u) bits = bits >> (first % 32u) & ((1u << LANE_PIXELS % 32u) - 1u);
+        if (left < LANE_PIXELS) bits &= (1u << left) - 1u;
         uint mine = bitCount(bits);
         uint at = count + subgroupExclusiveAdd(mine), most = subgroupMax(mine);
         count += subgroupAdd(mine);

@@ -30,6 +30,30 @@ IN(float, tree_splats); // 13 of a Gaussian, in the order of the tree's leaves
         }                                                                                                      \
     }
 
+// A stack that is the same for all lanes. On wide subgroups the lanes hold an entry each, or two, because registers cannot be
+// indexed: a private array would take 64 of them. On CPUs such an array is faster.
+const bool STACK_IN_LANES = SUBGROUP >= 16u;
+const uint STACK_HELD = SUBGROUP < TRACED_STACK ? TRACED_STACK / SUBGROUP : 1u; // entries of a lane, if lanes hold them
+uvec2 traced_stack[STACK_IN_LANES ? STACK_HELD : TRACED_STACK];
+
+void traced_push(uint at, uvec2 entry) {
+    if (STACK_IN_LANES) {
+        bool own = gl_SubgroupInvocationID == at % SUBGROUP;
+        [[unroll]] for (uint h = 0u; h < STACK_HELD; h++) {
+            if (own && at / SUBGROUP == h) traced_stack[h] = entry;
+        }
+    } else {
+        traced_stack[at] = entry;
+    }
+}
+
+uvec2 traced_pop(uint at) {
+    if (!STACK_IN_LANES) return traced_stack[at];
+    uvec2 own = traced_stack[0];
+    [[unroll]] for (uint h = 1u; h < STACK_HELD; h++) own = at / SUBGROUP == h ? traced_stack[h] : own;
+    return uvec2(subgroupShuffle(own.x, at % SUBGROUP), subgroupShuffle(own.y, at % SUBGROUP));
+}
+
 // The factor of one Gaussian: rows of the matrix that makes it a unit sphere, mean, opacity.
 float traced_factor(float s[13], vec3 from, vec3 along, float reach) {
     vec3 white0 = vec3(s[0], s[1], s[2]), white1 = vec3(s[3], s[4], s[5]), white2 = vec3(s[6], s[7], s[8]);
@@ -61,15 +85,15 @@ float traced_transmittance(vec3 from, vec3 along, float reach) {
     float left = 1.0;
     // Children of a node that are still to be visited: the first one's number, which of them, which are nodes at all. The
     // same for all lanes.
-    uvec2 group = uvec2(0u, 1u), stack[TRACED_STACK];
+    uvec2 group = uvec2(0u, 1u);
     uint depth = 0u;
     vec3 inverse = 1.0 / mix(along, vec3(1e-20), lessThan(abs(along), vec3(1e-20)));
     while (((group.y & 0xffu) != 0u || depth > 0u) && subgroupAny(reach >= 0.0)) {
-        if ((group.y & 0xffu) == 0u) group = stack[--depth];
+        if ((group.y & 0xffu) == 0u) group = traced_pop(--depth);
         uint slot = uint(findLSB(group.y & 0xffu));
         group.y &= ~(1u << slot);
         uint node = 20u * (group.x + bitCount((group.y >> 8u) & ((1u << slot) - 1u)));
-        if ((group.y & 0xffu) != 0u && depth < TRACED_STACK) stack[depth++] = group;
+        if ((group.y & 0xffu) != 0u && depth < TRACED_STACK) traced_push(depth++, group);
 
         uint w[20];
         TRACED_FETCH(uint, 20u, w, tree_nodes, node)

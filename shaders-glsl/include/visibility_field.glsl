@@ -1,17 +1,18 @@
-// Visibility field, an invocation a pixel: visibility of a light from a point, in (0, 1).
+// Visibility field, an invocation a pixel: visibility of lights from a point, in (0, 1).
 //
 // An MLP with layers of 2 LEVELS + 4, 32, 32, 1, without biases; ReLU, and a sigmoid at the end. The first layer is split:
 // the point's contribution is computed once a pixel (`field_pixel`), direction and distance are added for each light.
 //
-// Call field_weights(), then field_pixel() for each pixel, then field_visibility() any number of times, all of them from
+// Call field_weights(), then field_pixel() for each pixel, then field_visibilities() any number of times, all of them from
 // uniform control flow, by every invocation. Needs SUBGROUP, WORKGROUP, LEVELS (at most 16), FIELD_SPREAD, and buffers
-// `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last), `field_levels`; the tables
-// are visibility_tables.glsl's.
+// `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last), `mlp_vectors` (the same
+// buffer), `field_levels`; the tables are visibility_tables.glsl's.
 //
 // With FIELD_SPREAD the eight lanes of a subgroup process their eight pixels together, lanes over neurons, because CPUs
 // read weights cheaply only from an invocation's own arrays; see visibility_lanes.glsl. Without, every invocation works
-// alone, with weights in shared memory. Where MATRIX_UNITS is defined, the subgroup multiplies the second layer together,
-// with operands of 16 bits (visibility_matrices.glsl), and FIELD_SPREAD must not be set.
+// alone on FIELD_TOGETHER lights of its pixel at once, which share each weight (visibility_pairs.glsl). Where MATRIX_UNITS is
+// defined, the subgroup multiplies the second layer together, with operands of 16 bits (visibility_matrices.glsl), and
+// FIELD_SPREAD must not be set.
 
 #include "visibility_lanes.glsl"
 
@@ -20,26 +21,41 @@ const uint FIELD_INPUTS = FIELD_FEATURES + 4u;
 const uint FIELD_SECOND = WIDTH * FIELD_INPUTS;
 const uint FIELD_LAST = FIELD_SECOND + WIDTH * WIDTH;
 
+// Lights of a pixel that are evaluated at once: as many as registers hold 32 sums of.
+#ifdef MATRIX_UNITS
+const uint FIELD_TOGETHER = 1u;
+#else
+const uint FIELD_TOGETHER = FIELD_SPREAD ? 1u : SUBGROUP > 32u ? 2u : 4u;
+#endif
+
 #define FIELD_EACH(i, count) [[unroll]] for (uint i = 0u; i < count; i++)
+
+// Features of a level.
+vec2 field_level(uint l, vec3 position) {
+    FieldLevel level = field_levels[l];
+    FieldCell cell = field_cell(level, position);
+    vec2 sum = vec2(0.0);
+    FIELD_EACH(corner, 8u) {
+        float weight;
+        uint entry = field_corner(level, cell, corner, weight);
+        sum = fma(vec2(weight), table_entry(entry), sum);
+    }
+    return sum;
+}
+
+// Neurons side by side.
 
 float field_features[FIELD_FEATURES];
 
 void field_encode(vec3 position) {
     [[dont_unroll]] for (uint l = 0u; l < LEVELS; l++) {
-        FieldLevel level = field_levels[l];
-        FieldCell cell = field_cell(level, position);
-        vec2 sum = vec2(0.0);
-        FIELD_EACH(corner, 8u) {
-            float weight;
-            uint entry = field_corner(level, cell, corner, weight);
-            sum = fma(vec2(weight), table_entry(entry), sum);
-        }
-        field_features[2u * l] = sum.x;
-        field_features[2u * l + 1u] = sum.y;
+        vec2 level = field_level(l, position);
+        field_features[2u * l] = level.x;
+        field_features[2u * l + 1u] = level.y;
     }
 }
 
-// Neurons side by side.
+const uint SPREAD_TOGETHER = 2u;           // items that share loads of the second layer
 
 float spread_first[FIELD_FEATURES * HELD]; // columns of the first layer
 float spread_second[WIDTH * HELD];         // columns of the second layer
@@ -64,85 +80,74 @@ void spread_project(uint item) {
     EACH_HELD(h) spread_points[item * HELD + h] = sum[h];
 }
 
-void spread_layers(uint item) {
-    float x = from_lane(spread_way.x, item), y = from_lane(spread_way.y, item), z = from_lane(spread_way.z, item);
-    float reach = from_lane(spread_way.w, item);
-    float hidden[HELD], sum[HELD];
-    EACH_HELD(h) {
-        float at = fma(spread_pair[3u * HELD + h], reach, spread_points[item * HELD + h]);
-        at = fma(spread_pair[h], x, fma(spread_pair[HELD + h], y, fma(spread_pair[2u * HELD + h], z, at)));
-        hidden[h] = rectified(at);
-        sum[h] = 0.0;
+// SPREAD_TOGETHER items from `first` on, which share each weight.
+void spread_layers(uint first) {
+    float hidden[SPREAD_TOGETHER * HELD], sum[SPREAD_TOGETHER * HELD];
+    FIELD_EACH(i, SPREAD_TOGETHER) {
+        uint item = first + i;
+        float x = from_lane(spread_way.x, item), y = from_lane(spread_way.y, item), z = from_lane(spread_way.z, item);
+        float reach = from_lane(spread_way.w, item);
+        EACH_HELD(h) {
+            float at = fma(spread_pair[3u * HELD + h], reach, spread_points[item * HELD + h]);
+            at = fma(spread_pair[h], x, fma(spread_pair[HELD + h], y, fma(spread_pair[2u * HELD + h], z, at)));
+            hidden[i * HELD + h] = rectified(at);
+            sum[i * HELD + h] = 0.0;
+        }
     }
     FIELD_EACH(k, WIDTH) {
-        float x = from_lane(hidden[k % HELD], k / HELD);
-        EACH_HELD(h) sum[h] = fma(spread_second[k * HELD + h], x, sum[h]);
+        float x[SPREAD_TOGETHER];
+        FIELD_EACH(i, SPREAD_TOGETHER) x[i] = from_lane(hidden[i * HELD + k % HELD], k / HELD);
+        EACH_HELD(h) {
+            float w = spread_second[k * HELD + h];
+            FIELD_EACH(i, SPREAD_TOGETHER) sum[i * HELD + h] = fma(w, x[i], sum[i * HELD + h]);
+        }
     }
-    float logit = 0.0;
-    EACH_HELD(h) logit = fma(spread_last[h], rectified(sum[h]), logit);
-    spread_logits[item] = logit;
-}
-
-// Every invocation alone. Blocks are four neurons.
-
-shared vec4 shared_first[8u * FIELD_FEATURES]; // by block, feature, neuron
-#ifndef MATRIX_UNITS
-shared vec4 shared_second[8u * WIDTH];         // by block, input, neuron
-#endif
-shared vec4 shared_pair[WIDTH];                // by neuron: direction, distance
-shared float shared_last[WIDTH];
-float alone_point[WIDTH]; // the first layer's response to this pixel's point
-float alone_hidden[WIDTH];
-float alone_logit;
-
-#define FIELD_BLOCKS(f) f(0u); f(1u); f(2u); f(3u); f(4u); f(5u); f(6u); f(7u);
-
-// Four rows' weights of one column.
-vec4 rows_column(uint at, uint pitch) {
-    return vec4(mlp[at], mlp[at + pitch], mlp[at + 2u * pitch], mlp[at + 3u * pitch]);
-}
-
-void alone_weights() {
-    uint lane = gl_LocalInvocationID.x;
-    [[dont_unroll]] for (uint i = lane; i < 8u * FIELD_FEATURES; i += WORKGROUP)
-        shared_first[i] = rows_column(i / FIELD_FEATURES * 4u * FIELD_INPUTS + i % FIELD_FEATURES, FIELD_INPUTS);
-#ifndef MATRIX_UNITS
-    [[dont_unroll]] for (uint i = lane; i < 8u * WIDTH; i += WORKGROUP)
-        shared_second[i] = rows_column(FIELD_SECOND + i / WIDTH * 4u * WIDTH + i % WIDTH, WIDTH);
-#endif
-    [[dont_unroll]] for (uint i = lane; i < WIDTH; i += WORKGROUP) {
-        shared_pair[i] = rows_column(i * FIELD_INPUTS + FIELD_FEATURES, 1u);
-        shared_last[i] = mlp[FIELD_LAST + i];
+    FIELD_EACH(i, SPREAD_TOGETHER) {
+        float logit = 0.0;
+        EACH_HELD(h) logit = fma(spread_last[h], rectified(sum[i * HELD + h]), logit);
+        spread_logits[first + i] = logit;
     }
-    barrier();
 }
 
-void alone_project(uint block) {
-    vec4 sum = vec4(0.0);
-    FIELD_EACH(k, FIELD_FEATURES) sum = fma(shared_first[block * FIELD_FEATURES + k], vec4(field_features[k]), sum);
-    FIELD_EACH(j, 4u) alone_point[block * 4u + j] = sum[j];
+// Every invocation alone. Weights are loads from addresses that all lanes share, so that AMD's GPUs keep them in scalar
+// registers.
+
+const uint FIELD_BLOCKS = WIDTH / 4u; // of four neurons
+const bool FIELD_ALIGNED = LEVELS % 2u == 0u; // whether rows of the first layer are whole vectors
+
+float field_point[WIDTH]; // the first layer's response to this pixel's point
+
+// Weights of the first layer from input k, an even one, on.
+vec4 first_from(uint n, uint k) {
+    uint at = n * FIELD_INPUTS + k;
+    if (FIELD_ALIGNED) return mlp_vectors[at / 4u];
+    return vec4(mlp[at], mlp[at + 1u], mlp[at + 2u], mlp[at + 3u]);
 }
 
-// A neuron of the first layer.
-float alone_first(uint n, vec4 way) {
-    vec4 w = shared_pair[n];
-    return rectified(fma(w.x, way.x, fma(w.y, way.y, fma(w.z, way.z, fma(w.w, way.w, alone_point[n])))));
+// Direction and distance of a neuron of the first layer.
+float first_layer(vec4 w, vec4 way, float response) {
+    return rectified(fma(w.x, way.x, fma(w.y, way.y, fma(w.z, way.z, fma(w.w, way.w, response)))));
+}
+
+// Two levels at a time, whose features share a vector of weights.
+void alone_respond(vec3 position) {
+    FIELD_EACH(n, WIDTH) field_point[n] = 0.0;
+    [[dont_unroll]] for (uint l = 0u; l < LEVELS; l += 2u) {
+        vec2 one = field_level(l, position), two = vec2(0.0);
+        if (FIELD_ALIGNED || l + 1u < LEVELS) two = field_level(l + 1u, position);
+        FIELD_EACH(n, WIDTH) {
+            vec4 w = first_from(n, 2u * l);
+            float sum = fma(w.y, one.y, fma(w.x, one.x, field_point[n]));
+            // After an odd number of levels, the weights are those of the direction.
+            field_point[n] = FIELD_ALIGNED || l + 1u < LEVELS ? fma(w.w, two.y, fma(w.z, two.x, sum)) : sum;
+        }
+    }
 }
 
 #ifdef MATRIX_UNITS
 #include "visibility_matrices.glsl"
 #else
-void alone_second(uint block) {
-    vec4 sum = vec4(0.0);
-    FIELD_EACH(k, WIDTH) sum = fma(shared_second[block * WIDTH + k], vec4(alone_hidden[k]), sum);
-    FIELD_EACH(j, 4u) alone_logit = fma(shared_last[block * 4u + j], rectified(sum[j]), alone_logit);
-}
-
-void alone_layers(vec4 way) {
-    FIELD_EACH(n, WIDTH) alone_hidden[n] = alone_first(n, way);
-    alone_logit = 0.0;
-    FIELD_BLOCKS(alone_second)
-}
+#include "visibility_pairs.glsl"
 #endif
 
 // Either.
@@ -153,45 +158,43 @@ void field_weights() {
         FILL_COLUMNS(spread_second, WIDTH, second_column)
         FILL_COLUMNS(spread_pair, 4u, pair_column)
         FILL_COLUMNS(spread_last, 1u, last_column)
-    } else {
-#ifdef MATRIX_UNITS
-        matrices_weights();
-#else
-        alone_weights();
-#endif
     }
+#ifdef MATRIX_UNITS
+    matrices_weights();
+#endif
 }
 
-// The first layer's share of the point, from its features.
-void field_project() {
+// The first layer's response to a point. `position`: in the box's coordinates.
+void field_respond(vec3 position) {
     if (FIELD_SPREAD) {
+        field_encode(position);
         EACH_ITEM(spread_project)
     } else {
-        FIELD_BLOCKS(alone_project)
+        alone_respond(position);
     }
 }
 
-// `position`: in the box's coordinates.
+// The same, for the lights that follow.
 void field_pixel(vec3 position) {
-    field_encode(position);
-    field_project();
+    field_respond(position);
+#ifndef MATRIX_UNITS
+    if (!FIELD_SPREAD) pairs_begin();
+#endif
 }
 
-// Of the light that is field_way() away.
-float field_visibility(vec4 way) {
-    float logit;
+// Of the lights that are field_way() away.
+void field_visibilities(vec4 ways[FIELD_TOGETHER], out float seen[FIELD_TOGETHER]) {
     if (FIELD_SPREAD) {
-        spread_way = way;
-        EACH_ITEM(spread_layers)
+        spread_way = ways[0];
+        FIELD_EACH(i, ITEMS / SPREAD_TOGETHER) spread_layers(i * SPREAD_TOGETHER);
         ITEM_SUMS(spread_logits)
-        logit = spread_logits[0];
+        seen[0] = spread_logits[0];
     } else {
 #ifdef MATRIX_UNITS
-        logit = matrices_logit(way);
+        seen[0] = matrices_logit(ways[0]);
 #else
-        alone_layers(way);
-        logit = alone_logit;
+        pairs_logits(ways, seen);
 #endif
     }
-    return 1.0 / (1.0 + exp(-logit));
+    FIELD_EACH(t, FIELD_TOGETHER) seen[t] = 1.0 / (1.0 + exp(-seen[t]));
 }

@@ -15,14 +15,20 @@ void matrices_weights() {
         matrix_layer[i] = half_of(mlp[FIELD_SECOND + i]);
     }
     // What comes next waits for the others.
-    alone_weights();
+    barrier();
 }
 
 float matrices_logit(vec4 way) {
     uint lane = gl_LocalInvocationID.x;
-    FIELD_EACH(n, WIDTH) matrix_columns[n * BREADTH + lane] = half_of(alone_first(n, way));
+    FIELD_EACH(n, WIDTH) {
+        float hidden = first_layer(first_from(n, FIELD_FEATURES), way, field_point[n]);
+        matrix_columns[n * BREADTH + lane] = half_of(hidden);
+    }
     matrix_product();
     float logit = 0.0;
-    FIELD_EACH(n, WIDTH) logit = fma(shared_last[n], rectified(matrix_sums[n * BREADTH + lane]), logit);
+    FIELD_EACH(b, FIELD_BLOCKS) {
+        vec4 w = mlp_vectors[FIELD_LAST / 4u + b];
+        FIELD_EACH(j, 4u) logit = fma(w[j], rectified(matrix_sums[(4u * b + j) * BREADTH + lane]), logit);
+    }
     return logit;
 }

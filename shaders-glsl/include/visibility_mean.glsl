@@ -18,6 +18,7 @@ layout(scalar) uniform FieldBlock { FieldStep field; } params;
 IN(FieldLevel, field_levels);
 #include "visibility_tables.glsl"
 IN(float, mlp);
+IN(vec4, mlp_vectors);     // the same
 IN(vec3, light_positions); // world
 IN(vec3, points);
 IN(float, coverage);
@@ -30,19 +31,32 @@ void main() {
     uint pixel = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     bool within = pixel < params.field.pixels;
     uint at = within ? pixel : 0u;
-    vec3 point = field_inside(params.field, points[at]);
-    field_pixel(field_position(params.field, point));
+    vec3 point = field_inside(params.field, points[at]), position = field_position(params.field, point);
+    field_pixel(position);
     uint begin = ONE == 0xffffffffu ? 0u : ONE, end = ONE == 0xffffffffu ? by_workgroup(params.field.lights) : ONE + 1u;
     float sum = 0.0;
-    [[dont_unroll]] for (uint j = begin; j < end; j++) {
+    [[dont_unroll]] for (uint j = begin; j < end; j += FIELD_TOGETHER) {
 #ifndef MATRIX_UNITS
         if (!SPLIT) {
             // Never true, but opaque to the compiler, which would otherwise hoist it out of the loop over lights.
-            if (gl_NumWorkGroups.z > j + 2u) field_features[j % FIELD_FEATURES] = 0.0;
-            field_project();
+            bool never = gl_NumWorkGroups.z > j + 2u;
+            if (FIELD_SPREAD) {
+                if (never) field_features[j % FIELD_FEATURES] = 0.0;
+                EACH_ITEM(spread_project)
+            } else {
+                if (never) position.x = 0.0;
+                field_pixel(position);
+            }
         }
 #endif
-        sum += field_visibility(field_way(params.field, point, field_inside(params.field, light_positions[j])));
+        vec4 ways[FIELD_TOGETHER];
+        float seen[FIELD_TOGETHER];
+        FIELD_EACH(t, FIELD_TOGETHER) {
+            vec3 light = light_positions[min(j + t, end - 1u)];
+            ways[t] = field_way(params.field, point, field_inside(params.field, light));
+        }
+        field_visibilities(ways, seen);
+        FIELD_EACH(t, FIELD_TOGETHER) sum += j + t < end ? seen[t] : 0.0;
     }
     bool shaded = is_covered(coverage[at]);
     if (within) visibility[pixel] = shaded ? sum / float(max(end - begin, 1u)) : 0.0;

@@ -1,6 +1,6 @@
 // Shadows from the stored results of lights_trace, for a range of the view's pixels.
 //
-// See lights_pixels.glsl for the two functions. The bodies read the range where BY_STRETCH is defined, and a kernel
+// See lights_pixels.glsl for the three functions. The bodies read the range where BY_STRETCH is defined, and a kernel
 // declares its beginning after them:
 //     uint stretch_first() { return push.stretch_first; }
 
@@ -20,3 +20,5 @@ float visibility(uint slot, uint light) {
     uint byte = light * STRETCH + seen_at[slot];
     return float(bitfieldExtract(seen[byte / 4u], int(8u * (byte & 3u)), 8)) * (1.0 / 255.0);
 }
+
+bool next_light(inout Walk way, out uint light, out vec3 place) { return walk(way, light, place); }

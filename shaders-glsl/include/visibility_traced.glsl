@@ -1,6 +1,6 @@
 // Traced shadows. Rays begin TRACED_OFFSET above the surface.
 //
-// See lights_pixels.glsl for the two functions. One pixel a lane is enough, since each pixel traverses the tree by itself.
+// See lights_pixels.glsl for the three functions. One pixel a lane is enough, since each pixel traverses the tree by itself.
 
 #include "traced.glsl"
 
@@ -17,3 +17,5 @@ float visibility(uint slot, uint light) {
     float square = dot(to, to), inverse = inversesqrt(max(square, 1e-30));
     return traced_transmittance(traced_from[slot], to * inverse, pair_lit ? square * inverse : -1.0);
 }
+
+bool next_light(inout Walk way, out uint light, out vec3 place) { return walk(way, light, place); }

@@ -13,9 +13,11 @@ layout(constant_id = 2) const uint TILE_X = 28; // 32 columns with both margins
 layout(constant_id = 3) const uint TILE_Y = 16;
 layout(constant_id = 4) const uint RUN = 6;     // rows of one invocation
 layout(constant_id = 5) const bool ROUGHNESS = true;
+layout(constant_id = 6) const bool REUSE = false; // see tile_filters.glsl
 
 const float SIDE = 1.0, MIDDLE = 2.0, SCALE = 0.125;
 const bool REFLECT = false;
+const bool TILE_XYZ = true, TILE_W = true;
 
 #define SUM_T vec2
 #include "group_sum.glsl"
@@ -31,15 +33,13 @@ INOUT(vec3, albedo_gradient);    // P, added to
 INOUT(vec3, roughness_gradient); // P, added to the first channel
 OUT(vec2, sums);                 // by workgroup: sum of albedo over pixels and channels, of roughness over pixels
 
-shared uint photo[DATA_X * DATA_Y];
-
 struct PhotoRow {
     vec3 difference, smoothed;
 };
 
 PhotoRow photo_row(uint at) {
-    vec3 a = unpackUnorm4x8(photo[at]).rgb, b = unpackUnorm4x8(photo[at + 1u]).rgb;
-    vec3 c = unpackUnorm4x8(photo[at + 2u]).rgb;
+    vec3 a = unpackUnorm4x8(tile_word(at)).rgb, b = unpackUnorm4x8(tile_word(at + 1u)).rgb;
+    vec3 c = unpackUnorm4x8(tile_word(at + 2u)).rgb;
     return PhotoRow(c - a, a + 2.0 * b + c);
 }
 
@@ -48,6 +48,38 @@ vec4 edge(vec3 filtered) {
     vec3 e = exp(-abs(filtered));
     return vec4(e, (e.r + e.g + e.b) / 3.0);
 }
+
+ivec2 tile_origin, tile_last; // first pixel of the tile, last one of the view
+vec4 tile_sum = vec4(0.0);
+
+struct March {
+    TileRow above, here;
+    PhotoRow photo_above, photo_here;
+};
+
+March march_begin(uint at) {
+    return March(tile_row(at), tile_row(at + DATA_X), photo_row(at), photo_row(at + DATA_X));
+}
+
+void march_next(inout March m, uint column, uint row, out vec4 slope_x, out vec4 slope_y) {
+    TileRow below = tile_row((row + 2u) * DATA_X + column);
+    PhotoRow photo_below = photo_row((row + 2u) * DATA_X + column);
+    int x = tile_origin.x + int(column) - 1, y = tile_origin.y + int(row) - 1;
+    vec4 dx = tile_along_x(m.above, m.here, below), dy = tile_along_y(m.above, below);
+    vec4 edge_x = edge(0.125 * (m.photo_above.difference + 2.0 * m.photo_here.difference + photo_below.difference));
+    vec4 edge_y = edge(0.125 * (photo_below.smoothed - m.photo_above.smoothed));
+    bool inside = x >= 0 && y >= 0 && x <= tile_last.x && y <= tile_last.y;
+    slope_x = inside ? edge_x * sign(dx) : vec4(0.0);
+    slope_y = inside ? edge_y * sign(dy) : vec4(0.0);
+    bool mine = column - 1u < TILE_X && row - 1u < TILE_Y;
+    if (inside && mine) tile_sum += edge_x * abs(dx) + edge_y * abs(dy);
+    m.above = m.here;
+    m.here = below;
+    m.photo_above = m.photo_here;
+    m.photo_here = photo_below;
+}
+
+#include "tile_slopes.glsl"
 
 void main() {
     uvec2 size = params.step.camera.size;
@@ -61,41 +93,18 @@ void main() {
     }
     ivec2 origin = ivec2(uvec2(tile % tiles_x, tile / tiles_x) * uvec2(TILE_X, TILE_Y));
     ivec2 last = ivec2(size) - 1;
-    vec4 sum = vec4(0.0);
+    tile_origin = origin;
+    tile_last = last;
 
     for (uint item = gl_LocalInvocationID.x; item < DATA_X * DATA_Y; item += WORKGROUP) {
         ivec2 p = origin - 2 + ivec2(item % DATA_X, item / DATA_X);
         uint pixel = uint(tile_inside(p.y, last.y)) * size.x + uint(tile_inside(p.x, last.x));
-        tile_data[item] = vec4(albedo_srgb[pixel], ROUGHNESS ? roughness_gray[pixel].x : 0.0);
-        photo[item] = targets[params.step.target_offset + pixel];
+        vec4 material = vec4(albedo_srgb[pixel], ROUGHNESS ? roughness_gray[pixel].x : 0.0);
+        set_tile_data(item, material, targets[params.step.target_offset + pixel]);
     }
     barrier();
 
-    for (uint item = gl_LocalInvocationID.x; item < SLOPE_X * ((SLOPE_Y + RUN - 1u) / RUN); item += WORKGROUP) {
-        uint column = item % SLOPE_X, first = item / SLOPE_X * RUN, end = min(first + RUN, SLOPE_Y);
-        int x = origin.x + int(column) - 1;
-        uint at = first * DATA_X + column;
-        TileRow above = tile_row(at), here = tile_row(at + DATA_X);
-        PhotoRow photo_above = photo_row(at), photo_here = photo_row(at + DATA_X);
-        for (uint row = first; row < end; row++) {
-            TileRow below = tile_row((row + 2u) * DATA_X + column);
-            PhotoRow photo_below = photo_row((row + 2u) * DATA_X + column);
-            int y = origin.y + int(row) - 1;
-            vec4 dx = tile_along_x(above, here, below), dy = tile_along_y(above, below);
-            vec4 edge_x = edge(0.125 * (photo_above.difference + 2.0 * photo_here.difference + photo_below.difference));
-            vec4 edge_y = edge(0.125 * (photo_below.smoothed - photo_above.smoothed));
-            bool inside = x >= 0 && y >= 0 && x <= last.x && y <= last.y;
-            tile_x[row * SLOPE_X + column] = inside ? edge_x * sign(dx) : vec4(0.0);
-            tile_y[row * SLOPE_X + column] = inside ? edge_y * sign(dy) : vec4(0.0);
-            bool mine = column - 1u < TILE_X && row - 1u < TILE_Y;
-            if (inside && mine) sum += edge_x * abs(dx) + edge_y * abs(dy);
-            above = here;
-            here = below;
-            photo_above = photo_here;
-            photo_here = photo_below;
-        }
-    }
-    barrier();
+    tile_slopes();
 
     float pixels = float(size.x) * float(size.y);
     vec2 weight = vec2(loss_weights.weights.albedo_edge / 3.0, loss_weights.weights.roughness_edge) / pixels;
@@ -118,6 +127,6 @@ void main() {
             here = below;
         }
     }
-    vec2 total = group_sum(vec2(sum.x + sum.y + sum.z, sum.w));
+    vec2 total = group_sum(vec2(tile_sum.x + tile_sum.y + tile_sum.z, tile_sum.w));
     if (gl_LocalInvocationID.x == 0u) sums[tile] = total;
 }

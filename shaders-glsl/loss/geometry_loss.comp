@@ -24,9 +24,16 @@ layout(constant_id = 7) const uint NORMAL_AT = 3; // first channel of normals
 layout(constant_id = 8) const uint DEPTH = 1;     // 1 if depth was blended
 layout(constant_id = 9) const uint DEPTH_AT = 6;  // channel of depth; squared depth is in the next
 layout(constant_id = 10) const bool PRIOR = true; // whether there are prior normals
+layout(constant_id = 11) const bool REUSE = false; // see tile_filters.glsl
+
+// Sobel filters, without the factor of an eighth.
+const float SIDE = 1.0, MIDDLE = 2.0, SCALE = 1.0;
+const bool REFLECT = false;
+const bool TILE_XYZ = NORMALS != 0u, TILE_W = DEPTH != 0u;
 
 #define SUM_T vec4
 #include "group_sum.glsl"
+#include "tile_filters.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
 
@@ -43,32 +50,22 @@ OUT(vec4, sums);                 // by workgroup: normal, normal smoothness, dep
 const float FLOOR = 1e-3;
 const float VARIANCE_MIN = 1e-6;
 
-const uint DATA_X = TILE_X + 4u, DATA_Y = TILE_Y + 4u;
-const uint SIGN_X = TILE_X + 2u, SIGN_Y = TILE_Y + 2u;
-const uint SIGNS = SIGN_X * SIGN_Y;
-
-shared vec4 data[DATA_X * DATA_Y]; // unit normal, depth
-shared uint photo[DATA_X * DATA_Y];
-shared vec3 normal_x[NORMALS * SIGNS + 1u]; // derivative of the loss by the filtered value, before mean and weight
-shared vec3 normal_y[NORMALS * SIGNS + 1u];
-shared vec2 depth_xy[DEPTH * SIGNS + 1u];
-
 vec3 blended_normal(uint pixel) {
     uint i = pixel * CHANNELS + NORMAL_AT;
     return vec3(image[i], image[i + 1u], image[i + 2u]);
 }
 
 // Contribution of one row to a Sobel filter: differences and weighted sums of three neighbors, times eight.
-struct Row {
+struct FilterRow {
     vec4 data_d, data_s;
     vec3 photo_d, photo_s;
 };
 
-Row filter_row(uint at) {
-    vec4 a = data[at], b = data[at + 1u], c = data[at + 2u];
-    vec3 p = unpackUnorm4x8(photo[at]).rgb, q = unpackUnorm4x8(photo[at + 1u]).rgb;
-    vec3 r = unpackUnorm4x8(photo[at + 2u]).rgb;
-    return Row(c - a, a + 2.0 * b + c, r - p, p + 2.0 * q + r);
+FilterRow filter_row(uint at) {
+    vec4 a = tile_data(at), b = tile_data(at + 1u), c = tile_data(at + 2u);
+    vec3 p = unpackUnorm4x8(tile_word(at)).rgb, q = unpackUnorm4x8(tile_word(at + 1u)).rgb;
+    vec3 r = unpackUnorm4x8(tile_word(at + 2u)).rgb;
+    return FilterRow(c - a, a + 2.0 * b + c, r - p, p + 2.0 * q + r);
 }
 
 // Contribution of one row to the transposed filters. `low` and `high` are 1 at the first and last column.
@@ -80,19 +77,52 @@ Signs transposed_row(uint at, float low, float high) {
     Signs r = Signs(vec4(0.0), vec4(0.0));
     float middle_d = high - low, middle_s = 2.0 + low + high;
     if (NORMALS != 0u) {
-        r.d.xyz = normal_x[at] + middle_d * normal_x[at + 1u] - normal_x[at + 2u];
-        r.s.xyz = normal_y[at] + middle_s * normal_y[at + 1u] + normal_y[at + 2u];
+        r.d.xyz = tile_x(at).xyz + middle_d * tile_x(at + 1u).xyz - tile_x(at + 2u).xyz;
+        r.s.xyz = tile_y(at).xyz + middle_s * tile_y(at + 1u).xyz + tile_y(at + 2u).xyz;
     }
     if (DEPTH != 0u) {
-        vec2 a = depth_xy[at], b = depth_xy[at + 1u], c = depth_xy[at + 2u];
-        r.d.w = a.x + middle_d * b.x - c.x;
-        r.s.w = a.y + middle_s * b.y + c.y;
+        r.d.w = tile_x_w(at) + middle_d * tile_x_w(at + 1u) - tile_x_w(at + 2u);
+        r.s.w = tile_y_w(at) + middle_s * tile_y_w(at + 1u) + tile_y_w(at + 2u);
     }
     return r;
 }
 
+ivec2 tile_origin, tile_last; // first pixel of the tile, last one of the view
+vec4 tile_sum = vec4(0.0);
+
+struct March {
+    FilterRow above, here;
+};
+
+March march_begin(uint at) { return March(filter_row(at), filter_row(at + DATA_X)); }
+
+// Slopes are derivatives of the loss by the filtered values, before mean and weight.
+void march_next(inout March m, uint column, uint row, out vec4 slope_x, out vec4 slope_y) {
+    FilterRow below = filter_row((row + 2u) * DATA_X + column);
+    int x = tile_origin.x + int(column) - 1, y = tile_origin.y + int(row) - 1;
+    vec4 dx = 0.125 * (m.above.data_d + 2.0 * m.here.data_d + below.data_d);
+    vec4 dy = 0.125 * (below.data_s - m.above.data_s);
+    vec3 edge_x = exp(-0.125 * abs(m.above.photo_d + 2.0 * m.here.photo_d + below.photo_d));
+    vec3 edge_y = exp(-0.125 * abs(below.photo_s - m.above.photo_s));
+    vec2 edge = vec2(edge_x.r + edge_x.g + edge_x.b, edge_y.r + edge_y.g + edge_y.b) / 3.0;
+    if (x < 0 || y < 0 || x > tile_last.x || y > tile_last.y) {
+        dx = vec4(0.0);
+        dy = vec4(0.0);
+    }
+    slope_x = vec4(edge_x, edge.x) * sign(dx);
+    slope_y = vec4(edge_y, edge.y) * sign(dy);
+    if (column - 1u < TILE_X && row - 1u < TILE_Y) {
+        tile_sum.y += dot(edge_x, abs(dx.xyz)) + dot(edge_y, abs(dy.xyz));
+        tile_sum.z += dot(edge, abs(vec2(dx.w, dy.w)));
+    }
+    m.above = m.here;
+    m.here = below;
+}
+
+#include "tile_slopes.glsl"
+
 // Applies the chain rule at one pixel. `smoothness` is the derivative by the unit normal and the depth.
-void finish(uint pixel, vec4 smoothness, float mean, inout vec4 sum) {
+void finish(uint pixel, vec4 smoothness, float mean) {
     Step s = params.step;
     if (NORMALS != 0u) {
         vec3 blended = blended_normal(pixel);
@@ -103,7 +133,7 @@ void finish(uint pixel, vec4 smoothness, float mean, inout vec4 sum) {
             uint packed = priors[s.target_offset + pixel];
             if (octahedral_present(packed)) {
                 vec3 prior = octahedral_decode(packed);
-                sum.x += 1.0 - dot(unit, prior);
+                tile_sum.x += 1.0 - dot(unit, prior);
                 g -= s.weight_normal * mean * prior;
             }
         }
@@ -121,7 +151,7 @@ void finish(uint pixel, vec4 smoothness, float mean, inout vec4 sum) {
         float depth = image[i] * inverse, square = image[i + 1u] * inverse;
         float variance = square - depth * depth;
         float deviation = sqrt(max(variance, VARIANCE_MIN));
-        sum.w += deviation;
+        tile_sum.w += deviation;
         float by_variance = variance > VARIANCE_MIN ? 0.5 * s.weight_depth_variance * mean / deviation : 0.0;
         float by_depth = smoothness.w - 2.0 * depth * by_variance;
         grad_image[i] = by_depth * inverse;
@@ -144,7 +174,8 @@ void main() {
     }
     ivec2 origin = ivec2(uvec2(tile % tiles_x, tile / tiles_x) * uvec2(TILE_X, TILE_Y));
     ivec2 last = ivec2(size) - 1;
-    vec4 sum = vec4(0.0);
+    tile_origin = origin;
+    tile_last = last;
 
     for (uint item = gl_LocalInvocationID.x; item < DATA_X * DATA_Y; item += WORKGROUP) {
         ivec2 p = clamp(origin - 2 + ivec2(item % DATA_X, item / DATA_X), ivec2(0), last);
@@ -155,43 +186,11 @@ void main() {
             v.xyz /= max(length(v.xyz), FLOOR);
         }
         if (DEPTH != 0u) v.w = image[pixel * CHANNELS + DEPTH_AT] / max(1.0 - transmittance[pixel], FLOOR);
-        data[item] = v;
-        photo[item] = targets[params.step.target_offset + pixel];
+        set_tile_data(item, v, targets[params.step.target_offset + pixel]);
     }
     barrier();
 
-    for (uint item = gl_LocalInvocationID.x; item < SIGN_X * ((SIGN_Y + RUN - 1u) / RUN); item += WORKGROUP) {
-        uint column = item % SIGN_X, first = item / SIGN_X * RUN, end = min(first + RUN, SIGN_Y);
-        int x = origin.x + int(column) - 1;
-        Row above = filter_row(first * DATA_X + column);
-        Row here = filter_row((first + 1u) * DATA_X + column);
-        for (uint row = first; row < end; row++) {
-            Row below = filter_row((row + 2u) * DATA_X + column);
-            int y = origin.y + int(row) - 1;
-            vec4 dx = 0.125 * (above.data_d + 2.0 * here.data_d + below.data_d);
-            vec4 dy = 0.125 * (below.data_s - above.data_s);
-            vec3 edge_x = exp(-0.125 * abs(above.photo_d + 2.0 * here.photo_d + below.photo_d));
-            vec3 edge_y = exp(-0.125 * abs(below.photo_s - above.photo_s));
-            vec2 edge = vec2(edge_x.r + edge_x.g + edge_x.b, edge_y.r + edge_y.g + edge_y.b) / 3.0;
-            if (x < 0 || y < 0 || x > last.x || y > last.y) {
-                dx = vec4(0.0);
-                dy = vec4(0.0);
-            }
-            uint at = row * SIGN_X + column;
-            if (NORMALS != 0u) {
-                normal_x[at] = edge_x * sign(dx.xyz);
-                normal_y[at] = edge_y * sign(dy.xyz);
-            }
-            if (DEPTH != 0u) depth_xy[at] = edge * sign(vec2(dx.w, dy.w));
-            if (column - 1u < TILE_X && row - 1u < TILE_Y) {
-                sum.y += dot(edge_x, abs(dx.xyz)) + dot(edge_y, abs(dy.xyz));
-                sum.z += dot(edge, abs(vec2(dx.w, dy.w)));
-            }
-            above = here;
-            here = below;
-        }
-    }
-    barrier();
+    tile_slopes();
 
     float mean = 1.0 / (float(size.x) * float(size.y));
     vec4 weight = 0.125 * mean * vec4(vec3(params.step.weight_normal_smooth / 3.0), params.step.weight_depth_smooth);
@@ -200,20 +199,20 @@ void main() {
         int x = origin.x + int(column);
         if (x > last.x) continue;
         float low = float(x == 0), high = float(x == last.x);
-        Signs above = transposed_row(first * SIGN_X + column, low, high);
-        Signs here = transposed_row((first + 1u) * SIGN_X + column, low, high);
+        Signs above = transposed_row(first * SLOPE_X + column, low, high);
+        Signs here = transposed_row((first + 1u) * SLOPE_X + column, low, high);
         for (uint row = first; row < end; row++) {
             int y = origin.y + int(row);
             if (y > last.y) break;
-            Signs below = transposed_row((row + 2u) * SIGN_X + column, low, high);
+            Signs below = transposed_row((row + 2u) * SLOPE_X + column, low, high);
             float top = float(y == 0), bottom = float(y == last.y);
             vec4 d = above.d + (2.0 + top + bottom) * here.d + below.d;
             vec4 s = above.s + (bottom - top) * here.s - below.s;
-            finish(uint(y) * size.x + uint(x), weight * (d + s), mean, sum);
+            finish(uint(y) * size.x + uint(x), weight * (d + s), mean);
             above = here;
             here = below;
         }
     }
-    vec4 total = group_sum(sum);
+    vec4 total = group_sum(tile_sum);
     if (gl_LocalInvocationID.x == 0u) sums[tile] = total;
 }

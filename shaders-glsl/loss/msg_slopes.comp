@@ -15,10 +15,12 @@ layout(constant_id = 2) const uint TILE_X = 28; // 32 columns with both margins
 layout(constant_id = 3) const uint TILE_Y = 16;
 layout(constant_id = 4) const uint RUN = 6;        // rows of one invocation
 layout(constant_id = 5) const bool SQUARE = false; // whether to sum squared differences in place of roughness
+layout(constant_id = 6) const bool REUSE = false;  // see tile_filters.glsl
 
 // Three-tap derivative filter of Farid and Simoncelli.
 const float SIDE = 0.229879, MIDDLE = 0.540242, SCALE = 0.425287;
 const bool REFLECT = true;
+const bool TILE_XYZ = true, TILE_W = true;
 const float FLOOR = 1e-8;
 
 #define SUM_T vec4
@@ -32,9 +34,43 @@ IN(uint, present);
 OUT(vec4, slopes); // of all levels
 OUT(vec4, sums);   // by workgroup: sum of magnitudes of albedo, number of valid pixels, the same for roughness
 
-shared uint bits[DATA_X * DATA_Y];
+uint bits_row(uint at) { return tile_word(at) & tile_word(at + 1u) & tile_word(at + 2u); }
 
-uint bits_row(uint at) { return bits[at] & bits[at + 1u] & bits[at + 2u]; }
+ivec2 tile_origin, tile_last; // first pixel of the tile, last one of the level
+vec4 tile_sum = vec4(0.0);
+
+struct March {
+    TileRow above, here;
+    uint bits_above, bits_here;
+};
+
+March march_begin(uint at) {
+    return March(tile_row(at), tile_row(at + DATA_X), bits_row(at), bits_row(at + DATA_X));
+}
+
+void march_next(inout March m, uint column, uint row, out vec4 slope_x, out vec4 slope_y) {
+    TileRow below = tile_row((row + 2u) * DATA_X + column);
+    uint bits_below = bits_row((row + 2u) * DATA_X + column);
+    int x = tile_origin.x + int(column) - 1, y = tile_origin.y + int(row) - 1;
+    vec4 dx = tile_along_x(m.above, m.here, below), dy = tile_along_y(m.above, below);
+    vec4 magnitude = sqrt(dx * dx + dy * dy + FLOOR);
+    // A pixel is valid if its whole neighborhood is. Mirrored pixels belong to the neighborhood anyway.
+    uint all_around = m.bits_above & m.bits_here & bits_below;
+    bool inside = x >= 0 && y >= 0 && x <= tile_last.x && y <= tile_last.y;
+    vec2 counts = inside ? vec2(all_around & HAS_ALBEDO, (all_around & HAS_ROUGHNESS) >> 1) : vec2(0.0);
+    slope_x = counts.xxxy * dx / magnitude;
+    slope_y = counts.xxxy * dy / magnitude;
+    if (column - 1u < TILE_X && row - 1u < TILE_Y) {
+        tile_sum.xy += counts.x * vec2((magnitude.r + magnitude.g + magnitude.b) / 3.0, 1.0);
+        if (!SQUARE) tile_sum.zw += counts.y * vec2(magnitude.w, 1.0);
+    }
+    m.above = m.here;
+    m.here = below;
+    m.bits_above = m.bits_here;
+    m.bits_here = bits_below;
+}
+
+#include "tile_slopes.glsl"
 
 void main() {
     uvec2 full = params.step.camera.size;
@@ -56,7 +92,8 @@ void main() {
     uint base = level_first(full, level);
     ivec2 origin = ivec2(uvec2(tile % tiles.x, tile / tiles.x) * uvec2(TILE_X, TILE_Y));
     ivec2 last = ivec2(size) - 1;
-    vec4 sum = vec4(0.0);
+    tile_origin = origin;
+    tile_last = last;
 
     for (uint item = gl_LocalInvocationID.x; item < DATA_X * DATA_Y; item += WORKGROUP) {
         ivec2 at = ivec2(item % DATA_X, item / DATA_X);
@@ -64,45 +101,16 @@ void main() {
         uint pixel = base + uint(tile_inside(p.y, last.y)) * size.x + uint(tile_inside(p.x, last.x));
         vec4 d = levels[pixel];
         uint b = present[pixel];
-        tile_data[item] = d;
-        bits[item] = b;
+        set_tile_data(item, d, b);
         if (SQUARE) {
             bool mine = at.x >= 2 && at.y >= 2 && at.x < int(TILE_X) + 2 && at.y < int(TILE_Y) + 2;
             bool inside = p.x <= last.x && p.y <= last.y;
-            if (level == 0u && mine && inside && (b & HAS_ALBEDO) != 0u) sum.zw += vec2(dot(d.rgb, d.rgb), 1.0);
+            if (level == 0u && mine && inside && (b & HAS_ALBEDO) != 0u) tile_sum.zw += vec2(dot(d.rgb, d.rgb), 1.0);
         }
     }
     barrier();
 
-    for (uint item = gl_LocalInvocationID.x; item < SLOPE_X * ((SLOPE_Y + RUN - 1u) / RUN); item += WORKGROUP) {
-        uint column = item % SLOPE_X, first = item / SLOPE_X * RUN, end = min(first + RUN, SLOPE_Y);
-        int x = origin.x + int(column) - 1;
-        uint at = first * DATA_X + column;
-        TileRow above = tile_row(at), here = tile_row(at + DATA_X);
-        uint bits_above = bits_row(at), bits_here = bits_row(at + DATA_X);
-        for (uint row = first; row < end; row++) {
-            TileRow below = tile_row((row + 2u) * DATA_X + column);
-            uint bits_below = bits_row((row + 2u) * DATA_X + column);
-            int y = origin.y + int(row) - 1;
-            vec4 dx = tile_along_x(above, here, below), dy = tile_along_y(above, below);
-            vec4 magnitude = sqrt(dx * dx + dy * dy + FLOOR);
-            // A pixel is valid if its whole neighborhood is. Mirrored pixels belong to the neighborhood anyway.
-            uint all_around = bits_above & bits_here & bits_below;
-            bool inside = x >= 0 && y >= 0 && x <= last.x && y <= last.y;
-            vec2 counts = inside ? vec2(all_around & HAS_ALBEDO, (all_around & HAS_ROUGHNESS) >> 1) : vec2(0.0);
-            tile_x[row * SLOPE_X + column] = counts.xxxy * dx / magnitude;
-            tile_y[row * SLOPE_X + column] = counts.xxxy * dy / magnitude;
-            if (column - 1u < TILE_X && row - 1u < TILE_Y) {
-                sum.xy += counts.x * vec2((magnitude.r + magnitude.g + magnitude.b) / 3.0, 1.0);
-                if (!SQUARE) sum.zw += counts.y * vec2(magnitude.w, 1.0);
-            }
-            above = here;
-            here = below;
-            bits_above = bits_here;
-            bits_here = bits_below;
-        }
-    }
-    barrier();
+    tile_slopes();
 
     vec2 scale = level_scale(full, level);
     for (uint item = gl_LocalInvocationID.x; item < TILE_X * ((TILE_Y + RUN - 1u) / RUN); item += WORKGROUP) {
@@ -124,6 +132,6 @@ void main() {
             here = below;
         }
     }
-    vec4 total = group_sum(sum);
+    vec4 total = group_sum(tile_sum);
     if (gl_LocalInvocationID.x == 0u) sums[group] = total;
 }

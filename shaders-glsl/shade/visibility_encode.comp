@@ -23,6 +23,7 @@ layout(scalar) uniform FieldBlock { FieldStep field; } params;
 IN(FieldLevel, field_levels);
 #include "visibility_tables.glsl"
 IN(float, mlp);
+IN(vec4, mlp_vectors); // the same
 IN(vec3, points);
 OUT(float, rows); // count x 32, or whole blocks
 
@@ -41,7 +42,7 @@ void main() {
     uint at = within ? pixel : 0u;
     vec3 point = points[at];
     point += float(push.moved) * jitter_of(params.field, POINTS, at);
-    field_pixel(field_position(params.field, field_inside(params.field, point)));
+    field_respond(field_position(params.field, field_inside(params.field, point)));
     if (FIELD_SPREAD) {
         uint first = i - gl_SubgroupInvocationID;
         [[unroll]] for (uint item = 0u; item < ITEMS; item++) {
@@ -49,6 +50,6 @@ void main() {
                 EACH_HELD(h) rows[row_number(first + item, neuron(h))] = spread_points[item * HELD + h];
         }
     } else if (within) {
-        FIELD_EACH(n, WIDTH) rows[row_number(i, n)] = alone_point[n];
+        FIELD_EACH(n, WIDTH) rows[row_number(i, n)] = field_point[n];
     }
 }

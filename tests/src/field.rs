@@ -37,7 +37,7 @@ pub struct Case {
     pub step: FieldStep,
     /// Bits of a table feature when the field is evaluated: 16 or 32.
     pub table_bits: u32,
-    /// Whether the backward pass uses the kernels of CPUs; `None` for those of the device.
+    /// Whether the kernels of CPUs run; `None` for those of the device.
     pub cpu: Option<bool>,
 }
 
@@ -83,8 +83,8 @@ impl Case {
         }
     }
 
-    /// Returns the kernel sizes of the backward pass.
-    pub fn backward_tuning(&self, gpu: &Gpu) -> Tuning {
+    /// Returns the kernel sizes.
+    pub fn tuning(&self, gpu: &Gpu) -> Tuning {
         let own = gpu.tuning();
         Tuning { cpu: self.cpu.unwrap_or(own.cpu), ..own }
     }
@@ -121,7 +121,7 @@ impl Case {
 
     /// Computes on the device the mean visibility, or the visibility of one light.
     pub fn forward(&self, gpu: &Gpu, one: Option<u32>, split: bool) -> Vec<f32> {
-        self.forward_with(gpu, gpu.tuning(), one, split)
+        self.forward_with(gpu, self.tuning(gpu), one, split)
     }
 
     /// Same as [`Case::forward`], with other kernel sizes or accuracy.
@@ -238,8 +238,7 @@ impl Case {
             touched,
             scale: g.external("scale", 8),
         };
-        visibility_bwd(&mut g, self.backward_tuning(gpu), &field, &view, most, &constant, &requested.options, &into)
-            .unwrap();
+        visibility_bwd(&mut g, self.tuning(gpu), &field, &view, most, &constant, &requested.options, &into).unwrap();
         let out = gpu.run(g, &inputs);
         let scale = out.get::<f32>(into.scale);
         assert_eq!(scale[0] * scale[1], 1.0);

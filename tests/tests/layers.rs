@@ -81,14 +81,15 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("tests/emulator", &["engine"]),
     ("tests/embedding", &["engine", "shaders-glsl", "passes", "tools/*", "tests"]),
     ("tests/fuzz", &["engine", "passes", "tools/*"]),
-    ("bench", &["engine", "shaders-glsl", "passes", "tools/*"]),
+    ("bench", &["engine", "shaders-glsl", "passes", "tools/*", "bench/null-driver"]),
+    ("bench/null-driver", &[]),
 ];
 
 /// Crates that only some folders may name, in a manifest or in code.
 ///
-/// The embedding tests contain a host application with its own Vulkan device.
+/// The embedding tests contain a host application with its own Vulkan device. The null driver is a Vulkan driver.
 const RESERVED: &[(&str, &[&str])] = &[
-    ("ash", &["engine", "tests/embedding"]),
+    ("ash", &["engine", "tests/embedding", "bench/null-driver"]),
     ("ash-window", &["engine"]),
     ("gpu-allocator", &["engine"]),
     ("shaderc", &["shaders-glsl/compiler"]),
@@ -97,7 +98,8 @@ const RESERVED: &[(&str, &[&str])] = &[
 
 /// Places where `unsafe` is allowed.
 ///
-/// The engine, the C interface, arrays of Python, the test host, a counting allocator, and a function that the compiler's counters call.
+/// The engine, the C interface, arrays of Python, the test host, the null driver, a counting allocator, and a function that the
+/// compiler's counters call.
 const UNSAFE: &[&str] = &[
     "engine",
     "tools/capi",
@@ -105,6 +107,7 @@ const UNSAFE: &[&str] = &[
     "tools/python/src/run.rs",
     "tools/python/src/scene.rs",
     "tests/embedding",
+    "bench/null-driver",
     "tests/fuzz/src/count.rs",
     "tests/fuzz/src/hook.rs",
 ];

@@ -46,7 +46,10 @@ pub fn measure_ceiling(device: &Device) -> anyhow::Result<Ceiling> {
     let copy_kernel_bytes_per_second = 2.0 * size as f64 / copy_kernel(device, size, warmup, repeats / 4)?.least;
     let operations = PROBE_OPERATIONS * f64::from(invocations) * f64::from(rounds);
     let operations_per_second = operations / multiply_adds(device, invocations, rounds, warmup, repeats)?.least;
+    let (few, many) = (8, 72);
+    let [low, high] = [few, many].map(|count| dispatches(device, count, true, warmup, repeats));
     Ok(Ceiling {
+        dispatch_seconds: 1e-9 * ((high? - low?) / f64::from(many - few)).max(0.0),
         bytes_per_second: copy_bytes_per_second.max(fill_bytes_per_second).max(copy_kernel_bytes_per_second),
         operations_per_second,
         copy_bytes_per_second,

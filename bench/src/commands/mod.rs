@@ -3,8 +3,10 @@
 pub mod batch;
 pub mod ceiling;
 pub mod compile;
+pub mod host;
 pub mod intrinsic;
 pub mod isa;
+mod own_step;
 pub mod passes;
 pub mod results;
 pub mod roofline;

@@ -4,6 +4,8 @@
 //! is longer: the roofline model (Williams, Waterman, Patterson 2009). A measured report adds how far each pass is from
 //! that bound, and the least time of any pass.
 
+use super::own_step;
+use super::step::{ALL_TILES, LONGEST_TILE};
 use crate::report::set::ReportSet;
 use crate::report::{PassRow, Report};
 use anyhow::Context;
@@ -25,6 +27,10 @@ pub struct Args {
     /// Report file with the same step measured on another device. Its device is predicted, and the error printed.
     #[arg(long, value_name = "FILE.json")]
     against: Option<PathBuf>,
+    /// Report file of another step on the same device, and settings that select it. The step is predicted from its counts, and with
+    /// the ratio of time to bound of each pass of the other step; both errors are printed.
+    #[arg(long, value_name = "FILE.json[,NAME=VALUE]", value_delimiter = ',', conflicts_with = "against")]
+    ratios: Vec<String>,
     /// Plan to predict; the first of the report by default, which is the training step.
     #[arg(long, value_name = "NAME")]
     plan: Option<String>,
@@ -46,11 +52,29 @@ struct Target {
     bandwidth: f64,
     /// Operations a second, where a multiply-add counts as two.
     arithmetic: f64,
+    /// Schedulers, each of which runs a subgroup at a time; absent if unknown.
+    schedulers: Option<f64>,
 }
 
-/// Datasheet rates: name, bytes a second, operations a second in 32 bits.
-const DATASHEETS: [(&str, f64, f64); 4] =
-    [("4090", 1.008e12, 82.6e12), ("h100", 3.35e12, 66.9e12), ("h200", 4.8e12, 66.9e12), ("7900xtx", 0.96e12, 61.4e12)];
+/// Datasheet rates: name, bytes a second, operations a second in 32 bits, schedulers.
+const DATASHEETS: [(&str, f64, f64, f64); 4] = [
+    ("4090", 1.008e12, 82.6e12, 512.0),
+    ("h100", 3.35e12, 66.9e12, 528.0),
+    ("h200", 4.8e12, 66.9e12, 528.0),
+    ("7900xtx", 0.96e12, 61.4e12, 192.0),
+];
+
+/// Passes whose subgroups each process a whole tile.
+const BY_TILE: [&str; 5] = ["blend", "blend_buckets", "blend_bwd", "blend_bwd_atomic", "blend_bwd_splat"];
+
+/// Returns the share of the entries of a view that its longest tile has; 0 if the report does not tell.
+fn longest_tile(report: &Report) -> f64 {
+    let fact = |name: &str| report.facts.iter().find(|fact| fact.name == name).and_then(|fact| fact.value.as_f64());
+    match (fact(LONGEST_TILE), fact(ALL_TILES)) {
+        (Some(longest), Some(all)) if all > 0.0 => longest / all,
+        _ => 0.0,
+    }
+}
 
 /// Parts of the datasheet's rates that kernels reach.
 ///
@@ -59,9 +83,10 @@ const REACHED: (f64, f64) = (0.74, 0.88);
 
 fn target(name: &str) -> Result<Target, String> {
     let found = DATASHEETS.iter().find(|(known, ..)| *known == name.to_lowercase());
-    let (name, bandwidth, arithmetic) =
+    let (name, bandwidth, arithmetic, schedulers) =
         found.ok_or_else(|| format!("unknown device; there are {}", DATASHEETS.map(|d| d.0).join(", ")))?;
-    Ok(Target { name: (*name).to_owned(), bandwidth: REACHED.0 * bandwidth, arithmetic: REACHED.1 * arithmetic })
+    let (bandwidth, arithmetic) = (REACHED.0 * bandwidth, REACHED.1 * arithmetic);
+    Ok(Target { name: (*name).to_owned(), bandwidth, arithmetic, schedulers: Some(*schedulers) })
 }
 
 impl Target {
@@ -69,13 +94,18 @@ impl Target {
     fn of(report: &Report) -> anyhow::Result<Target> {
         let ceiling = report.ceiling.as_ref().context("The report has no measured rates of its device.")?;
         let (bandwidth, arithmetic) = (ceiling.bytes_per_second, ceiling.operations_per_second);
-        Ok(Target { name: report.device.name.clone(), bandwidth, arithmetic })
+        Ok(Target { name: report.device.name.clone(), bandwidth, arithmetic, schedulers: None })
     }
 
     /// Returns the least time of a pass in nanoseconds.
-    fn bound(&self, pass: &PassRow) -> f64 {
+    ///
+    /// `longest`: share of a view's entries in its longest tile, which one scheduler processes.
+    fn bound(&self, pass: &PassRow, longest: f64) -> f64 {
         let of = |count: Option<f64>, rate: f64| count.unwrap_or(0.0) / rate;
-        1e9 * of(pass.bytes, self.bandwidth).max(of(pass.operations, self.arithmetic))
+        let arithmetic = of(pass.operations, self.arithmetic);
+        let by_tile = BY_TILE.contains(&pass.pass.as_str());
+        let uneven = self.schedulers.filter(|_| by_tile).map_or(1.0, |schedulers| (schedulers * longest).max(1.0));
+        1e9 * of(pass.bytes, self.bandwidth).max(arithmetic * uneven)
     }
 }
 
@@ -103,13 +133,13 @@ const BEST: f64 = 0.7;
 /// instructions and caches limit it, and their rate grows with the arithmetic rate, which is that of units and clock; it
 /// never comes closer to the bound than passes do at best. Passes far below their bound, or without a cost model, keep
 /// their time.
-fn predict(passes: &[&PassRow], own: &Target, targets: &[Target]) -> Vec<Predicted> {
+fn predict(passes: &[&PassRow], longest: f64, own: &Target, targets: &[Target]) -> Vec<Predicted> {
     let fixed = passes.iter().map(|p| p.nanoseconds.median).fold(f64::INFINITY, f64::min);
     let one = |pass: &&PassRow| {
         let measured = pass.nanoseconds.median;
-        let (bound, variable) = (own.bound(pass), measured - fixed);
+        let (bound, variable) = (own.bound(pass, longest), measured - fixed);
         let of = |target: &Target| {
-            let least = target.bound(pass);
+            let least = target.bound(pass, longest);
             let time = if bound < LATENCY * measured {
                 measured - bound + least
             } else if bound < LIMITED * variable {
@@ -202,8 +232,16 @@ pub fn run(a: &Args) -> anyhow::Result<()> {
     let set = ReportSet::read(&a.report)?;
     let report = set.only("step", &a.settings)?;
     let (own, passes) = (Target::of(report)?, passes_of(report, a.plan.as_deref())?);
+    if let Some((file, settings)) = a.ratios.split_first() {
+        let settings = settings.iter().map(|text| setting(text)).collect::<Result<Vec<_>, _>>();
+        let others = ReportSet::read(file.as_ref())?;
+        let other = others.only("step", &settings.map_err(anyhow::Error::msg)?)?;
+        let checked = own_step::predict((report, &passes), (other, &passes_of(other, a.plan.as_deref())?))?;
+        print!("{}\n{}\n", own_step::table(&checked, &own.name, a.rows), own_step::errors(&checked));
+        return Ok(());
+    }
     let Some(file) = &a.against else {
-        let predicted = predict(&passes, &own, &a.target);
+        let predicted = predict(&passes, longest_tile(report), &own, &a.target);
         print!("{}", table(&predicted, &own.name, &a.target, a.rows));
         return Ok(());
     };
@@ -214,7 +252,7 @@ pub fn run(a: &Args) -> anyhow::Result<()> {
         anyhow::bail!("The reports are of different steps: {name} is {value} and {theirs}.");
     }
     let targets = [Target::of(other)?];
-    let predicted = predict(&passes, &own, &targets);
+    let predicted = predict(&passes, longest_tile(report), &own, &targets);
     print!("{}", table(&predicted, &own.name, &targets, a.rows));
     println!("\n{}", check(&predicted, other, &passes_of(other, a.plan.as_deref())?)?);
     Ok(())
@@ -255,8 +293,8 @@ mod tests {
     fn passes_keep_fixed_time_and_distance_from_the_bound() {
         let report = report();
         let (own, passes) = (Target::of(&report).unwrap(), passes_of(&report, None).unwrap());
-        let fast = Target { name: "fast".into(), bandwidth: 1e10, arithmetic: 2e9 };
-        let predicted = predict(&passes, &own, &[own.clone(), fast]);
+        let fast = Target { name: "fast".into(), bandwidth: 1e10, arithmetic: 2e9, schedulers: None };
+        let predicted = predict(&passes, 0.0, &own, &[own.clone(), fast]);
         // The own device is predicted as it was measured.
         let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} {b}");
         predicted.iter().for_each(|p| near(p.targets[0].0, p.measured));
@@ -265,8 +303,8 @@ mod tests {
         near(predicted[1].targets[1].0, 100.0 + 4000.0 / 2.0);
         near(predicted[1].targets[1].1, 500.0);
         // No pass comes closer to the bound than passes do at best.
-        let faster = Target { name: "faster".into(), bandwidth: 1e9, arithmetic: 1e11 };
-        let wide = predict(&passes, &own, &[Target { bandwidth: 5e7, ..faster }]);
+        let faster = Target { name: "faster".into(), bandwidth: 1e9, arithmetic: 1e11, schedulers: None };
+        let wide = predict(&passes, 0.0, &own, &[Target { bandwidth: 5e7, ..faster }]);
         near(wide[1].targets[0].0, 100.0 + 200.0 / 0.7);
         // Latency, and a pass without a model.
         near(predicted[2].targets[1].0, 400.0 - 10.0 + 1.0);
@@ -275,10 +313,28 @@ mod tests {
     }
 
     #[test]
+    fn longest_tile_bounds_passes_by_tile() {
+        let mut report = report();
+        assert_eq!(longest_tile(&report), 0.0);
+        report.fact(LONGEST_TILE, 500.0);
+        report.fact(ALL_TILES, 10_000.0);
+        let share = longest_tile(&report);
+        assert_eq!(share, 0.05);
+        let mut pass = report.passes[1].clone();
+        let target = Target { name: "wide".into(), bandwidth: 1e9, arithmetic: 1e9, schedulers: Some(100.0) };
+        // 1000 ns of arithmetic on all schedulers. One scheduler takes a twentieth of it, with a hundredth of the rate.
+        assert_eq!(target.bound(&pass, share), 1000.0);
+        pass.pass = "blend_bwd".into();
+        assert_eq!(target.bound(&pass, share), 5000.0);
+        assert_eq!(target.bound(&pass, 0.002), 1000.0);
+        assert_eq!(Target { schedulers: None, ..target }.bound(&pass, share), 1000.0);
+    }
+
+    #[test]
     fn table_has_the_slowest_passes_and_their_sum() {
         let report = report();
         let own = Target::of(&report).unwrap();
-        let predicted = predict(&passes_of(&report, Some("plan")).unwrap(), &own, std::slice::from_ref(&own));
+        let predicted = predict(&passes_of(&report, Some("plan")).unwrap(), 0.0, &own, std::slice::from_ref(&own));
         let text = table(&predicted, "small", &[own], 2);
         let rows: Vec<&str> = text.lines().skip(2).map(|line| line.split(" |").next().unwrap()).collect();
         assert_eq!(rows, ["| sum", "| copy", "| 3 other passes", "| sum"]);

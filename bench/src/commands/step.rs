@@ -22,6 +22,12 @@ use sgs_passes::scene::Decoder;
 use sgs_passes::splat::BackwardKernel;
 use std::path::PathBuf;
 
+/// Fact with the number of entries of all tiles of a view.
+pub const ALL_TILES: &str = "entries of all tiles";
+
+/// Fact with the number of entries of the tile that has most.
+pub const LONGEST_TILE: &str = "entries of the longest tile";
+
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
@@ -284,12 +290,17 @@ fn counts(
     let data = trainer.gaussians.download(device)?;
     let tuning = Tuning::for_device(device.info());
     let (mut tried, mut showing, mut entries) = (0.0, 0.0, 0.0);
+    // Of one view, that with the longest tile.
+    let (mut longest, mut all_tiles) = (0.0, 0.0);
     for (camera, _) in workload.views.iter().step_by(workload.views.len().div_ceil(3)) {
         let (model, channels) = (workload.model, trainer.options().channels);
         let o = overlap(&Subject { device, tuning, model, data: &data, camera: *camera, channels })?;
         tried += o.tried * o.entries;
         showing += o.showing * o.entries;
         entries += o.entries;
+        if o.longest > longest {
+            (longest, all_tiles) = (o.longest, o.entries);
+        }
     }
     let pixels = workload.views.iter().map(|(c, _)| f64::from(c.size[0]) * f64::from(c.size[1])).sum::<f64>();
     let samples = workload.semantics.as_deref().map_or(0.0, |(data, _)| {
@@ -308,6 +319,8 @@ fn counts(
         ..Default::default()
     };
     let tile = f64::from(tuning.tile[0] * tuning.tile[1]);
+    report.fact(ALL_TILES, all_tiles);
+    report.fact(LONGEST_TILE, longest);
     report.fact("visible, entries in a step", format!("{:.0}, {:.0}", counts.visible, counts.entries));
     report.fact(
         "tile; of its pixels an entry tries, shows at",

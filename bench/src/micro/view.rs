@@ -130,6 +130,8 @@ pub struct Overlap {
     ///
     /// Counted whether these are on or not.
     pub slots: f64,
+    /// Entries of the tile that has most.
+    pub longest: f64,
 }
 
 /// Approximate maximum of entry-pixel pairs that are evaluated. Beyond it, tiles are skipped evenly.
@@ -200,6 +202,7 @@ pub fn overlap_of(s: &Subject<'_>, slot: [u32; 2]) -> anyhow::Result<Overlap> {
         tried: tried as f64 * each,
         showing: showing as f64 * each,
         slots: left as f64 * each / f64::from(slots),
+        longest: ranges.iter().map(|r| f64::from(r[1] - r[0])).fold(0.0, f64::max),
     })
 }
 

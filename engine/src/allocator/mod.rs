@@ -47,8 +47,14 @@ pub struct Activity {
     pub images: u64,
     /// Buffers and images created in total.
     pub made: u64,
-    /// Number of calls of [`Device::upload`](crate::Device::upload).
+    /// Number of pieces that [`Device::upload_all`](crate::Device::upload_all) wrote.
     pub uploads: u64,
+    /// Number of chunks of staging memory that uploads submitted.
+    pub upload_chunks: u64,
+    /// Number of times that uploads waited for the device, because a copy was not done.
+    pub upload_waits: u64,
+    /// Most chunks of an upload that were submitted and not known to be done.
+    pub most_chunks_in_flight: u64,
     /// Number of calls of [`Device::download`](crate::Device::download).
     pub downloads: u64,
 }

@@ -214,9 +214,20 @@ impl Device {
         let raw = unsafe { ash::Device::load(instance.raw.fp_v1_0(), host.device) };
         let (queue, lock) = host.queue.map_or((vk::Queue::null(), None), |q| (q.queue, Some(q.lock)));
         let (physical, queue_family) = (candidate.physical, host.queue_family);
-        let statistics = false;
-        let raw_device =
-            RawDevice { instance, physical, raw, owned: false, info, queue_family, queue, lock, gate, statistics };
+        let (owned, statistics, transfer_family) = (false, false, None);
+        let raw_device = RawDevice {
+            instance,
+            physical,
+            raw,
+            owned,
+            info,
+            queue_family,
+            queue,
+            lock,
+            transfer_family,
+            gate,
+            statistics,
+        };
         let options = DeviceOptions {
             pipeline_cache: host.pipeline_cache,
             timeout: host.timeout,

@@ -18,15 +18,16 @@ mod local_size;
 mod objects;
 mod pipeline;
 mod planning;
+mod queue;
 mod requirements;
 mod select;
 mod statistics;
 mod surface;
+mod transfer_queue;
 
 pub use compile_only::CompileOnlyDevice;
 pub(crate) use deferred::{Busy, DeferredObject};
 pub use driver_files::{DRIVER_VARIABLES, DriverFile, driver_files};
-use external::Locked;
 pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements};
 pub use fault::{Fault, FaultKind, Faults};
 pub use find::{FoundDevice, devices, find_device};
@@ -38,10 +39,13 @@ pub use objects::{ObjectKind, Objects};
 pub use pipeline::PipelineInfo;
 pub(crate) use pipeline::{Pipeline, Wanted, descriptor_type};
 pub use planning::PlannedGpu;
+use queue::Queue;
+pub(crate) use queue::semaphore;
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
 pub use select::{DeviceInfo, MatrixShape, OptionalFeatures};
 pub use statistics::{KernelStatistics, Statistic};
 pub use surface::{Surface, Window};
+pub(crate) use transfer_queue::{TransferQueue, TransferTicket};
 
 use crate::allocator::{Activity, Memory};
 use crate::error::{Error, Result};
@@ -50,7 +54,7 @@ use deferred::DeferredDestruction;
 use fault::Gate;
 use std::ffi::CStr;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Options for opening a device.
@@ -115,6 +119,8 @@ pub(crate) struct Shared {
     pub queue_family: u32,
     queue: Mutex<Queue>,
     timeline: vk::Semaphore,
+    /// Queue that only transfers, for uploads; a host's device has none.
+    pub transfer_queue: Option<TransferQueue>,
     pub memory: Memory,
     pub pipelines: pipeline::Pipelines,
     /// Queries of statistics; present if they were requested and the driver reports them.
@@ -130,15 +136,6 @@ pub(crate) struct Shared {
     pub instance: Arc<Instance>,
 }
 
-/// Queue of a device, and the number of its submissions.
-pub(crate) struct Queue {
-    /// Null if the host submits all work.
-    pub raw: vk::Queue,
-    /// Host's lock of its queue.
-    lock: Option<Box<dyn QueueLock>>,
-    submitted: u64,
-}
-
 /// Device without memory and pipelines.
 struct RawDevice {
     instance: Arc<Instance>,
@@ -149,6 +146,8 @@ struct RawDevice {
     queue_family: u32,
     queue: vk::Queue,
     lock: Option<Box<dyn QueueLock>>,
+    /// Family of queues that only transfer, with which the device was created.
+    transfer_family: Option<u32>,
     gate: Gate,
     /// Whether the driver can report statistics of kernels.
     statistics: bool,
@@ -180,7 +179,10 @@ impl Device {
             device: info.name.clone(),
             missing: vec!["a compute queue".into()],
         })?;
-        let queues = [vk::DeviceQueueCreateInfo::default().queue_family_index(queue_family).queue_priorities(&[1.0])];
+        let transfer_family = selected.transfer_family.filter(|family| *family != queue_family);
+        let families = [Some(queue_family), transfer_family];
+        let of = |family| vk::DeviceQueueCreateInfo::default().queue_family_index(family).queue_priorities(&[1.0]);
+        let queues: Vec<_> = families.into_iter().flatten().map(of).collect();
         let needs = Requirements::new(info.clone(), Some(queue_family));
         let statistics = options.kernel_statistics && statistics::supported(&instance, &gate, selected.physical)?;
         let statistics_extension = statistics.then_some(statistics::EXTENSION);
@@ -202,21 +204,54 @@ impl Device {
         // SAFETY: the queue was created with the device.
         let queue = unsafe { raw.get_device_queue(queue_family, 0) };
         let physical = selected.physical;
-        let raw_device =
-            RawDevice { instance, physical, raw, owned: true, info, queue_family, queue, lock: None, gate, statistics };
+        let (owned, lock) = (true, None);
+        let raw_device = RawDevice {
+            instance,
+            physical,
+            raw,
+            owned,
+            info,
+            queue_family,
+            queue,
+            lock,
+            transfer_family,
+            gate,
+            statistics,
+        };
         Device::assemble(raw_device, options)
     }
 
     /// Adds timeline, memory and pipelines to a device. Destroys an owned device on failure.
     fn assemble(raw_device: RawDevice, options: &DeviceOptions) -> Result<Device> {
-        let RawDevice { instance, physical, raw, owned, mut info, queue_family, queue, lock, gate, statistics } =
-            raw_device;
+        let RawDevice {
+            instance,
+            physical,
+            raw,
+            owned,
+            mut info,
+            queue_family,
+            queue,
+            lock,
+            transfer_family,
+            gate,
+            statistics,
+        } = raw_device;
         options.limits.lower(&mut info);
         if let Some(gpu) = &options.plan_for {
             gpu.replace(&mut info);
         }
         let resources = create_resources(&instance, &raw, &gate, physical, &info, options.pipeline_cache.clone());
-        let (timeline, memory, pipelines) = match resources {
+        let resources = resources.and_then(|(timeline, memory, pipelines)| {
+            let queue = transfer_family.map(|family| TransferQueue::new(&raw, &gate, family)).transpose();
+            match queue {
+                Ok(queue) => Ok((timeline, memory, pipelines, queue)),
+                Err(error) => {
+                    destroy_resources(&raw, &gate, timeline, &memory, &pipelines);
+                    Err(error)
+                }
+            }
+        });
+        let (timeline, memory, pipelines, transfer_queue) = match resources {
             Ok(resources) => resources,
             Err(error) => {
                 if owned {
@@ -237,8 +272,9 @@ impl Device {
             physical,
             info,
             queue_family,
-            queue: Mutex::new(Queue { raw: queue, lock, submitted: 0 }),
+            queue: Mutex::new(Queue::new(queue, lock)),
             timeline,
+            transfer_queue,
             memory,
             pipelines,
             statistics,
@@ -341,95 +377,11 @@ impl Device {
 
     /// Returns the ticket of the last submission.
     pub fn last_ticket(&self) -> Ticket {
-        Ticket(self.0.queue().submitted)
+        self.0.last_ticket()
     }
 }
 
-/// Number of shorter waits that make up one wait.
-///
-/// The clock runs while a process is stopped (Ctrl-Z), but its GPU work does not. A stop then uses up at most one
-/// part of the limit.
-const WAIT_SLICES: u32 = 16;
-
 impl Shared {
-    /// Locks the queue.
-    pub fn queue(&self) -> MutexGuard<'_, Queue> {
-        self.queue.lock().unwrap_or_else(|e| e.into_inner())
-    }
-
-    /// Waits for a ticket, at most for `limit`.
-    pub fn wait(&self, ticket: Ticket, what: &str, limit: Duration) -> Result<()> {
-        match self.gate.call("vkWaitSemaphores", what, || self.wait_raw(ticket, limit)) {
-            Err(Error::Vulkan { result: vk::Result::TIMEOUT, .. }) => {
-                Err(Error::Timeout { what: what.to_owned(), limit, pass: None })
-            }
-            other => other,
-        }
-    }
-
-    fn wait_raw(&self, ticket: Ticket, limit: Duration) -> std::result::Result<(), vk::Result> {
-        let semaphores = [self.timeline];
-        let values = [ticket.0];
-        let info = vk::SemaphoreWaitInfo::default().semaphores(&semaphores).values(&values);
-        let slice = u64::try_from(limit.as_nanos().div_ceil(u128::from(WAIT_SLICES))).unwrap_or(u64::MAX);
-        for _ in 1..WAIT_SLICES {
-            // SAFETY: the semaphore belongs to this device and the arrays outlive the call.
-            match unsafe { self.raw.wait_semaphores(&info, slice) } {
-                Err(vk::Result::TIMEOUT) => {}
-                other => return other,
-            }
-        }
-        // SAFETY: as before.
-        unsafe { self.raw.wait_semaphores(&info, slice) }
-    }
-
-    /// Waits for all submitted work. Returns false if work still runs at the time limit.
-    ///
-    /// Bypasses the gate: after an injected or real device loss, the caller must still know that nothing runs.
-    fn wait_idle(&self) -> bool {
-        let last = Ticket(self.queue().submitted);
-        // A lost device runs nothing.
-        matches!(self.wait_raw(last, self.close_timeout), Ok(()) | Err(vk::Result::ERROR_DEVICE_LOST))
-    }
-
-    /// Submits one recorded command buffer; returns the ticket of its end.
-    pub fn submit(&self, commands: vk::CommandBuffer, what: &str) -> Result<Ticket> {
-        self.submit_between(commands, &[], &[], what)
-    }
-
-    /// Like [`Shared::submit`], with wait and signal semaphores of a host.
-    pub fn submit_between(
-        &self,
-        commands: vk::CommandBuffer,
-        waits: &[vk::SemaphoreSubmitInfo<'_>],
-        signals: &[vk::SemaphoreSubmitInfo<'_>],
-        what: &str,
-    ) -> Result<Ticket> {
-        let mut queue = self.queue();
-        let value = queue.submitted + 1;
-        let mut all = Vec::with_capacity(signals.len() + 1);
-        all.push(semaphore(self.timeline, value));
-        all.extend_from_slice(signals);
-        if queue.raw == vk::Queue::null() {
-            return Err(Error::NoQueue(what.to_owned()));
-        }
-        let buffers = [vk::CommandBufferSubmitInfo::default().command_buffer(commands)];
-        let submit = [vk::SubmitInfo2::default()
-            .wait_semaphore_infos(waits)
-            .command_buffer_infos(&buffers)
-            .signal_semaphore_infos(&all)];
-        let locked = queue.lock.as_deref().map(Locked::new);
-        // SAFETY: the command buffer is recorded and not pending (its owner waits for its ticket first). The queue is
-        // locked, a host's queue by the host's own lock too. The timeline only grows; the caller orders all other
-        // semaphores.
-        self.gate.call("vkQueueSubmit2", what, || unsafe {
-            self.raw.queue_submit2(queue.raw, &submit, vk::Fence::null())
-        })?;
-        drop(locked);
-        queue.submitted = value;
-        Ok(Ticket(value))
-    }
-
     /// Names an object for capture tools and messages.
     pub fn name<T: vk::Handle>(&self, handle: T, text: &str) {
         pipeline::set_name(self.labels.as_ref(), &self.gate, handle, text);
@@ -449,11 +401,10 @@ impl Drop for Shared {
             return;
         }
         self.clear_deferred();
-        self.pipelines.destroy(&self.raw, &self.gate);
-        self.memory.shut_down();
-        // SAFETY: all work is done and everything created from the device is destroyed.
-        unsafe { self.raw.destroy_semaphore(self.timeline, None) };
-        self.gate.count_destroyed(ObjectKind::Semaphore);
+        if let Some(queue) = &self.transfer_queue {
+            queue.destroy(&self.raw, &self.gate);
+        }
+        destroy_resources(&self.raw, &self.gate, self.timeline, &self.memory, &self.pipelines);
         if self.owned {
             // SAFETY: as above; a host's device is not destroyed.
             unsafe { self.raw.destroy_device(None) };
@@ -462,12 +413,19 @@ impl Drop for Shared {
     }
 }
 
-/// Returns a semaphore value for all stages.
-pub(crate) fn semaphore(semaphore: vk::Semaphore, value: u64) -> vk::SemaphoreSubmitInfo<'static> {
-    vk::SemaphoreSubmitInfo::default()
-        .semaphore(semaphore)
-        .value(value)
-        .stage_mask(vk::PipelineStageFlags2::ALL_COMMANDS)
+/// Destroys what [`create_resources`] made. All work is done.
+fn destroy_resources(
+    raw: &ash::Device,
+    gate: &Gate,
+    timeline: vk::Semaphore,
+    memory: &Memory,
+    pipelines: &pipeline::Pipelines,
+) {
+    pipelines.destroy(raw, gate);
+    memory.shut_down();
+    // SAFETY: all work is done and everything created from the device is destroyed.
+    unsafe { raw.destroy_semaphore(timeline, None) };
+    gate.count_destroyed(ObjectKind::Semaphore);
 }
 
 /// Creates timeline, memory and pipelines of a device.

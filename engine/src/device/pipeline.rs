@@ -267,6 +267,13 @@ impl Device {
         self.0.pipeline(shader, &ids_of(shader, specs), subgroup_size).map(|_| ())
     }
 
+    /// Returns a file beside the pipeline cache, for what was measured on this device.
+    ///
+    /// Its name contains device, driver and subgroup size, then `name`. `None` if the device has no pipeline cache.
+    pub fn cache_file(&self, name: &str) -> Option<PathBuf> {
+        self.0.pipelines.path.as_ref().map(|path| path.with_extension(name))
+    }
+
     /// Lists the create infos of all pipelines, by kernel name.
     pub fn pipelines(&self) -> Vec<PipelineInfo> {
         self.0.pipelines.infos()

@@ -3,6 +3,7 @@
 use super::fault::Gate;
 use super::identity::{Environment, has_pci, has_uuid, names, rank, refused, select_auto, uuid_text};
 use super::instance::Instance;
+use super::transfer_queue;
 use crate::error::{Error, Result};
 use crate::format::ImageFormat;
 use ash::vk;
@@ -104,6 +105,8 @@ pub struct MatrixShape {
 pub(crate) struct Candidate {
     pub physical: vk::PhysicalDevice,
     pub queue_family: Option<u32>,
+    /// Family of queues that only transfer.
+    pub transfer_family: Option<u32>,
     pub info: DeviceInfo,
 }
 
@@ -308,7 +311,8 @@ fn describe(instance: &Instance, gate: &Gate, index: usize, physical: vk::Physic
         fallbacks,
         optional,
     };
-    Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), info })
+    let transfer_family = transfer_queue::family(&families);
+    Ok(Candidate { physical, queue_family: queue_family.map(|f| f as u32), transfer_family, info })
 }
 
 /// Returns the compute units, or multiprocessors, of a GPU.
@@ -457,7 +461,7 @@ pub(super) mod tests {
 
     fn candidate(index: usize, name: &str, kind: &'static str, missing: &[&str]) -> Candidate {
         let info = device(index, name, kind, missing);
-        Candidate { physical: vk::PhysicalDevice::null(), queue_family: Some(0), info }
+        Candidate { physical: vk::PhysicalDevice::null(), queue_family: Some(0), transfer_family: None, info }
     }
 
     /// Selects without variables of a scheduler.

@@ -7,11 +7,13 @@ mod external;
 pub(crate) mod image;
 mod shared;
 mod transfer;
+mod upload;
 
 pub use crate::allocator::{Activity, Budget, BudgetSource};
 pub use image::DeviceImage;
 pub use shared::{Semaphore, SharedHandle};
 pub use transfer::STAGING_BYTES;
+pub use upload::Piece;
 
 use crate::allocator::Backing;
 use crate::device::{Busy, DeferredObject, Device, ObjectKind, Shared};

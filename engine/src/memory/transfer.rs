@@ -1,37 +1,14 @@
-//! Chunked upload and download through staging memory. For setup and inspection, not for training steps.
+//! Downloads through staging memory, copies and fills. For setup and inspection, not for training steps.
 
 use super::{DeviceBuffer, Location};
 use crate::device::{Busy, DeferredObject, Device, ObjectKind, Ticket};
 use crate::error::Result;
 use ash::vk;
 
-/// Maximum staging memory of an upload or download in bytes, reused for each chunk.
+/// Maximum staging memory of an upload or download in bytes, reused for its chunks.
 pub const STAGING_BYTES: u64 = 4 << 20;
 
 impl Device {
-    /// Writes `data` into a device buffer and waits.
-    ///
-    /// # Errors
-    /// If the range exceeds the buffer, memory runs out or the device fails.
-    pub fn upload(&self, buffer: &DeviceBuffer, offset: u64, data: &[u8]) -> Result<()> {
-        buffer.check_range(offset, data.len() as u64)?;
-        self.0.memory.lock().activity.uploads += 1;
-        if data.is_empty() {
-            return Ok(());
-        }
-        let staging = self.buffer("staging (upload)", STAGING_BYTES.min(data.len() as u64), Location::Upload)?;
-        for (i, chunk) in data.chunks(STAGING_BYTES as usize).enumerate() {
-            staging.write(0, chunk)?;
-            let region = vk::BufferCopy {
-                src_offset: 0,
-                dst_offset: offset + i as u64 * STAGING_BYTES,
-                size: chunk.len() as u64,
-            };
-            self.copy_now(&staging, buffer, region)?;
-        }
-        Ok(())
-    }
-
     /// Reads `bytes` from a device buffer and waits.
     ///
     /// # Errors
@@ -110,6 +87,17 @@ impl Device {
         resources: &[&Busy],
         record: impl FnOnce(&ash::Device, vk::CommandBuffer),
     ) -> Result<()> {
+        self.run_after(what, &[], resources, record)
+    }
+
+    /// Like [`Device::run_now`], after other semaphores, too.
+    pub(super) fn run_after(
+        &self,
+        what: &str,
+        waits: &[vk::SemaphoreSubmitInfo<'_>],
+        resources: &[&Busy],
+        record: impl FnOnce(&ash::Device, vk::CommandBuffer),
+    ) -> Result<()> {
         let shared = &self.0;
         let raw = &shared.raw;
         let gate = &shared.gate;
@@ -127,13 +115,7 @@ impl Device {
             let commands =
                 gate.call("vkAllocateCommandBuffers", what, || unsafe { raw.allocate_command_buffers(&info) })?[0];
             let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
-            let all = vk::PipelineStageFlags2::ALL_COMMANDS | vk::PipelineStageFlags2::HOST;
-            let access = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
-            let barrier = [vk::MemoryBarrier2::default()
-                .src_stage_mask(all)
-                .src_access_mask(access)
-                .dst_stage_mask(all)
-                .dst_access_mask(access)];
+            let barrier = [everything()];
             let dependency = vk::DependencyInfo::default().memory_barriers(&barrier);
             // SAFETY: the command buffer is created here and recorded completely.
             unsafe {
@@ -143,7 +125,7 @@ impl Device {
                 raw.cmd_pipeline_barrier2(commands, &dependency);
                 gate.call("vkEndCommandBuffer", what, || raw.end_command_buffer(commands))?;
             }
-            shared.submit(commands, what)
+            shared.submit_between(commands, waits, &[], what)
         })();
         let (result, until) = match submitted {
             Err(error) => (Err(error), Ticket(0)),
@@ -157,4 +139,15 @@ impl Device {
         shared.dispose(until, DeferredObject::CommandPool(pool));
         result
     }
+}
+
+/// Returns a barrier between everything before and everything after it.
+pub(super) fn everything() -> vk::MemoryBarrier2<'static> {
+    let all = vk::PipelineStageFlags2::ALL_COMMANDS | vk::PipelineStageFlags2::HOST;
+    let access = vk::AccessFlags2::MEMORY_READ | vk::AccessFlags2::MEMORY_WRITE;
+    vk::MemoryBarrier2::default()
+        .src_stage_mask(all)
+        .src_access_mask(access)
+        .dst_stage_mask(all)
+        .dst_access_mask(access)
 }

@@ -45,7 +45,9 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
     let project = 2.0 * 32.0 * 2.0 * levels;
     let (bytes, operations) = match portable(s.kernel) {
         "visibility" => {
-            let again = if s.kernel == "visibility" && spec("SPLIT") == 0.0 { project } else { 0.0 };
+            // Without the split, the first layer is recomputed for each pair, on wide subgroups with its features.
+            let features = if spec("FIELD_SPREAD") == 0.0 { CORNER * corners } else { 0.0 };
+            let again = if s.kernel == "visibility" && spec("SPLIT") == 0.0 { project + features } else { 0.0 };
             ((20.0 + entry * corners) * p, (CORNER * corners + project) * p + (PAIR + again) * pairs)
         }
         "visibility_encode" => ((12.0 + 128.0 + entry * corners) * p, (CORNER * corners + project) * p),

@@ -42,13 +42,33 @@ pub struct EdgeSums {
     pub count: u32,
 }
 
-/// Columns and rows of a tile. With margins of 2 a tile is 32 columns wide and takes 30 KiB of shared memory.
-pub(super) const TILE: [u32; 2] = [28, 16];
+/// Tiles of kernels that filter an image with margins of two pixels.
+pub(super) struct Tiles {
+    /// Invocations of a workgroup, which takes one tile.
+    pub(super) workgroup: u32,
+    /// Columns and rows. With both margins a tile is 32 columns wide.
+    pub(super) size: [u32; 2],
+    /// Rows of one invocation.
+    pub(super) run: u32,
+    /// Whether derivatives take the place of the values in shared memory: 15 KiB instead of 30.
+    pub(super) reuse: bool,
+}
 
-/// Returns the workgroup size and the rows of one invocation. On a GPU three runs of six rows occupy 96 invocations; a
-/// CPU gains nothing from more invocations than lanes.
-pub(super) fn shape(tuning: Tuning) -> (u32, u32) {
-    ((4 * tuning.subgroup_size).min(96), if tuning.subgroup_size >= 32 { 6 } else { TILE[1] + 2 })
+impl Tiles {
+    /// Returns the tiles for a device. On a GPU three runs of six rows occupy 96 invocations, each with one run. A CPU
+    /// gains nothing from more invocations than lanes, nor from less shared memory.
+    pub(super) fn new(tuning: Tuning) -> Tiles {
+        if tuning.subgroup_size >= 16 {
+            Tiles { workgroup: 96, size: [28, 14], run: 6, reuse: true }
+        } else {
+            Tiles { workgroup: 4 * tuning.subgroup_size, size: [28, 16], run: 18, reuse: false }
+        }
+    }
+
+    /// Returns the number of tiles of an image.
+    pub(super) fn count(&self, size: [u32; 2]) -> u32 {
+        size[0].div_ceil(self.size[0]) * size[1].div_ceil(self.size[1])
+    }
 }
 
 /// Adds the pass, which adds to `gradients`. A roughness image requires a roughness gradient.
@@ -61,7 +81,8 @@ pub fn edge_aware(
     a: &EdgeAware,
     gradients: &MaterialImages,
 ) -> Result<EdgeSums, GraphError> {
-    let count = a.largest[0].div_ceil(TILE[0]) * a.largest[1].div_ceil(TILE[1]);
+    let tiles = Tiles::new(tuning);
+    let count = tiles.count(a.largest);
     let sums = g.transient("edge_aware.sums", u64::from(count) * 8);
     let both = a.images.roughness.zip(gradients.roughness);
     // Absent inputs are bound to a buffer that the specialized kernel never reads.
@@ -83,8 +104,8 @@ pub fn edge_aware(
         roughness_gradient: by_gray.into(),
         sums: sums.into(),
     };
-    let (workgroup, run) = shape(tuning);
-    let specs = kernel::Specs { workgroup, tile_x: TILE[0], tile_y: TILE[1], run, roughness: both.is_some() };
+    let Tiles { workgroup, size: [tile_x, tile_y], run, reuse } = tiles;
+    let specs = kernel::Specs { workgroup, tile_x, tile_y, run, roughness: both.is_some(), reuse };
     stage(g, "edge_aware", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(count), 1))?;
     Ok(EdgeSums { sums, count })

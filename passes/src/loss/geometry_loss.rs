@@ -19,6 +19,7 @@
 //! Cost per pixel with all terms: 32 bytes read (60 from caches, with the margins), 24 written; about 450 operations, 6
 //! exponentials among them.
 
+use super::edge_aware::Tiles;
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -56,9 +57,6 @@ pub struct GeometrySums {
     pub count: u32,
 }
 
-/// Columns and rows of a tile. With margins of 2 a tile is 32 columns wide and takes 30 KiB of shared memory.
-const TILE: [u32; 2] = [28, 16];
-
 /// Adds the pass of the losses. It writes its channels of `grad_image` and all of `grad_transmittance`.
 ///
 /// # Errors
@@ -70,7 +68,8 @@ pub fn geometry_loss(
     grad_image: Buffer,
     grad_transmittance: Buffer,
 ) -> Result<GeometrySums, GraphError> {
-    let count = a.largest[0].div_ceil(TILE[0]) * a.largest[1].div_ceil(TILE[1]);
+    let Tiles { workgroup, size: [tile_x, tile_y], run, reuse } = Tiles::new(tuning);
+    let count = a.largest[0].div_ceil(tile_x) * a.largest[1].div_ceil(tile_y);
     let sums = g.transient("geometry_loss.sums", u64::from(count) * 16);
     let bindings = kernel::Bindings {
         params: a.step.into(),
@@ -82,19 +81,18 @@ pub fn geometry_loss(
         grad_transmittance: grad_transmittance.into(),
         sums: sums.into(),
     };
-    // On a GPU three runs of six rows occupy 96 invocations; a CPU gains nothing from more invocations than lanes.
-    let wide = tuning.subgroup_size >= 32;
     let specs = kernel::Specs {
-        workgroup: (4 * tuning.subgroup_size).min(96),
-        tile_x: TILE[0],
-        tile_y: TILE[1],
-        run: if wide { 6 } else { TILE[1] + 2 },
+        workgroup,
+        tile_x,
+        tile_y,
+        run,
         channels: a.channels,
         normals: a.normals.is_some().into(),
         normal_at: a.normals.unwrap_or(0),
         depth: a.depth.is_some().into(),
         depth_at: a.depth.unwrap_or(0),
         prior: a.priors.is_some(),
+        reuse,
     };
     stage(g, "geometry_loss", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(count), 1))?;

@@ -23,7 +23,7 @@
 //! (`bwd`).
 
 use super::MaterialImages;
-use super::edge_aware::{TILE, shape};
+use super::edge_aware::Tiles;
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -65,11 +65,9 @@ pub struct MsgLoss {
 const LEVELS: u32 = 4;
 
 /// Returns the number of pixels of all levels, and of tiles.
-fn extent(largest: [u32; 2]) -> (u64, u64) {
-    let level = |l: u32| largest.map(|n| u64::from((n >> l).max(1)));
-    let tiles = |n: [u64; 2]| n[0].div_ceil(TILE[0].into()) * n[1].div_ceil(TILE[1].into());
-    let all = || (0..LEVELS).map(level);
-    (all().map(|n| n[0] * n[1]).sum(), all().map(tiles).sum())
+fn extent(largest: [u32; 2], tiles: &Tiles) -> (u64, u64) {
+    let all = || (0..LEVELS).map(|l| largest.map(|n| (n >> l).max(1)));
+    (all().map(|n| u64::from(n[0]) * u64::from(n[1])).sum(), all().map(|n| u64::from(tiles.count(n))).sum())
 }
 
 /// Adds the passes of the loss. They add gradients weighted by `albedo_msg` and `roughness_msg`.
@@ -125,7 +123,8 @@ fn compared(
     gradients: &MaterialImages,
     against: Against,
 ) -> Result<MsgLoss, GraphError> {
-    let (all, tiles) = extent(a.largest);
+    let shape = Tiles::new(tuning);
+    let (all, tiles) = extent(a.largest, &shape);
     let pixels = u64::from(a.largest[0]) * u64::from(a.largest[1]);
     let name = |what: &str| format!("{name}.{what}");
     let levels = g.transient(name("levels"), 16 * all);
@@ -165,8 +164,8 @@ fn compared(
         slopes: slopes.into(),
         sums: sums.into(),
     };
-    let (tiled, run) = shape(tuning);
-    let specs = msg_slopes::Specs { workgroup: tiled, tile_x: TILE[0], tile_y: TILE[1], run, square };
+    let Tiles { size: [tile_x, tile_y], run, reuse, .. } = shape;
+    let specs = msg_slopes::Specs { workgroup: shape.workgroup, tile_x, tile_y, run, square, reuse };
     stage(g, &name("slopes"), &msg_slopes::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(tiles, 1))?;
 
@@ -177,7 +176,7 @@ fn compared(
         result: result.into(),
     };
     let own = against == Against::OwnPrior;
-    let specs = msg_sum::Specs { workgroup, tile_x: TILE[0], tile_y: TILE[1], square, own };
+    let specs = msg_sum::Specs { workgroup, tile_x, tile_y, square, own };
     let push = msg_sum::Push { share: if let Against::Estimate(share) = against { share } else { 1.0 } };
     stage(g, &name("sum"), &msg_sum::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch([1, 1, 1])?;
@@ -204,8 +203,11 @@ mod tests {
 
     #[test]
     fn levels_have_at_least_a_pixel() {
-        assert_eq!(extent([1, 1]), (4, 4));
-        assert_eq!(extent([5, 3]), (15 + 2 + 1 + 1, 4));
-        assert_eq!(extent([57, 16]), (57 * 16 + 28 * 8 + 14 * 4 + 7 * 2, 3 + 1 + 1 + 1));
+        let count = |size, lanes| extent(size, &Tiles::new(Tuning::for_subgroups(lanes)));
+        assert_eq!(count([1, 1], 8), (4, 4));
+        assert_eq!(count([5, 3], 8), (15 + 2 + 1 + 1, 4));
+        assert_eq!(count([57, 16], 8), (57 * 16 + 28 * 8 + 14 * 4 + 7 * 2, 3 + 1 + 1 + 1));
+        // Tiles of 14 rows.
+        assert_eq!(count([57, 16], 32).1, 6 + 1 + 1 + 1);
     }
 }

@@ -73,6 +73,13 @@ impl Status {
         Ok(report)
     }
 
+    /// Returns the ring of reports. A step has the place of its number, modulo the length of the ring.
+    ///
+    /// Drivers that run no kernels report nothing; their callers write reports themselves.
+    pub fn reports(&self) -> &DeviceBuffer {
+        &self.reports
+    }
+
     /// Bytes of all status buffers.
     pub const BYTES: u64 = 8 + RING as u64 * size_of::<StepReport>() as u64;
 

@@ -15,8 +15,10 @@ fn bits(key: u32, column: u32, k: u32) -> u32 {
     pcg(key.wrapping_add(8 * column).wrapping_add(k))
 }
 
-/// Rounds to multiples of the power of two `digits` below that of the number, by `random` of `2^width` values. Powers of
-/// two below `least` have the multiples of `least`.
+/// Rounds by `random`, one of `2^width` values.
+///
+/// The result is a multiple of the power of two `digits` below that of the number. Powers of two below `least` have the
+/// multiples of `least`.
 fn rounded(x: f64, digits: i32, least: i32, random: u32, width: i32) -> f64 {
     if x == 0.0 || !x.is_finite() {
         return x;
@@ -38,7 +40,9 @@ pub fn moments([first, second]: [f64; 2], key: u32, column: u32, number: u32) ->
     [first, rounded(second.abs(), 8, -126, random >> 17, 15).min(most[1])]
 }
 
-/// Rounds a number of a column of spherical harmonics to half precision, below the largest half.
+/// Rounds a number of a column of harmonics to half precision.
+///
+/// It stays below the largest half.
 pub fn half(x: f64, key: u32, column: u32, number: u32) -> f64 {
     let random = bits(key, column, 4 + number / 2);
     rounded(x.clamp(-65504.0, 65504.0), 10, -14, if number % 2 == 0 { random & 0x1fff } else { random >> 19 }, 13)
@@ -48,7 +52,7 @@ pub fn half(x: f64, key: u32, column: u32, number: u32) -> f64 {
 mod tests {
     use super::*;
 
-    /// The mean over many keys is the number, and each result is one of its two neighbors.
+    /// The mean over many keys is the number. Each result is one of its two neighbors.
     #[test]
     fn rounding_is_right_in_the_mean() {
         let n = 40_000;

@@ -65,7 +65,7 @@ fn half_of(bits: u32) -> f32 {
     f16::from_bits(bits as u16).to_f32()
 }
 
-/// Packs four numbers of 16 bits in two words, the first of each pair in the lower half.
+/// Packs four numbers of 16 bits in two words. The first of each pair is the lower half.
 fn pack(numbers: &[f32], bits: fn(f32) -> u32) -> [u32; 2] {
     [0, 2].map(|j| bits(numbers[j]) | bits(numbers[j + 1]) << 16)
 }
@@ -84,7 +84,7 @@ impl Storage {
         }
     }
 
-    /// Returns the bytes of the parameters of `capacity` Gaussians, without semantic features.
+    /// Returns the bytes of parameters of `capacity` Gaussians without features.
     pub fn parameter_bytes(self, model: &Model, capacity: u32) -> u64 {
         u64::from(capacity.div_ceil(BLOCK)) * u64::from(BLOCK * self.columns(model)) * 16
     }
@@ -95,7 +95,9 @@ impl Storage {
         [columns, if self == Storage::Exact { columns } else { PLACEHOLDER }]
     }
 
-    /// Returns the words of parameters in columns ([`Model::to_columns`]), rounded to nearest.
+    /// Returns the words of parameters, rounded to nearest.
+    ///
+    /// `columns`: see [`Model::to_columns`].
     pub fn store(self, model: &Model, columns: &[f32]) -> Vec<u32> {
         if self == Storage::Exact {
             return columns.iter().map(|x| x.to_bits()).collect();
@@ -129,7 +131,9 @@ impl Storage {
         columns
     }
 
-    /// Returns the words of both buffers of moments, from columns of first and of second moments.
+    /// Returns the words of both buffers of moments.
+    ///
+    /// Their input are columns of first and of second moments.
     pub fn store_moments(self, [first, second]: [&[f32]; 2]) -> [Vec<u32>; 2] {
         if self == Storage::Exact {
             return [first, second].map(|columns| columns.iter().map(|x| x.to_bits()).collect());

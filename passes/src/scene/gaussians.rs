@@ -407,7 +407,9 @@ pub struct Handles {
     pub capacity: u32,
     /// Storage of parameters and moments.
     pub storage: Storage,
-    /// All groups but the features, in columns ([`Model::to_columns`], [`Storage::store`]).
+    /// All groups but the features, in columns.
+    ///
+    /// See [`Model::to_columns`] and [`Storage::store`].
     pub parameters: Buffer,
     /// `[Gaussians * 32]` semantic features; a placeholder if the model has none.
     pub semantics: Buffer,

@@ -45,6 +45,21 @@ impl BackwardKernel {
     pub fn runs_on(self, info: &DeviceInfo) -> bool {
         self != BackwardKernel::Atomic || info.optional.float_atomics
     }
+
+    /// Returns a number of the code of all kernels of blending. Measured times of other code do not apply.
+    pub fn code() -> u64 {
+        use sgs_shaders::{blend, blend_buckets, blend_bwd, blend_bwd_bucket, blend_bwd_splat};
+        let kernels = [
+            &blend::KERNEL,
+            &blend_buckets::KERNEL,
+            &blend_bwd::KERNEL,
+            &blend_bwd_bucket::KERNEL,
+            &blend_bwd_splat::KERNEL,
+        ];
+        let words = kernels.into_iter().flat_map(|kernel| kernel.spirv.words());
+        // FNV-1a, over words.
+        words.fold(0xcbf2_9ce4_8422_2325, |hash, word| (hash ^ u64::from(*word)).wrapping_mul(0x0100_0000_01b3))
+    }
 }
 
 /// Blends a view into `into`. The caller declares these buffers, as transient or external ones.

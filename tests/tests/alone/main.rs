@@ -11,3 +11,4 @@ mod planted_barriers;
 mod side_by_side;
 mod subgroups;
 mod train_faults;
+mod uploads;

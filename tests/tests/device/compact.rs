@@ -20,7 +20,7 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
-/// Returns column and component of a number of a group (passes/src/scene/columns.rs).
+/// Returns column and component of a number of a group.
 fn place(model: &Model, group: Group, number: u32) -> (u32, u32) {
     let harmonic = |first: u32| (3 + (first + number) / 4, (first + number) % 4);
     match group {
@@ -118,7 +118,9 @@ impl State {
     }
 }
 
-/// Trains one step from a state, and returns the state after it, the report's numbers and the seed of the step.
+/// Trains one step from a state.
+///
+/// Returns the state after it, the report's numbers and the seed of the step.
 fn step_of(gpu: &Gpu, g: &ReferenceGaussians, start: &State, storage: Storage, dense: bool) -> (State, Vec<f32>, u32) {
     let device = gpu.device();
     let degree = (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32;
@@ -158,8 +160,9 @@ fn step_of(gpu: &Gpu, g: &ReferenceGaussians, start: &State, storage: Storage, d
     (state, vec![report.losses.l1, report.losses.ssim], values.seed)
 }
 
-/// A step of compact Gaussians is that of exact Gaussians with the same numbers, rounded at random: every kernel reads
-/// the right numbers, and rounds what it writes as the reference does.
+/// A step of compact Gaussians is that of exact ones, rounded at random.
+///
+/// Every kernel reads the right numbers, and rounds what it writes as the reference does.
 #[test]
 fn step_is_the_exact_step_rounded() {
     let gpu = Gpu::new();
@@ -267,7 +270,9 @@ impl Unseen {
     }
 }
 
-/// Adam on numbers of 16 bits agrees with double precision within a unit of their last place, over many decades.
+/// Adam on numbers of 16 bits agrees with double precision over many decades.
+///
+/// The bound is a unit of their last place.
 #[test]
 fn adam_matches_reference_within_a_unit_of_the_last_place() {
     let gpu = Gpu::new();

@@ -25,12 +25,15 @@ fn visibility_values_match_reference() {
         (FieldConfig::new(1, 8, 5, 5), 67, 3),
         (FieldConfig::new(5, 12, 16, 4096), 67, 3),
     ] {
-        let case = Case::random(config, pixels, lights, 3);
-        let expected = case.expected(None);
-        assert_close("mean", &expected, &case.forward(&gpu, None, true), VALUES);
-        assert_close("mean, first layer recomputed", &expected, &case.forward(&gpu, None, false), VALUES);
-        let last = Some(lights as u32 - 1);
-        assert_close("one light", &case.expected(last), &case.forward(&gpu, last, true), VALUES);
+        // Kernels of GPUs and of CPUs.
+        for cpu in [Some(false), Some(true)] {
+            let case = Case { cpu, ..Case::random(config, pixels, lights, 3) };
+            let expected = case.expected(None);
+            assert_close("mean", &expected, &case.forward(&gpu, None, true), VALUES);
+            assert_close("mean, first layer recomputed", &expected, &case.forward(&gpu, None, false), VALUES);
+            let last = Some(lights as u32 - 1);
+            assert_close("one light", &case.expected(last), &case.forward(&gpu, last, true), VALUES);
+        }
     }
 }
 
@@ -95,30 +98,34 @@ fn visibility_of_16_bit_tables_matches_reference() {
 #[test]
 fn values_are_finite_at_the_edges() {
     let gpu = Gpu::new();
-    let mut case = Case::random(SMALL, 64, 4, 6);
+    [Some(false), Some(true)].into_iter().for_each(|cpu| finite_at_the_edges(&gpu, cpu));
+}
+
+fn finite_at_the_edges(gpu: &Gpu, cpu: Option<bool>) {
+    let mut case = Case { cpu, ..Case::random(SMALL, 64, 4, 6) };
     case.points[0] = case.lights[0];
     case.points[1] = [1e6, -1e6, 1e30];
     case.points[2] = case.low;
     case.points[3] = case.high;
     case.lights[1] = [-100.0, 0.0, 0.0];
     case.lights[2] = case.high;
-    assert_close("edges", &case.expected(None), &case.forward(&gpu, None, true), VALUES);
+    assert_close("edges", &case.expected(None), &case.forward(gpu, None, true), VALUES);
     let mut huge = case.clone();
     huge.tables.iter_mut().enumerate().for_each(|(i, t)| *t = if i % 3 == 0 { -1e30 } else { 1e30 });
-    assert!(huge.forward(&gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v)));
+    assert!(huge.forward(gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v)));
     case.mlp.iter_mut().for_each(|w| *w *= 300.0);
-    let found = case.forward(&gpu, Some(0), true);
+    let found = case.forward(gpu, Some(0), true);
     assert!(found.iter().all(|v| (0.0..=1.0).contains(v)));
     assert_close("saturated", &case.expected(Some(0)), &found, Tolerance::new(2e-3, 0.0));
     // With layers 300 times as large as initial ones, tables of 1e30 overflow. Infinities of both signs have no sum;
     // every result that is a number is a share.
     case.tables.fill(1e30);
-    assert!(case.forward(&gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v) || v.is_nan()));
-    let mut none = Case::random(SMALL, 64, 4, 6);
+    assert!(case.forward(gpu, None, true).iter().all(|v| (0.0..=1.0).contains(v) || v.is_nan()));
+    let mut none = Case { cpu, ..Case::random(SMALL, 64, 4, 6) };
     none.coverage.fill(0.0);
-    assert!(none.forward(&gpu, None, true).iter().all(|v| v.to_bits() == 0));
+    assert!(none.forward(gpu, None, true).iter().all(|v| v.to_bits() == 0));
     none.step.pixels = 3;
-    let found = none.forward(&gpu, None, true);
+    let found = none.forward(gpu, None, true);
     assert!(found[..3].iter().all(|v| *v == 0.0) && found[3..].iter().all(|v| v.to_bits() == u32::MAX));
 }
 

@@ -167,7 +167,10 @@ fn light_visibility_matches_field() {
     let scene = Scene::new();
     let (field, at) = (scene.case.reference(), |v: &[[f32; 3]], i: usize| Case::wide(v[i]));
     let visibility = |i, j| field.visibility(at(&scene.case.points, i), at(&scene.case.lights, j));
-    seen_as(&gpu, gpu.tuning(), &scene, visibility, Tolerance::new(1e-7, 1e-4));
+    // Kernels of GPUs and of CPUs.
+    for cpu in [false, true] {
+        seen_as(&gpu, Tuning { cpu, ..gpu.tuning() }, &scene, visibility, Tolerance::new(1e-7, 1e-4));
+    }
 }
 
 /// Tests a field with 16-bit tables. Its visibility differs from that with 32-bit tables.
@@ -247,7 +250,7 @@ fn field_gradients_under_lights_match_reference() {
         // The pass adds to the lights' own gradients.
         inputs.push((into.lights, bytes(&[[100.0_f32; 3]; LIGHTS])));
         let options = BackwardOptions { add_places: true, ..options };
-        let tuning = scene.case.backward_tuning(&gpu);
+        let tuning = scene.case.tuning(&gpu);
         visibility_lights_bwd(&mut g, tuning, &what, &field, gradient, &options, &into).unwrap();
         let out = gpu.run(g, &inputs);
         let (words, scale) = (out.get::<u32>(into.tables), out.get::<f32>(into.scale));
@@ -271,9 +274,9 @@ fn field_gradients_under_lights_match_reference() {
 #[test]
 fn light_gradients_scale_with_visibility() {
     let gpu = Gpu::new();
-    for table_bits in [32, 16] {
+    for (table_bits, cpu) in [(32, Some(false)), (32, Some(true)), (16, None)] {
         let mut scene = Scene::new();
-        scene.case.table_bits = table_bits;
+        scene.case = Case { table_bits, cpu, ..scene.case };
         learn_as_seen(&gpu, &scene);
     }
 }
@@ -289,7 +292,7 @@ fn learn_as_seen(gpu: &Gpu, scene: &Scene) {
         positions: g.external("position_gradients", model().position_bytes()),
         lobes: g.external("lobe_gradients", model().lobe_bytes()),
     };
-    let gradients = lights_bwd_field(&mut g, gpu.tuning(), &what, &field, gradient).unwrap();
+    let gradients = lights_bwd_field(&mut g, scene.case.tuning(gpu), &what, &field, gradient).unwrap();
     lights_prepare_bwd(&mut g, &what.prepared, &parameters, &gradients, None, &into).unwrap();
     let found = gpu.run(g, &inputs).get::<f32>(into.lobes);
     let reference = scene.case.reference();
@@ -312,9 +315,9 @@ fn learn_as_seen(gpu: &Gpu, scene: &Scene) {
 #[test]
 fn normal_gradients_scale_with_visibility() {
     let gpu = Gpu::new();
-    for table_bits in [32, 16] {
+    for (table_bits, cpu) in [(32, Some(false)), (32, Some(true)), (16, None)] {
         let mut scene = Scene::new();
-        scene.case.table_bits = table_bits;
+        scene.case = Case { table_bits, cpu, ..scene.case };
         normals_learn_as_seen(&gpu, &scene);
     }
 }
@@ -328,7 +331,7 @@ fn normals_learn_as_seen(gpu: &Gpu, scene: &Scene) {
         let normals = g.external("normals_gradient", 12 * PIXELS as u64);
         if hidden {
             let field = scene.field(&mut g, &mut inputs);
-            lights_normals_bwd_field(&mut g, gpu.tuning(), &what, &field, gradient, normals).unwrap();
+            lights_normals_bwd_field(&mut g, scene.case.tuning(gpu), &what, &field, gradient, normals).unwrap();
         } else {
             lights_normals_bwd(&mut g, &what, gradient, normals).unwrap();
         }

@@ -5,7 +5,7 @@ use sgs_tests::cli::{sgs, signal, start, until, wait};
 use sgs_tests::rooms::Room;
 use std::path::Path;
 
-/// Kills and resumes a training that densifies, resets opacities, and adds and removes bands.
+/// Kills and resumes a training with densification, resets and a trial of bands.
 #[test]
 fn killed_compact_training_resumes_with_the_same_bits() {
     let place = Place::new(Room::default());

@@ -2,9 +2,11 @@
 
 mod ablate;
 mod ablate_materials;
+mod backward_choice;
 mod bands;
 mod batch;
 mod batch_faults;
+mod coarse;
 mod compact;
 mod datasets;
 mod decided;

@@ -47,8 +47,9 @@ pub struct DensifyOptions {
     /// Mean gradient by the raw normal from which a Gaussian is refined; `geometric` only. 0 disables it. Not a setting.
     #[serde(skip)]
     pub normal_threshold: f32,
-    /// Largest scale that is cloned instead of split, as a fraction of the extent.
-    pub split_size: f64,
+    /// Two scales as fractions of the extent. The first is the largest that is cloned instead of split. Larger ones than
+    /// the second are pruned, after the first opacity reset.
+    pub sizes: [f64; 2],
     /// Opacity below which a Gaussian is pruned. Not a setting.
     #[serde(skip)]
     pub prune_opacity: f32,
@@ -56,8 +57,6 @@ pub struct DensifyOptions {
     /// setting.
     #[serde(skip)]
     pub prune_weight: f32,
-    /// Scale above which a Gaussian is pruned, as a fraction of the extent. Applies after the first opacity reset.
-    pub prune_size: f64,
     /// Steps between opacity resets; 0 disables them.
     pub reset_interval: u32,
     /// Number of Gaussians at most.
@@ -73,10 +72,9 @@ impl Default for DensifyOptions {
             statistic: DensifyStatistic::Total,
             grad_threshold: 4e-4,
             normal_threshold: 6e-8,
-            split_size: 0.01,
+            sizes: [0.01, 0.5],
             prune_opacity: 0.005,
             prune_weight: 1e-4,
-            prune_size: 0.5,
             reset_interval: 3000,
             max_gaussians: 2_000_000,
         }
@@ -94,15 +92,17 @@ impl DensifyOptions {
         for (name, value) in [
             ("grad_threshold", f64::from(self.grad_threshold)),
             ("normal_threshold", f64::from(self.normal_threshold)),
-            ("split_size", self.split_size),
             ("prune_opacity", f64::from(self.prune_opacity)),
             ("prune_weight", f64::from(self.prune_weight)),
-            ("prune_size", self.prune_size),
         ] {
             if !(value >= 0.0 && value.is_finite()) {
                 let setting = format_args!("geometry.densify.{name}");
                 return Err(ConfigError::range(setting, value, "a finite number of at least 0"));
             }
+        }
+        if self.sizes.iter().any(|v| !(*v >= 0.0 && v.is_finite())) {
+            let value = format_args!("{:?}", self.sizes);
+            return Err(ConfigError::range("geometry.densify.sizes", value, "two finite numbers of at least 0"));
         }
         if !(0.0..=1.0).contains(&self.until) {
             return Err(ConfigError::range("geometry.densify.until", self.until, "0 to 1"));

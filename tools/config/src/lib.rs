@@ -113,6 +113,9 @@ pub struct GeometrySettings {
     /// PSNR gain in dB that keeps a band with "auto", at held-back training views. Not a setting.
     #[serde(skip)]
     pub sh_gain: f64,
+    /// Fraction of the steps with smaller photographs: first a quarter of the width and height, then half. 0 uses full
+    /// size.
+    pub coarse: f64,
     /// Background color, display-referred.
     pub background: [f32; 3],
     /// Uses normal priors.
@@ -150,6 +153,7 @@ impl Default for GeometrySettings {
             steps: 7000,
             sh_degree: ShDegree::Fixed(3),
             sh_gain: 0.02,
+            coarse: 0.0,
             background: [0.0; 3],
             normals: true,
             semantics: true,
@@ -359,6 +363,9 @@ impl Settings {
         }
         if !(self.scale > 0.0 && self.scale <= 1.0) {
             return Err(ConfigError::range("scale", self.scale, "above 0 and at most 1"));
+        }
+        if !(0.0..=1.0).contains(&g.coarse) {
+            return Err(ConfigError::range("geometry.coarse", g.coarse, "0 to 1"));
         }
         if g.background.iter().any(|v| !v.is_finite()) {
             let value = format_args!("{:?}", g.background);

@@ -17,8 +17,9 @@ pub struct Preset {
 }
 
 /// All presets.
-pub const PRESETS: [Preset; 4] = [
+pub const PRESETS: [Preset; 5] = [
     Preset { name: "draft", about: "quick, on a processor", text: include_str!("presets/draft.toml") },
+    Preset { name: "fast", about: "images of the default in less time", text: include_str!("presets/fast.toml") },
     Preset { name: "default", about: "the defaults", text: "" },
     Preset { name: "paper", about: "the paper's sizes and weights", text: include_str!("presets/paper.toml") },
     Preset { name: "parity", about: "those of the published code", text: include_str!("presets/parity.toml") },
@@ -81,6 +82,8 @@ mod tests {
         for (i, a) in all.iter().enumerate() {
             assert!(all[..i].iter().all(|b| a != b), "{} is another one", PRESETS[i].name);
         }
+        let fast = of("fast");
+        assert!(2 * fast.geometry.steps < 7000 && fast.geometry.coarse > 0.0);
         let (draft, paper, parity) = (of("draft"), of("paper"), of("parity"));
         assert!(draft.geometry.steps < 7000 && draft.intrinsic.lights.grid == 3);
         assert_eq!((paper.intrinsic.environment.resolution, paper.intrinsic.visibility.log2_table), (512, 19));
@@ -103,11 +106,11 @@ mod tests {
         let error = |name: &str| Preset::find(name).unwrap_err().to_string();
         assert_eq!(
             error("papr"),
-            "\"papr\" is not a preset; did you mean \"paper\"? there are draft, default, paper, parity."
+            "\"papr\" is not a preset; did you mean \"paper\"? there are draft, fast, default, paper, parity."
         );
         assert_eq!(
             error("fast and good"),
-            "\"fast and good\" is not a preset; there are draft, default, paper, parity."
+            "\"fast and good\" is not a preset; there are draft, fast, default, paper, parity."
         );
     }
 

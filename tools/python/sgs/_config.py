@@ -18,7 +18,7 @@ class Config:
 
     Args:
         settings: Settings as nested groups or by dotted names.
-        preset: ``draft``, ``default``, ``paper`` or ``parity``.
+        preset: ``draft``, ``fast``, ``default``, ``paper`` or ``parity``.
         accuracy: ``exact``, ``compact``, ``balanced`` or ``fast``.
         keywords: Groups of settings, or settings by their names with underscores for dots.
 

@@ -1,11 +1,12 @@
 //! Training views on the GPU: packed photographs and normal priors, and their cameras.
 //!
 //! Photographs and priors of all views are stored consecutively. If they exceed what a device binds at once, they take
-//! several buffers of equal size.
+//! several buffers of equal size. The first steps may use smaller photographs; these follow the full one of their view.
 
 use crate::error::{Requirement, Result};
+use crate::reduce::{halved_image, halved_normals, halved_size};
 use rayon::prelude::*;
-use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_engine::{Device, DeviceBuffer, Location, Piece};
 use sgs_passes::pipeline::Camera;
 use sgs_run::{camera, pack_image, pack_normals};
 use sgs_scene::{Image, Scene};
@@ -20,6 +21,8 @@ pub struct TrainingData {
     pub part_of: Vec<usize>,
     /// Upper bounds of the width and height of all views.
     pub largest: [u32; 2],
+    /// Number of smaller photographs of each view. Each has half the width and height of the one before.
+    pub halvings: u32,
 }
 
 /// Photographs and priors of some views.
@@ -32,8 +35,11 @@ pub struct Photographs {
 
 /// Training views on the host, packed for upload.
 pub(crate) struct Packed {
+    /// By view, each followed by its smaller copies.
     images: Vec<Vec<u32>>,
+    /// Like `images`.
     normals: Option<Vec<Vec<u32>>>,
+    halvings: u32,
     views: Vec<(Camera, u32)>,
     part_of: Vec<usize>,
     /// Upper bounds of the width and height of all views.
@@ -46,7 +52,8 @@ impl Packed {
         let train = &scene.split.train;
         let pack = |&i: &usize| Ok(pack_image(&scene.load_image(i)?, scene.load_mask(i)?.as_ref()));
         let images: Vec<Vec<u32>> = train.par_iter().map(pack).collect::<Result<_>>()?;
-        let mut packed = Packed { images, normals: None, views: Vec::new(), part_of: Vec::new(), largest: [1, 1] };
+        let mut packed =
+            Packed { images, normals: None, halvings: 0, views: Vec::new(), part_of: Vec::new(), largest: [1, 1] };
         let mut offset = 0_u64;
         for &i in train {
             packed.add(camera(&scene.views[i].camera), &mut offset)?;
@@ -73,7 +80,8 @@ impl Packed {
     /// Packs display-referred images that are no photographs, with their cameras.
     pub fn of(renderings: &[(&sgs_scene::Camera, Image)]) -> Result<Packed> {
         let images = renderings.par_iter().map(|(_, image)| pack_image(image, None)).collect();
-        let mut packed = Packed { images, normals: None, views: Vec::new(), part_of: Vec::new(), largest: [1, 1] };
+        let mut packed =
+            Packed { images, normals: None, halvings: 0, views: Vec::new(), part_of: Vec::new(), largest: [1, 1] };
         let mut offset = 0_u64;
         for (c, _) in renderings {
             packed.add(camera(c), &mut offset)?;
@@ -90,6 +98,27 @@ impl Packed {
         self.views.push((c, first));
         self.part_of.push(0);
         Ok(())
+    }
+
+    /// Adds smaller copies of all photographs and priors.
+    ///
+    /// Each has half the width and height of the one before. Call it once, before [`Packed::split`].
+    pub fn reduce(&mut self, halvings: u32) {
+        let add = |data: &mut Vec<Vec<u32>>, halved: fn(&[u32], [u32; 2]) -> Vec<u32>| {
+            data.par_iter_mut().zip(&self.views).for_each(|(data, (camera, _))| {
+                let (mut size, mut first) = (camera.size, 0);
+                for _ in 0..halvings {
+                    let smaller = halved(&data[first..], size);
+                    (first, size) = (data.len(), halved_size(size));
+                    data.extend(smaller);
+                }
+            });
+        };
+        add(&mut self.images, halved_image);
+        if let Some(normals) = &mut self.normals {
+            add(normals, halved_normals);
+        }
+        self.halvings = halvings;
     }
 
     /// Distributes the views over parts of at most `most` bytes.
@@ -116,18 +145,19 @@ impl Packed {
     }
 
     /// Returns the normal priors, by training view.
-    pub fn normals(&self) -> Option<&[Vec<u32>]> {
-        self.normals.as_deref()
+    pub fn normals(&self) -> Option<Vec<&[u32]>> {
+        let maps = self.normals.as_ref()?;
+        Some(maps.iter().zip(&self.views).map(|(map, (camera, _))| &map[..pixels(camera.size)]).collect())
     }
 
     /// Returns all photographs.
-    pub fn images(&self) -> &[Vec<u32>] {
-        &self.images
+    pub fn images(&self) -> impl Iterator<Item = &[u32]> {
+        (0..self.images.len()).map(|view| self.image(view))
     }
 
     /// Returns the photograph of a view.
     pub fn image(&self, view: usize) -> &[u32] {
-        &self.images[view]
+        &self.images[view][..pixels(self.views[view].0.size)]
     }
 
     /// Returns the camera and the first pixel of each view.
@@ -138,7 +168,7 @@ impl Packed {
     /// Returns each photograph's difference from the best single color.
     /// The difference is the mean absolute one.
     pub fn plain(&self) -> Vec<f64> {
-        self.images.par_iter().map(|image| crate::divergence::plain(image)).collect()
+        self.images().collect::<Vec<_>>().into_par_iter().map(crate::divergence::plain).collect()
     }
 
     /// Returns the number of bytes of the photographs of the largest part.
@@ -161,10 +191,13 @@ impl Packed {
         let part = |name: &str, images: &[Vec<u32>], part: usize| -> Result<DeviceBuffer> {
             let buffer = device.buffer(name, size, Location::Device)?;
             let mut offset = 0;
+            let mut pieces: Vec<Piece<'_>> = Vec::new();
             for (image, _) in images.iter().zip(&self.part_of).filter(|(_, of)| **of == part) {
-                device.upload(&buffer, offset, bytemuck::cast_slice(image))?;
+                pieces.push((&buffer, offset, bytemuck::cast_slice(image)));
                 offset += 4 * image.len() as u64;
             }
+            device.upload_all(&pieces)?;
+            drop(pieces);
             Ok(buffer)
         };
         let mut parts = Vec::new();
@@ -173,7 +206,8 @@ impl Packed {
             let normals = self.normals.as_ref().map(|maps| part("normal_priors", maps, k)).transpose()?;
             parts.push(Photographs { targets, normals });
         }
-        Ok(TrainingData { parts, views: self.views, part_of: self.part_of, largest: self.largest })
+        let Packed { views, part_of, largest, halvings, .. } = self;
+        Ok(TrainingData { parts, views, part_of, largest, halvings })
     }
 }
 
@@ -188,10 +222,26 @@ impl TrainingData {
         packed.upload(device)
     }
 
+    /// Returns the camera and the first pixel of a halved photograph of a view.
+    pub fn reduced(&self, view: usize, halvings: u32) -> (Camera, u32) {
+        let (mut camera, mut first) = self.views[view];
+        for _ in 0..halvings.min(self.halvings) {
+            first += camera.size[0] * camera.size[1];
+            camera.size = halved_size(camera.size);
+            camera.focal = camera.focal.map(|f| 0.5 * f);
+            camera.center = camera.center.map(|c| 0.5 * c);
+        }
+        (camera, first)
+    }
+
     /// Returns the photographs and priors of a view's part.
     pub fn part(&self, view: usize) -> &Photographs {
         &self.parts[self.part_of[view]]
     }
+}
+
+fn pixels(size: [u32; 2]) -> usize {
+    size[0] as usize * size[1] as usize
 }
 
 fn bytes(parts: &[Vec<u32>]) -> u64 {
@@ -205,7 +255,37 @@ mod tests {
     fn packed(sizes: &[usize]) -> Packed {
         let images = sizes.iter().map(|size| vec![0; *size]).collect();
         let views = vec![(Camera::default(), 0); sizes.len()];
-        Packed { images, normals: None, views, part_of: vec![0; sizes.len()], largest: [1, 1] }
+        Packed { images, normals: None, halvings: 0, views, part_of: vec![0; sizes.len()], largest: [1, 1] }
+    }
+
+    #[test]
+    fn smaller_photographs_follow_the_full_one() {
+        let camera = Camera { size: [5, 4], focal: [8.0, 6.0], center: [2.5, 2.0], ..Camera::default() };
+        let white = vec![u32::MAX; 20];
+        let mut data = Packed {
+            images: vec![white.clone(); 2],
+            normals: Some(vec![vec![7; 20]; 2]),
+            halvings: 0,
+            views: vec![(camera, 0), (camera, 20)],
+            part_of: vec![0; 2],
+            largest: [5, 4],
+        };
+        data.reduce(2);
+        data.split(1000);
+        // 5 x 4, 2 x 2 and 1 x 1 pixels.
+        assert_eq!((data.image_bytes(), data.image(1), data.views[1].1), (2 * 4 * 25, &white[..], 25));
+        assert!(data.normals.as_ref().unwrap().iter().all(|map| map.len() == 25));
+        assert_eq!(data.normals().unwrap()[0], vec![7; 20]);
+        let Packed { views, part_of, largest, halvings, .. } = data;
+        let data = TrainingData { parts: Vec::new(), views, part_of, largest, halvings };
+        let of = |halvings| {
+            let (camera, first) = data.reduced(1, halvings);
+            (camera.size, camera.focal, camera.center, first)
+        };
+        assert_eq!(of(0), ([5, 4], [8.0, 6.0], [2.5, 2.0], 25));
+        assert_eq!(of(1), ([2, 2], [4.0, 3.0], [1.25, 1.0], 45));
+        assert_eq!(of(2), ([1, 1], [2.0, 1.5], [0.625, 0.5], 49));
+        assert_eq!(of(3), of(2));
     }
 
     #[test]

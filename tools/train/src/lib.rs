@@ -18,6 +18,7 @@ mod limits;
 mod memory;
 mod normals;
 mod pseudo;
+mod reduce;
 mod region_provider;
 mod regions;
 mod schedule;

@@ -4,6 +4,9 @@
 use sgs_config::{DensifyStatistic, Rates, Settings};
 use sgs_passes::pipeline::{Camera, DensifySettings, Step};
 
+/// Most halvings of a photograph.
+pub(crate) const MOST_HALVINGS: u32 = 2;
+
 /// Schedules of a run.
 #[derive(Clone, Debug)]
 pub struct Schedule {
@@ -46,6 +49,15 @@ impl Schedule {
             order.swap(i, j as usize);
         }
         order[position]
+    }
+
+    /// Returns how often photographs are halved in a step, at most.
+    pub fn halvings(&self, step: u32) -> u32 {
+        let g = &self.settings.geometry;
+        let coarse = g.coarse * f64::from(g.steps);
+        // Each size has an equal share of these steps; the smallest comes first.
+        let left = 1.0 - f64::from(step) / coarse.max(f64::MIN_POSITIVE);
+        (left * f64::from(MOST_HALVINGS)).ceil().max(0.0) as u32
     }
 
     /// Returns the largest ratio of a geometry learning rate to its default.
@@ -128,10 +140,10 @@ impl Schedule {
         Some(DensifySettings {
             grad_threshold: d.grad_threshold,
             normal_threshold: if d.statistic == DensifyStatistic::Geometric { d.normal_threshold } else { 0.0 },
-            split_size: (d.split_size * self.extent) as f32,
+            split_size: (d.sizes[0] * self.extent) as f32,
             prune_opacity: d.prune_opacity,
             prune_weight: self.least_weight(),
-            prune_size: if after_reset { (d.prune_size * self.extent) as f32 } else { f32::MAX },
+            prune_size: if after_reset { (d.sizes[1] * self.extent) as f32 } else { f32::MAX },
             cap: d.max_gaussians,
             seed: hash(self.settings.seed ^ 0xdead, u64::from(step)) as u32,
         })
@@ -177,6 +189,21 @@ mod tests {
             assert_eq!(seen, (0..7).collect::<Vec<_>>());
         }
         assert_ne!(round(0), round(1));
+    }
+
+    #[test]
+    fn photographs_grow_to_full_size_within_the_coarse_steps() {
+        let mut settings = Settings::default();
+        settings.geometry.steps = 100;
+        let at = |s: &Settings| {
+            let schedule = Schedule::new(s, 1.0, 1);
+            [1, 24, 25, 49, 50, 51, 100].map(|step| schedule.halvings(step))
+        };
+        assert_eq!(at(&settings), [0; 7]);
+        settings.geometry.coarse = 0.5;
+        assert_eq!(at(&settings), [2, 2, 1, 1, 0, 0, 0]);
+        settings.geometry.coarse = 1.0;
+        assert_eq!(at(&settings), [2, 2, 2, 2, 1, 1, 0]);
     }
 
     #[test]

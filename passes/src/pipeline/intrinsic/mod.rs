@@ -231,6 +231,13 @@ impl IntrinsicStatus {
         device.upload(&self.smoothness, 0, bytemuck::bytes_of(&value))
     }
 
+    /// Returns the ring of reports. A step has the place of its number, modulo the length of the ring.
+    ///
+    /// Drivers that run no kernels report nothing; their callers write reports themselves.
+    pub fn reports(&self) -> &DeviceBuffer {
+        &self.reports
+    }
+
     /// Returns the report of a completed step.
     ///
     /// # Errors

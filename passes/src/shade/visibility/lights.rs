@@ -39,6 +39,7 @@ pub fn lights_field(
         tables: field.lookup().into(),
         packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
+        mlp_vectors: field.mlp.into(),
         direct: direct.into(),
     });
     let specs = lit_specs!(render, a, shape, {
@@ -73,6 +74,7 @@ pub fn lights_split_field(
         tables: field.lookup().into(),
         packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
+        mlp_vectors: field.mlp.into(),
         direct: direct.into(),
         diffuse: diffuse.into(),
     });
@@ -109,6 +111,7 @@ pub fn lights_train_field(
         tables: field.lookup().into(),
         packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
+        mlp_vectors: field.mlp.into(),
         direct: direct.into(),
         sums: sums.into(),
     });
@@ -150,6 +153,7 @@ pub fn lights_bwd_field(
         tables: field.lookup().into(),
         packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
+        mlp_vectors: field.mlp.into(),
         radiance_gradient: radiance_gradient.into(),
         partials: partials.into(),
     });
@@ -189,6 +193,7 @@ pub fn lights_normals_bwd_field(
         tables: field.lookup().into(),
         packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
+        mlp_vectors: field.mlp.into(),
         radiance_gradient: radiance_gradient.into(),
         normals_gradient: normals_gradient.into(),
     });

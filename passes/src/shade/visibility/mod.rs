@@ -15,6 +15,16 @@
 //! (straight-through). Tables and moments keep 32 bits.
 //!
 //! Cost: 128 gathers of 8 bytes (4 with 16-bit tables) and 1024 multiply-adds per pixel; 1184 multiply-adds per pair.
+//! A GPU's invocation evaluates several lights of its pixel together, so that they share each load of weights: four lights
+//! up to 32 lanes, two above (`visibility_pairs.glsl`). Loads of a pair and lane, from addresses that lanes share:
+//!
+//! | | vectors of four weights | shared memory |
+//! |---|---|---|
+//! | one light alone, weights in shared memory | 288, and 32 single ones | 4736 bytes |
+//! | two lights together | 148 | 64 bytes |
+//! | four lights together | 74 | 32 bytes |
+//!
+//! No lanes exchange values. On CPUs with eight lanes, lanes hold neurons, and two pixels share loads of the second layer.
 
 mod adam;
 mod bwd;
@@ -80,9 +90,9 @@ pub struct View {
     pub lights: Buffer,
 }
 
-/// Returns whether subgroups process their pixels together.
+/// Returns whether subgroups process their pixels together, lanes over neurons.
 fn field_spread(tuning: Tuning) -> bool {
-    tuning.subgroup_size == 8
+    tuning.cpu && tuning.subgroup_size == 8
 }
 
 /// Returns whether the backward pass batches pairs. On CPUs lanes share a pair instead, because loads from buffers and
@@ -138,6 +148,7 @@ pub fn visibility(
         tables: field.lookup().into(),
         packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
+        mlp_vectors: field.mlp.into(),
         light_positions: view.lights.into(),
         points: view.points.into(),
         coverage: view.coverage.into(),
@@ -183,6 +194,7 @@ pub fn visibility_encode(
         tables: field.lookup().into(),
         packed_tables: field.lookup().into(),
         mlp: field.mlp.into(),
+        mlp_vectors: field.mlp.into(),
         points: view.points.into(),
         rows: into.into(),
     };

@@ -1,10 +1,12 @@
 //! Choice of the backward kernel that is fastest on a device.
 
 use super::Geometry;
+use super::choice::{self, Choice, Sort};
 use crate::error::{Requirement, Result};
 use sgs_config::Backward;
 use sgs_engine::Device;
 use sgs_passes::splat::BackwardKernel;
+use std::path::PathBuf;
 
 /// Returns the kernel that training starts with under a setting.
 pub(super) fn kernel_of(requested: Backward, device: &Device) -> Result<BackwardKernel> {
@@ -27,57 +29,124 @@ struct Times {
 }
 
 impl Geometry {
-    /// Times the deterministic kernels on the current step and selects the fastest. Parameters do not change meanwhile.
-    /// A kernel is selected before an earlier one only if it takes less than 85 % of the time, so that noise does not
-    /// decide between runs. Buckets are timed only if their checkpoints leave memory for as many Gaussians. What their
-    /// forward pass takes longer counts as theirs.
+    /// Selects the kernel of the following steps: the cached one, else the best.
+    ///
+    /// CPU devices run lanes one after the other. In `engine-bench` the pixel kernel is faster on them by far.
+    pub(super) fn decide_backward(&mut self) -> Result<()> {
+        if let Some(cached) = self.cached_backward()? {
+            return self.use_backward(cached);
+        }
+        match self.device.info().kind {
+            "cpu" => self.use_backward(Backward::Pixel),
+            _ => self.measure_backward(),
+        }
+    }
+
+    /// Selects the cached kernel, else the fastest deterministic one.
+    ///
+    /// Parameters do not change meanwhile. Returns whether kernels were timed. The choice is cached by device, driver,
+    /// subgroup size, and classes of sizes.
     ///
     /// # Errors
     /// If the device fails.
-    pub fn choose_backward(&mut self) -> Result<()> {
+    pub fn choose_backward(&mut self) -> Result<bool> {
+        match self.cached_backward()? {
+            Some(cached) => self.use_backward(cached).map(|()| false),
+            None => self.measure_backward().map(|()| true),
+        }
+    }
+
+    /// Returns the cached choice, if it considered the same kernels.
+    fn cached_backward(&mut self) -> Result<Option<Backward>> {
+        let Some((file, sort)) = self.cache()? else { return Ok(None) };
+        let Some(found) = choice::read(&file, &sort) else { return Ok(None) };
+        Ok((found.buckets == self.buckets_fit()?).then_some(found.kernel))
+    }
+
+    /// Returns the file of the cached choice, and what it holds for.
+    fn cache(&self) -> Result<Option<(PathBuf, Sort)>> {
+        let [width, height] = self.options.largest;
+        let info = self.device.info();
+        let sort = Sort {
+            device: info.name.clone(),
+            driver: info.driver.clone(),
+            subgroup_size: info.subgroup_size,
+            code: BackwardKernel::code(),
+            pixels: choice::class(u64::from(width) * u64::from(height)),
+            gaussians: choice::class(u64::from(self.gaussians.count(&self.device)?)),
+            channels: self.options.channels.count(),
+            statistics: self.options.statistics.is_some(),
+        };
+        Ok(self.device.cache_file(&sort.file()).map(|file| (file, sort)))
+    }
+
+    /// Continues with a kernel. Steps of the same kernel stay as they are.
+    fn use_backward(&mut self, chosen: Backward) -> Result<()> {
+        let kernel = kernel_of(chosen, &self.device)?;
+        self.settings.geometry.backward = chosen;
+        if self.options.backward != kernel {
+            self.options.backward = kernel;
+            self.rebuild()?;
+        }
+        Ok(())
+    }
+
+    /// Times the deterministic kernels on the current step and selects the fastest.
+    ///
+    /// A kernel is selected before an earlier one only if it takes less than 85 % of the time, so that noise does not
+    /// decide between runs. Buckets are timed only if their checkpoints leave memory for as many Gaussians. What their
+    /// forward pass takes longer counts as theirs.
+    fn measure_backward(&mut self) -> Result<()> {
+        let cache = self.cache()?;
+        let buckets = self.buckets_fit()?;
         self.status.hold(&self.device)?;
         self.options.timestamps = true;
         let pixel = self.time_backward(BackwardKernel::Pixel)?;
         let splat = self.time_backward(BackwardKernel::Splat)?.backward;
-        let bucket = match self.buckets_fit()? {
+        let bucket = match buckets {
             true => {
                 let times = self.time_backward(BackwardKernel::Bucket)?;
                 times.backward + (times.forward - pixel.forward).max(0.0)
             }
             false => f64::INFINITY,
         };
-        let mut chosen = (pixel.backward, BackwardKernel::Pixel, Backward::Pixel);
-        for other in
-            [(splat, BackwardKernel::Splat, Backward::Splat), (bucket, BackwardKernel::Bucket, Backward::Bucket)]
-        {
+        let mut chosen = (pixel.backward, Backward::Pixel);
+        for other in [(splat, Backward::Splat), (bucket, Backward::Bucket)] {
             if other.0 < 0.85 * chosen.0 {
                 chosen = other;
             }
         }
-        let (_, kernel, name) = chosen;
+        let (_, kernel) = chosen;
         tracing::info!(
             pixel_ns = pixel.backward,
             splat_ns = splat,
             bucket_ns = bucket,
-            chosen = ?name,
+            chosen = ?kernel,
             "backward kernel"
         );
         self.options.timestamps = false;
-        self.options.backward = kernel;
-        self.settings.geometry.backward = name;
+        self.options.backward = kernel_of(kernel, &self.device)?;
+        self.settings.geometry.backward = kernel;
         self.rebuild()?;
-        Ok(self.status.clear_flags(&self.device)?)
+        self.status.clear_flags(&self.device)?;
+        if let Some((file, sort)) = cache {
+            choice::write(&file, &Choice { sort, buckets, kernel });
+        }
+        Ok(())
     }
 
     /// Returns whether as many Gaussians fit with checkpoints as without.
     fn buckets_fit(&mut self) -> Result<bool> {
         let count = self.gaussians.count(&self.device)?;
         let limit = if self.settings.geometry.densify.enabled() { self.most.max(count) } else { count };
+        let current = self.options.backward;
         self.options.backward = BackwardKernel::Pixel;
         let without = self.most_that_fit(count, limit)?;
         self.options.backward = BackwardKernel::Bucket;
         let fits = self.fits(&self.gaussians.layout(), self.options.entry_capacity)?;
-        Ok(fits && self.most_that_fit(count, limit)? == without)
+        let fits = fits && self.most_that_fit(count, limit)? == without;
+        self.options.backward = current;
+        Ok(fits)
     }
 
     /// Returns the least times of a backward kernel and of blending over five steps.
@@ -85,7 +154,7 @@ impl Geometry {
         self.options.backward = kernel;
         self.rebuild()?;
         for step in 1..=5 {
-            let values = self.values(step);
+            let values = self.values_after(step, 0);
             self.exec_of(step)?.submit(&values)?;
         }
         self.exec()?.finish()?;

@@ -8,6 +8,7 @@ use crate::course::{Course, json, wrong_moments};
 use crate::decision::Decision;
 use crate::error::{Result, error};
 use safetensors::{Dtype, SafeTensors};
+use sgs_config::Backward;
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, GaussianData, Group, Model, STATISTICS};
 use sgs_run::floats::Floats;
 use std::collections::HashMap;
@@ -31,6 +32,8 @@ pub(crate) struct State {
     pub decisions: Vec<Decision>,
     /// State of growth.
     pub growth: Growth,
+    /// Backward kernel of the next step; absent while `auto` has not chosen one. Older checkpoints lack it.
+    pub backward: Option<Backward>,
     /// Groups of parameters.
     pub model: Model,
 }
@@ -75,6 +78,9 @@ pub(crate) fn save(path: &Path, state: &State) -> Result<()> {
         meta.insert("decisions".to_owned(), serde_json::to_string(&state.decisions).unwrap_or_default());
     }
     meta.insert("growth".to_owned(), serde_json::to_string(&state.growth).unwrap_or_default());
+    if let Some(backward) = state.backward {
+        meta.insert("backward".to_owned(), serde_json::to_string(&backward).unwrap_or_default());
+    }
     let tensors = state.tensors(state.model);
     let bytes = sgs_run::floats::serialize(tensors, meta).map_err(|e| error(path, e.to_string()))?;
     sgs_scene::atomic_write(path, |f| std::io::Write::write_all(f, &bytes))?;
@@ -161,5 +167,19 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
     let bands = json(path, &meta, "bands")?;
     let decisions = json(path, &meta, "decisions")?.unwrap_or_default();
     let growth = json(path, &meta, "growth")?.unwrap_or_default();
-    Ok(State { step, capacity, parameters, moments, statistics, decoder, course, bands, decisions, growth, model })
+    let backward = json(path, &meta, "backward")?;
+    Ok(State {
+        step,
+        capacity,
+        parameters,
+        moments,
+        statistics,
+        decoder,
+        course,
+        bands,
+        decisions,
+        growth,
+        backward,
+        model,
+    })
 }

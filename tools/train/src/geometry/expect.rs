@@ -57,7 +57,7 @@ impl Geometry {
         let mut sight = Sight { gaussians: self.gaussians.count(&self.device)?.into(), ..Sight::default() };
         let share = 1.0 / views.max(1) as f64;
         for step in (1..).take(views) {
-            let values = self.values(step);
+            let values = self.values_after(step, 0);
             self.exec_of(step)?.submit(&values)?;
             self.exec()?.finish()?;
             let report = self.status.report(step)?;

@@ -8,6 +8,7 @@ mod backward;
 mod bands;
 mod capacity;
 pub(crate) mod checkpoint;
+mod choice;
 mod decision;
 mod expect;
 mod fit;
@@ -29,8 +30,9 @@ use crate::idle::{self, FoundForGeometry, IdleLoss};
 use crate::limits;
 use crate::memory::Needs;
 use crate::normals::{Prior, initial_normals};
+use crate::reduce::LEAST;
 use crate::region_provider::FrameRendering;
-use crate::schedule::Schedule;
+use crate::schedule::{MOST_HALVINGS, Schedule};
 use crate::semantics::{SemanticData, SemanticMaps};
 use backward::kernel_of;
 pub(crate) use bands::Bands;
@@ -41,8 +43,8 @@ use fit::{allowance, last_that};
 use inputs::GeometryInputs;
 pub use log::StepLog;
 use sgs_config::{Backward, Settings, ShDegree};
-use sgs_engine::Device;
 use sgs_engine::exec::PassTime;
+use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
     DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, OpacityReset, PSEUDO_VIEWS,
@@ -57,7 +59,7 @@ pub use thin::{MANY_POINTS, MOST_THINNED};
 /// Number of replays in flight.
 const IN_FLIGHT: usize = 2;
 
-/// Number of steps after which backward kernels can be timed.
+/// Number of steps before the choice of the backward kernel. They use the pixel kernel.
 const WARM: u32 = 16;
 
 /// Progress of the stage.
@@ -176,6 +178,7 @@ impl Geometry {
         let wants_views = g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
         let (mut data, maps) = source.read(wants_normals, wants_semantics)?;
+        data.reduce(if g.coarse > 0.0 { MOST_HALVINGS } else { 0 });
         data.split(device.info().largest_binding());
         maps.iter().try_for_each(|maps| maps.check(device))?;
         let inputs = InputSizes {
@@ -194,7 +197,7 @@ impl Geometry {
         let mut start = start;
         if let (Some(priors), None) = (data.normals(), &start.normals) {
             let cameras = source.cameras();
-            let views: Vec<Prior> = cameras.into_iter().zip(priors).map(|(c, prior)| (c, prior.as_slice())).collect();
+            let views: Vec<Prior> = cameras.into_iter().zip(priors).collect();
             initial = start.clone();
             initial.normals = Some(initial_normals(&start.means, &views));
             start = &initial;
@@ -273,15 +276,10 @@ impl Geometry {
         let status = Status::new(device)?;
         let schedule = Schedule::new(settings, source.extent(), data.views.len());
         let promised = settings.memory.budget > 0;
-        let mut settings = settings.clone();
-        // CPU devices run lanes one after the other. In `engine-bench` the pixel kernel is faster on them by far.
-        if settings.geometry.backward == Backward::Auto && device.info().kind == "cpu" {
-            settings.geometry.backward = Backward::Pixel;
-        }
         let mut training = Geometry {
             device: device.clone(),
             tuning,
-            settings,
+            settings: settings.clone(),
             schedule,
             data,
             semantics,
@@ -334,6 +332,11 @@ impl Geometry {
         self.correspondence.as_ref().map(Correspondence::masks)
     }
 
+    /// Returns the ring of the steps' reports, for drivers that run no kernels.
+    pub fn reports(&self) -> &DeviceBuffer {
+        self.status.reports()
+    }
+
     /// Returns the device.
     pub fn device(&self) -> &Device {
         &self.device
@@ -360,8 +363,10 @@ impl Geometry {
         mut go_on: impl FnMut() -> bool,
     ) -> Result<()> {
         while self.done < last && go_on() {
-            if self.settings.geometry.backward == Backward::Auto && self.done >= WARM && self.drain(&mut on_report)? {
-                self.choose_backward()?;
+            // Always after the same step, so that neither stops nor cached choices change the result.
+            let undecided = self.settings.geometry.backward == Backward::Auto && self.submitted < last;
+            if undecided && self.submitted >= WARM && self.drain(&mut on_report)? && self.done >= WARM {
+                self.decide_backward()?;
             }
             if self.submitted < last {
                 self.submit_next()?;
@@ -431,8 +436,27 @@ impl Geometry {
 
     /// Makes the uniform of a step.
     fn values(&self, step: u32) -> Step {
+        self.values_after(step, self.halvings(step))
+    }
+
+    /// Returns how often the photograph of a step is halved.
+    fn halvings(&self, step: u32) -> u32 {
+        // Regions are stored at full size.
+        let compares = self.correspondence.is_some() && step >= self.settings.geometry.correspondence_from;
+        let most = if compares { 0 } else { self.schedule.halvings(step).min(self.data.halvings) };
         let view = self.view(step);
-        let (camera, offset) = self.data.views[view];
+        let map = self.semantics.as_ref().map_or([0, 0], |(data, _)| data.views[view].size);
+        let fits = |halvings: &u32| {
+            let size = self.data.reduced(view, *halvings).0.size;
+            size.iter().zip(map).all(|(n, cells)| *n >= cells.max(LEAST))
+        };
+        (1..=most).take_while(fits).last().unwrap_or(0)
+    }
+
+    /// Makes the uniform of a step whose photograph is halved this often.
+    fn values_after(&self, step: u32, halvings: u32) -> Step {
+        let view = self.view(step);
+        let (camera, offset) = self.data.reduced(view, halvings);
         let mut values = self.schedule.step(step, &camera, offset);
         if let Some((data, _)) = &self.semantics {
             data.views[view].fill(&mut values);

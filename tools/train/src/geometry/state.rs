@@ -1,10 +1,11 @@
 //! Saving and restoring of the geometry stage.
 
 use super::checkpoint::{self, DecoderValues, State};
-use super::{Geometry, first_entry_capacity, last_that};
+use super::{Geometry, first_entry_capacity, kernel_of, last_that};
 use crate::course::Course;
 use crate::divergence::RollBack;
 use crate::error::Result;
+use sgs_config::Backward;
 use sgs_passes::pipeline::Status;
 use sgs_passes::scene::{Gaussians, Layout};
 use std::path::Path;
@@ -35,6 +36,7 @@ impl Geometry {
             bands: self.bands.clone(),
             decisions: self.decisions.clone(),
             growth: self.growth.clone(),
+            backward: Some(self.settings.geometry.backward).filter(|kernel| *kernel != Backward::Auto),
             model: self.gaussians.model,
         };
         checkpoint::save(path, &state)
@@ -71,6 +73,11 @@ impl Geometry {
             decoder.upload_moments(&self.device, &values.moments)?;
         }
         self.options.entry_capacity = first;
+        // The choice of an interrupted training belongs to its result.
+        if let (Backward::Auto, Some(kernel)) = (self.settings.geometry.backward, state.backward) {
+            self.options.backward = kernel_of(kernel, &self.device)?;
+            self.settings.geometry.backward = kernel;
+        }
         // The status counts from the start again.
         self.status = Status::new(&self.device)?;
         self.rebuild()?;

@@ -3,7 +3,7 @@
 use crate::error::Result;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
-use sgs_engine::{Device, DeviceBuffer, Location};
+use sgs_engine::{Device, DeviceBuffer, Location, Piece};
 use sgs_run::pack_image;
 use sgs_scene::{Camera, Image, MaskedMap, Scene, Splats, linear_to_srgb};
 
@@ -57,10 +57,13 @@ impl MaterialPriors {
     pub fn upload(&self, device: &Device, name: &str) -> Result<DeviceBuffer> {
         let buffer = device.buffer(name, self.bytes().max(4), Location::Device)?;
         let mut offset = 0;
+        let mut pieces: Vec<Piece<'_>> = Vec::new();
         for part in &self.packed {
-            device.upload(&buffer, offset, bytemuck::cast_slice(part))?;
+            pieces.push((&buffer, offset, bytemuck::cast_slice(part)));
             offset += 4 * part.len() as u64;
         }
+        device.upload_all(&pieces)?;
+        drop(pieces);
         Ok(buffer)
     }
 }

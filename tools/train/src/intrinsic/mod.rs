@@ -376,7 +376,8 @@ impl Intrinsic {
             decisions.push(decisions::without_surfaces(s, all.surfaces));
         }
         let watch = Watch::new(packed.plain());
-        let photographs = (room.is_some() && albedo.is_some()).then(|| packed.images().to_vec());
+        let photographs =
+            (room.is_some() && albedo.is_some()).then(|| packed.images().map(<[u32]>::to_vec).collect::<Vec<_>>());
         let data = packed.upload(device)?;
         let mut surfaces = Surfaces::new(device, builder, &gaussians, &data, stores_all, &others)?;
         if let Some(room) = &room {

@@ -6,6 +6,7 @@ use super::{Intrinsic, IntrinsicNeeds, LoggedLosses};
 use crate::error::Result;
 use crate::idle::{IdleLoss, PriorKinds};
 use sgs_config::IntrinsicSettings;
+use sgs_engine::DeviceBuffer;
 use sgs_engine::exec::{HostTimes, PassTime};
 use sgs_passes::cost::{Cost, Counts, of_plan};
 use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStep};
@@ -71,6 +72,11 @@ impl Intrinsic {
     pub fn comparisons(&self) -> AlbedoComparisons {
         let due = |kind| (1..=self.required.intrinsic.steps).any(|step| self.kind(step) == kind);
         AlbedoComparisons { cross_view: due(StepKind::CrossView), relight: due(StepKind::Relight) }
+    }
+
+    /// Returns the ring of the steps' reports, for drivers that run no kernels.
+    pub fn reports(&self) -> &DeviceBuffer {
+        self.status.reports()
     }
 
     /// Returns the host time of the steps of all kinds since their graphs were built.

@@ -312,13 +312,14 @@ impl Trainer {
         let step = stage.step();
         observer.paused(&**stage, step == steps);
         let Some(record) = record else { return Ok(stopped || observer.should_stop()) };
-        // Settings that were chosen by measurement belong to the run.
-        record.write_settings(&**stage)?;
         // Polled once: an observer that is notified of the stop finds the checkpoint of that step.
         let stopped = stopped || observer.should_stop();
         let regular = step > 0 && step.is_multiple_of(interval);
         if regular || step == steps || stopped {
             record.save(&mut **stage, watched, step.is_multiple_of(interval))?;
+            // Settings that were chosen by measurement belong to the run. They follow the checkpoint: otherwise a killed
+            // training would begin again with a choice that it had not made at its checkpoint.
+            record.write_settings(&**stage)?;
         }
         Ok(stopped)
     }
