@@ -11,6 +11,8 @@ use std::process::Command;
 
 /// Tests of `device`, by a part of their names.
 const TESTS: &[&str] = &[
+    "compact::adam_matches_reference_within_a_unit_of_the_last_place",
+    "compact::opacity_reset_clears_compact_moments",
     "correspondence::",
     "decoder::label_maps_match_reference",
     "densify::",

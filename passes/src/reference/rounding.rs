@@ -45,7 +45,8 @@ pub fn moments([first, second]: [f64; 2], key: u32, column: u32, number: u32) ->
 /// It stays below the largest half.
 pub fn half(x: f64, key: u32, column: u32, number: u32) -> f64 {
     let random = bits(key, column, 4 + number / 2);
-    rounded(x.clamp(-65504.0, 65504.0), 10, -14, if number % 2 == 0 { random & 0x1fff } else { random >> 19 }, 13)
+    let random = if number.is_multiple_of(2) { random & 0x1fff } else { random >> 19 };
+    rounded(x.clamp(-65504.0, 65504.0), 10, -14, random, 13)
 }
 
 #[cfg(test)]

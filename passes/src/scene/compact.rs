@@ -149,11 +149,10 @@ impl Storage {
             return [first, second].map(|words| words.iter().map(|x| f32::from_bits(*x)).collect());
         }
         let columns = first.as_chunks::<4>().0.iter();
-        let both = [0, 2].map(|at| {
+        [0, 2].map(|at| {
             let number = if at == 0 { first_of } else { second_of };
             columns.clone().flat_map(|words| unpack(&words[at..], number)).collect()
-        });
-        both
+        })
     }
 
     /// Calls `f` for every column of every Gaussian: its first number in columns, its first word in compact storage, and
