@@ -131,7 +131,7 @@ fn without_a_queue_nothing_is_submitted() {
     let device = unsafe { Device::adopt(host.offer(false)) }.unwrap();
     let buffer = device.buffer("b", 64, Location::Device).unwrap();
     let error = device.upload(&buffer, 0, &[0; 64]).unwrap_err();
-    assert!(matches!(&error, Error::NoQueue(what) if what == "copy"), "{error}");
+    assert!(matches!(&error, Error::NoQueue(what) if what == "upload"), "{error}");
     assert_eq!(host.lock.taken.load(Ordering::SeqCst), 0);
 }
 
