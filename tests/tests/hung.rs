@@ -123,7 +123,7 @@ fn a_device_closes_when_the_work_ends() {
     assert!(matches!(exec.finish(), Err(Error::Timeout { pass: None, .. })));
     // A transfer queued after the work times out too, and its staging memory is retained.
     let error = device.upload(&memory, 0, &[1; 64]).unwrap_err();
-    assert!(matches!(&error, Error::Timeout { what, .. } if what == "copy"), "{error}");
+    assert!(matches!(&error, Error::Timeout { what, .. } if what == "upload"), "{error}");
     drop((exec, memory));
     assert!(device.objects().total() > 9, "{:?}", device.objects().alive());
     close(device);
