@@ -127,7 +127,7 @@ fn killed_training_is_repeated_by_its_batch() {
 }
 
 /// Number of submissions before the device is lost.
-const SUBMISSIONS: u64 = 130;
+const SUBMISSIONS: u64 = 110;
 
 /// Starts trainings in threads. The first training of each run loses its device.
 struct Losing {
