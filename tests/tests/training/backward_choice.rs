@@ -53,7 +53,7 @@ fn plant(file: &Path, kernel: &str) {
     std::fs::write(file, choice.to_string()).unwrap();
 }
 
-/// Tests that a second training of the same sort times nothing. Another size of views or count of Gaussians does.
+/// Tests that a second training under the same conditions times nothing. Another size of views or count of Gaussians does.
 #[test]
 fn choice_is_cached_by_device_and_sizes() {
     let folder = tempfile::tempdir().unwrap();

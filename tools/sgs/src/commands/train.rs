@@ -64,8 +64,8 @@ pub struct Options {
     /// thins points. Refuses only a start that does not fit.
     #[arg(long, visible_alias = "vram", value_name = "BYTES|4G", value_parser = sgs_config::parse_bytes)]
     pub memory_budget: Option<u64>,
-    /// Preset: "draft" (quick, on a CPU), "default", "paper" (the paper's sizes and weights), "parity" (those of the
-    /// published code). --config, --set and other options override it.
+    /// Preset: "draft" (quick, on a CPU), "fast" (images of the default in less time), "default", "paper" (the paper's
+    /// sizes and weights), "parity" (those of the published code). --config, --set and other options override it.
     #[arg(long, value_name = "NAME", value_parser = Names(|| PRESETS.iter().map(|p| p.name).collect()))]
     pub preset: Option<String>,
     /// Accuracy level: "exact", "compact", "balanced" or "fast" (docs/how/accuracy.md). Sets accuracy.*,

@@ -1,7 +1,7 @@
 //! Choice of the backward kernel that is fastest on a device.
 
 use super::Geometry;
-use super::choice::{self, Choice, Sort};
+use super::choice::{self, Choice, Key};
 use crate::error::{Requirement, Result};
 use sgs_config::Backward;
 use sgs_engine::Device;
@@ -58,16 +58,16 @@ impl Geometry {
 
     /// Returns the cached choice, if it considered the same kernels.
     fn cached_backward(&mut self) -> Result<Option<Backward>> {
-        let Some((file, sort)) = self.cache()? else { return Ok(None) };
-        let Some(found) = choice::read(&file, &sort) else { return Ok(None) };
+        let Some((file, key)) = self.cache()? else { return Ok(None) };
+        let Some(found) = choice::read(&file, &key) else { return Ok(None) };
         Ok((found.buckets == self.buckets_fit()?).then_some(found.kernel))
     }
 
     /// Returns the file of the cached choice, and what it holds for.
-    fn cache(&self) -> Result<Option<(PathBuf, Sort)>> {
+    fn cache(&self) -> Result<Option<(PathBuf, Key)>> {
         let [width, height] = self.options.largest;
         let info = self.device.info();
-        let sort = Sort {
+        let key = Key {
             device: info.name.clone(),
             driver: info.driver.clone(),
             subgroup_size: info.subgroup_size,
@@ -77,7 +77,7 @@ impl Geometry {
             channels: self.options.channels.count(),
             statistics: self.options.statistics.is_some(),
         };
-        Ok(self.device.cache_file(&sort.file()).map(|file| (file, sort)))
+        Ok(self.device.cache_file(&key.file()).map(|file| (file, key)))
     }
 
     /// Continues with a kernel. Steps of the same kernel stay as they are.
@@ -129,8 +129,8 @@ impl Geometry {
         self.settings.geometry.backward = kernel;
         self.rebuild()?;
         self.status.clear_flags(&self.device)?;
-        if let Some((file, sort)) = cache {
-            choice::write(&file, &Choice { sort, buckets, kernel });
+        if let Some((file, key)) = cache {
+            choice::write(&file, &Choice { key, buckets, kernel });
         }
         Ok(())
     }

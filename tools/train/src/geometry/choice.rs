@@ -1,7 +1,7 @@
 //! Cache of the choice of the backward kernel, beside the pipeline cache.
 //!
-//! Each sort of training has a file: device, driver, subgroup size, and classes of image sizes and counts of Gaussians.
-//! A file that cannot be read, or that describes another sort, is ignored and replaced. Files are renamed into place,
+//! Each key has a file: device, driver, subgroup size, and classes of image sizes and counts of Gaussians.
+//! A file that cannot be read, or that holds another key, is ignored and replaced. Files are renamed into place,
 //! so that several processes can write at once.
 
 use serde::{Deserialize, Serialize};
@@ -9,9 +9,9 @@ use sgs_config::Backward;
 use std::io::{ErrorKind, Write};
 use std::path::Path;
 
-/// Sort of training for which a choice holds.
+/// Conditions under which a choice holds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Sort {
+pub(super) struct Key {
     pub device: String,
     /// Driver and its version.
     pub driver: String,
@@ -31,7 +31,7 @@ pub(super) struct Sort {
 /// Content of a file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Choice {
-    pub sort: Sort,
+    pub key: Key,
     /// Whether buckets were timed. They are not if they would leave memory for fewer Gaussians.
     pub buckets: bool,
     pub kernel: Backward,
@@ -42,16 +42,16 @@ pub(super) fn class(size: u64) -> u32 {
     size.max(1).next_power_of_two().ilog2()
 }
 
-impl Sort {
-    /// Returns the part of the file name that tells apart the sorts of one device.
+impl Key {
+    /// Returns the part of the file name that tells apart the keys of one device.
     pub fn file(&self) -> String {
-        let Sort { pixels, gaussians, channels, statistics, .. } = self;
+        let Key { pixels, gaussians, channels, statistics, .. } = self;
         format!("backward-{pixels}-{gaussians}-{channels}-{}.json", u32::from(*statistics))
     }
 }
 
-/// Reads the choice for a sort of training. Returns `None` if there is none.
-pub(super) fn read(file: &Path, sort: &Sort) -> Option<Choice> {
+/// Reads the choice for a key. Returns `None` if there is none.
+pub(super) fn read(file: &Path, key: &Key) -> Option<Choice> {
     let ignored = |reason: &str| {
         tracing::warn!("{}: {reason}; the backward kernel is chosen again and the file replaced", file.display());
         None
@@ -64,8 +64,8 @@ pub(super) fn read(file: &Path, sort: &Sort) -> Option<Choice> {
     match serde_json::from_slice::<Choice>(&text) {
         Err(error) => ignored(&format!("not a choice of the backward kernel: {error}")),
         // Another version of the program wrote it, which is no fault.
-        Ok(choice) if choice.sort.code != sort.code => None,
-        Ok(choice) if choice.sort != *sort => ignored("describes another device or other sizes"),
+        Ok(choice) if choice.key.code != key.code => None,
+        Ok(choice) if choice.key != *key => ignored("describes another device or other sizes"),
         Ok(
             Choice { kernel: Backward::Auto | Backward::Atomic, .. }
             | Choice { buckets: false, kernel: Backward::Bucket, .. },
@@ -92,7 +92,7 @@ mod tests {
     use super::*;
 
     fn choice() -> Choice {
-        let sort = Sort {
+        let key = Key {
             device: "a GPU".into(),
             driver: "driver 1.2".into(),
             subgroup_size: 32,
@@ -102,7 +102,7 @@ mod tests {
             channels: 8,
             statistics: true,
         };
-        Choice { sort, buckets: true, kernel: Backward::Bucket }
+        Choice { key, buckets: true, kernel: Backward::Bucket }
     }
 
     #[test]
@@ -113,26 +113,26 @@ mod tests {
     #[test]
     fn damaged_and_foreign_files_are_ignored() {
         let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("new").join(choice().sort.file());
-        assert_eq!(read(&file, &choice().sort), None);
+        let file = folder.path().join("new").join(choice().key.file());
+        assert_eq!(read(&file, &choice().key), None);
         write(&file, &choice());
-        assert_eq!(read(&file, &choice().sort), Some(choice()));
+        assert_eq!(read(&file, &choice().key), Some(choice()));
         let whole = std::fs::read(&file).unwrap();
         for end in 0..whole.len() {
             std::fs::write(&file, &whole[..end]).unwrap();
-            assert_eq!(read(&file, &choice().sort), None, "cut off at {end}");
+            assert_eq!(read(&file, &choice().key), None, "cut off at {end}");
         }
         let of = |change: fn(&mut Choice)| {
             let mut other = choice();
             change(&mut other);
             write(&file, &other);
-            read(&file, &choice().sort)
+            read(&file, &choice().key)
         };
-        assert_eq!(of(|c| c.sort.device.push('2')), None);
-        assert_eq!(of(|c| c.sort.driver.push('3')), None);
-        assert_eq!(of(|c| c.sort.subgroup_size = 64), None);
-        assert_eq!(of(|c| c.sort.code -= 1), None);
-        assert_eq!(of(|c| c.sort.pixels += 1), None);
+        assert_eq!(of(|c| c.key.device.push('2')), None);
+        assert_eq!(of(|c| c.key.driver.push('3')), None);
+        assert_eq!(of(|c| c.key.subgroup_size = 64), None);
+        assert_eq!(of(|c| c.key.code -= 1), None);
+        assert_eq!(of(|c| c.key.pixels += 1), None);
         assert_eq!(of(|c| c.kernel = Backward::Auto), None);
         assert_eq!(of(|c| c.kernel = Backward::Atomic), None);
         assert_eq!(of(|c| c.buckets = false), None);
@@ -141,7 +141,7 @@ mod tests {
         std::fs::remove_file(&file).unwrap();
         std::fs::create_dir(&file).unwrap();
         write(&file, &choice());
-        assert_eq!(read(&file, &choice().sort), None);
+        assert_eq!(read(&file, &choice().key), None);
     }
 
     /// Tests that a reader sees a whole file or none while others write.
@@ -157,7 +157,7 @@ mod tests {
                 scope.spawn(move || (0..20).for_each(|_| write(file, &Choice { kernel, ..choice() })));
             }
             for _ in 0..200 {
-                assert!(read(&file, &choice().sort).is_some());
+                assert!(read(&file, &choice().key).is_some());
             }
         });
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "temporary files are left");

@@ -17,6 +17,7 @@ mod grow;
 mod inputs;
 mod log;
 mod poll;
+mod prepare;
 mod stage;
 mod state;
 mod thin;
@@ -25,24 +26,22 @@ use crate::correspondence::Correspondence;
 use crate::data::TrainingData;
 use crate::decision::Decision;
 use crate::divergence::{RollBack, Watch};
-use crate::error::{Result, TrainError};
-use crate::idle::{self, FoundForGeometry, IdleLoss};
-use crate::limits;
+use crate::error::Result;
+use crate::idle::IdleLoss;
 use crate::memory::Needs;
-use crate::normals::{Prior, initial_normals};
 use crate::reduce::LEAST;
 use crate::region_provider::FrameRendering;
-use crate::schedule::{MOST_HALVINGS, Schedule};
-use crate::semantics::{SemanticData, SemanticMaps};
+use crate::schedule::Schedule;
+use crate::semantics::SemanticData;
 use backward::kernel_of;
 pub(crate) use bands::Bands;
-use capacity::{entries_of, entries_with, first_entry_capacity, most_by_binding, next_room, room_for};
+use capacity::{entries_of, entries_with, first_entry_capacity, next_room};
 pub use expect::Sight;
 pub(crate) use fit::Growth;
-use fit::{allowance, last_that};
+use fit::last_that;
 use inputs::GeometryInputs;
 pub use log::StepLog;
-use sgs_config::{Backward, Settings, ShDegree};
+use sgs_config::{Backward, Settings};
 use sgs_engine::exec::PassTime;
 use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::Tuning;
@@ -50,10 +49,9 @@ use sgs_passes::pipeline::{
     DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, OpacityReset, PSEUDO_VIEWS,
     Status, Step, StepReport,
 };
-use sgs_passes::scene::{Decoder, Gaussians, Layout, Model};
-use sgs_passes::splat::Channels;
-use sgs_run::{SemanticHead, gaussian_data, splats};
-use sgs_scene::{Camera, Image, Scene, Splats, Unit};
+use sgs_passes::scene::{Decoder, Gaussians};
+use sgs_run::{SemanticHead, splats};
+use sgs_scene::{Splats, Unit};
 pub use thin::{MANY_POINTS, MOST_THINNED};
 
 /// Number of replays in flight.
@@ -126,197 +124,6 @@ pub struct Geometry {
 }
 
 impl Geometry {
-    /// Prepares training from the scene's points or from given splats. Uses fewer points where memory does not suffice
-    /// for all.
-    ///
-    /// # Errors
-    /// If data cannot be read or memory runs out.
-    pub fn new(device: &Device, scene: &Scene, settings: &Settings, start: Option<&Splats>) -> Result<Geometry> {
-        let disturbed = settings.noise.on(scene, settings.seed);
-        let scene = disturbed.as_ref().unwrap_or(scene);
-        let unit = scene.unit();
-        let scaled = (unit != Unit::OWN).then(|| scene.in_unit(unit));
-        let scene = scaled.as_ref().unwrap_or(scene);
-        let mut training = match start {
-            Some(splats) if unit == Unit::OWN => Geometry::of(device, &GeometryInputs::Scene(scene), settings, splats),
-            Some(splats) => {
-                Geometry::of(device, &GeometryInputs::Scene(scene), settings, &splats.clone().in_unit(unit))
-            }
-            None => Geometry::from_points(device, scene, settings),
-        }?;
-        training.unit = unit;
-        Ok(training)
-    }
-
-    /// Prepares training of Gaussians on display-referred images without a scene.
-    ///
-    /// # Errors
-    /// If memory runs out.
-    pub fn on_images(
-        device: &Device,
-        images: &[(&Camera, Image)],
-        settings: &Settings,
-        start: &Splats,
-    ) -> Result<Geometry> {
-        Geometry::of(device, &GeometryInputs::Renderings(images), settings, start)
-    }
-
-    /// Prepares training of given splats on a scene or on images.
-    pub(crate) fn of(
-        device: &Device,
-        source: &GeometryInputs<'_>,
-        settings: &Settings,
-        start: &Splats,
-    ) -> Result<Geometry> {
-        settings.check()?;
-        let g = &settings.geometry;
-        let wants_normals = g.normals && (g.losses.normal > 0.0 || g.losses.normal_smooth > 0.0);
-        let budget = settings.memory.budget;
-        if budget > 0 {
-            device.set_memory_budget(Some(budget));
-        }
-        let wants_views = g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
-        let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
-        let (mut data, maps) = source.read(wants_normals, wants_semantics)?;
-        data.reduce(if g.coarse > 0.0 { MOST_HALVINGS } else { 0 });
-        data.split(device.info().largest_binding());
-        maps.iter().try_for_each(|maps| maps.check(device))?;
-        let inputs = InputSizes {
-            targets: data.image_bytes(),
-            parts: data.parts() as u64,
-            normals: data.normal_bytes(),
-            semantics: maps.as_ref().map(SemanticMaps::sizes),
-            ..Default::default()
-        };
-        let sh_degree = match g.sh_degree {
-            ShDegree::Fixed(degree) => degree,
-            ShDegree::Auto => start.sh_degree() as u32,
-        };
-        let model = Model { sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some() };
-        let mut initial;
-        let mut start = start;
-        if let (Some(priors), None) = (data.normals(), &start.normals) {
-            let cameras = source.cameras();
-            let views: Vec<Prior> = cameras.into_iter().zip(priors).collect();
-            initial = start.clone();
-            initial.normals = Some(initial_normals(&start.means, &views));
-            start = &initial;
-        }
-        decision::check_statistic(g, model.normals)?;
-        let count = start.len() as u32;
-        let all_bands = Model { sh_degree: sh_degree.max(g.sh_degree.most()), ..model };
-        let most = most_by_binding(device, all_bands);
-        let wanted = most.min(g.densify.max_gaussians);
-        let tuning = settings.tuning(device.info());
-        // Regions are carried to pseudo-views by depth.
-        let depth = g.depth_terms() || (wants_views && maps.is_some());
-        let options = GeometryOptions {
-            largest: data.largest,
-            entry_capacity: first_entry_capacity(g.entry_capacity, count),
-            channels: Channels { colors: true, normals: model.normals, depth },
-            statistics: g.densify.enabled().then(|| g.densify.statistic.gathered()),
-            dense_adam: g.dense_adam,
-            backward: kernel_of(g.backward, device)?,
-            semantic_geometry: g.semantic_geometry,
-            pseudo: None,
-            timestamps: false,
-            frames_in_flight: IN_FLIGHT,
-        };
-        let layout = Layout {
-            model,
-            capacity: count.max(1),
-            training: true,
-            statistics: g.densify.enabled(),
-            storage: tuning.accuracy.storage(),
-        };
-        let budget = device.budget();
-        let of = |layout: &Layout| Needs::of(device, &tuning, layout, &inputs, &options);
-        let first = of(&layout)?;
-        let of_views = |views| limits::Remedy::Views { views, scale: settings.scale };
-        let (views, one) = (of_views(data.views().len()), of_views(1));
-        limits::check(
-            device.info(),
-            &[
-                limits::Single::bound("pixels of a photograph", inputs.targets, one),
-                limits::Single::bound("normal priors of a view", inputs.normals.unwrap_or(0), one),
-                limits::Single::bound("semantic features", inputs.semantics.map_or(0, |s| s.feature_bytes()), views),
-                limits::Single::buffer("intermediate results of a step", first.arena, limits::Remedy::Step),
-            ],
-        )?;
-        first.check(&budget)?;
-        if count > most {
-            return Err(TrainError::Memory(format!(
-                "The scene starts with {count} Gaussians, but at most {most} fit into the device's bindings; \
-                 use fewer points, or a lower geometry.sh_degree."
-            )));
-        }
-        let watch = Watch::new(data.plain());
-        let data = data.upload(device)?;
-        let semantics = source.semantics(device, maps, settings.seed)?;
-        let correspondence = match &semantics {
-            Some((data, _)) if wants_views => source.correspondence(device, data, settings, options.largest)?,
-            _ => None,
-        };
-        let of = |layout: &Layout| match &correspondence {
-            Some(c) => of(layout)?.with_views(device, &tuning, layout, &inputs, &options, c),
-            None => of(layout),
-        };
-        let may = allowance(&budget);
-        let capacity = match g.densify.enabled() {
-            true => last_that(layout.capacity, room_for(count, wanted), |capacity| {
-                Ok(of(&Layout { capacity, ..layout })?.total() <= may)
-            })?,
-            false => layout.capacity,
-        };
-        let layout = Layout { capacity, ..layout };
-        let needs = of(&layout)?.with_bands(&of(&Layout { model: all_bands, ..layout })?);
-        needs.check(&budget)?;
-        let gaussians = Gaussians::of(device, &layout)?;
-        gaussians.upload(device, &gaussian_data(start, model))?;
-        let status = Status::new(device)?;
-        let schedule = Schedule::new(settings, source.extent(), data.views.len());
-        let promised = settings.memory.budget > 0;
-        let mut training = Geometry {
-            device: device.clone(),
-            tuning,
-            settings: settings.clone(),
-            schedule,
-            data,
-            semantics,
-            correspondence,
-            gaussians,
-            status,
-            exec: None,
-            densify: None,
-            reset: None,
-            options,
-            most: wanted,
-            needs,
-            submitted: 0,
-            done: 0,
-            settled: 0,
-            watch,
-            roll_backs: Vec::new(),
-            bands: (g.sh_degree == ShDegree::Auto).then(Bands::default),
-            unit: Unit::OWN,
-            decisions: Vec::new(),
-            idle: Vec::new(),
-            inputs,
-            allowed: may,
-            promised,
-            growth: Growth::default(),
-        };
-        let found = FoundForGeometry {
-            normals: model.normals,
-            semantics: model.semantics,
-            regions: training.correspondence.is_some(),
-        };
-        training.decisions = decision::initial(&training.settings, found);
-        training.idle = idle::of_geometry(&training.settings, found);
-        training.rebuild()?;
-        Ok(training)
-    }
-
     /// Returns the number of finished steps.
     pub fn step(&self) -> u32 {
         self.done
