@@ -7,12 +7,11 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// Stand-in for the program of device tests. One of its tests fails.
+/// Stand-in for the program of device tests. One of its tests fails, and the program breaks off before another.
 const TESTS: &str = "#!/bin/sh
 case $* in
-*--list*) printf 'first: test\nsecond: test\n' ;;
-*second) echo wrong; exit 101 ;;
-*) echo right ;;
+*--list*) printf 'first: test\nsecond: test\nthird: test\n' ;;
+*) printf 'test first ... ok\ntest second - should panic ... FAILED\n\nfailures:\nwrong\n\ntest result: FAILED\n'; exit 101 ;;
 esac
 ";
 
@@ -81,10 +80,12 @@ fn parts_are_measured_and_failures_end_nothing() {
     for part in ["devices", "ceiling", "step_small", "determinism"] {
         assert!(of(part).contains("| done |"), "{summary}");
     }
-    // The failed test is named, and later parts ran.
+    // The failed test and the one that did not run are named, and later parts ran.
     assert!(of("tests").contains("failed (1)") && out.status.code() == Some(1), "{summary}");
     let log = std::fs::read_to_string(day.path("out/tests.log")).unwrap();
-    assert!(log.contains("== second (101)\nwrong\n1 of 2 tests passed."), "{log}");
+    assert!(log.contains("failures:\nwrong") && log.contains("1 of 3 tests passed."), "{log}");
+    let tests = std::fs::read_to_string(day.path("out/tests.tsv")).unwrap();
+    assert_eq!(tests, "ok\tfirst\nFAILED\tsecond\nnot run\tthird\n");
     let log = std::fs::read_to_string(day.path("out/determinism.log")).unwrap();
     assert!(log.contains("scene.ply has the same bytes"), "{log}");
     let set: Value = serde_json::from_slice(&std::fs::read(day.path("out/reports.json")).unwrap()).unwrap();

@@ -106,6 +106,14 @@ impl Gpu {
         Tuning { large_tiles, sub_tiles, slot_width, slot_margin, ..tuning }
     }
 
+    /// Returns how far the device may round a division, in units of exact rounding.
+    ///
+    /// Vulkan allows 2.5 units in the last place instead of half a unit (Precision of core SPIR-V instructions). Processors
+    /// round exactly.
+    pub fn division_error(&self) -> f64 {
+        if self.device().info().kind == "cpu" { 1.0 } else { 5.0 }
+    }
+
     /// Returns the subgroup size of the device.
     pub fn subgroup_size(&self) -> u32 {
         self.device().info().subgroup_size

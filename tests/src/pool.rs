@@ -101,7 +101,9 @@ pub(crate) fn finished(device: &Device) -> bool {
 pub(crate) fn leftovers(device: &Device) -> Vec<(ObjectKind, u64)> {
     use ObjectKind::{Device, Instance, Messenger, Pipeline, PipelineCache, PipelineLayout, Semaphore, SetLayout};
     let own = |(kind, count): &(ObjectKind, u64)| match kind {
-        Instance | Messenger | Device | Semaphore | PipelineCache => *count == 1,
+        Instance | Messenger | Device | PipelineCache => *count == 1,
+        // One for each queue.
+        Semaphore => *count == 1 + u64::from(device.has_transfer_queue()),
         Pipeline | PipelineLayout | SetLayout => true,
         _ => false,
     };

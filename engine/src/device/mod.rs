@@ -327,6 +327,11 @@ impl Device {
         self.0.memory.during(work)
     }
 
+    /// Returns whether large uploads use a queue that only transfers.
+    pub fn has_transfer_queue(&self) -> bool {
+        self.0.transfer_queue.is_some()
+    }
+
     /// Returns counters of buffers, images and transfers.
     pub fn activity(&self) -> Activity {
         self.0.memory.activity()

@@ -98,6 +98,10 @@ fn views() -> Vec<(Gaussians, [u32; 2])> {
     let mut views = vec![(scenes::large(70, 0, 1), [331, 90]), (scenes::large(90, 0, 2), [150, 300])];
     views.push((scenes::large(3, 0, 3), [1300, 5]));
     views.push((scenes::large(3, 0, 4), [5, 1300]));
+    // More tiles than four times the widest subgroup.
+    views.extend(
+        [([700, 400], 6), ([400, 700], 7), ([1400, 200], 8)].map(|(size, seed)| (scenes::large(12, 0, seed), size)),
+    );
     views.extend((1..4).map(|seed| (scenes::hard(seed), [160, 120])));
     views.push((scenes::ordinary(300, 0, false, 5), [64, 48]));
     views

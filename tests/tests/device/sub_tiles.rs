@@ -13,10 +13,10 @@ fn widths() -> Vec<u32> {
     [2, 4, 8, 16].into_iter().filter(|w| *w <= t.tile[0] && t.subgroup_size / w <= t.tile[1]).collect()
 }
 
-/// The signs of zeros may differ: a sum of products with zero has the sign of its first one.
 /// Margin of the exponent of ordinary runs, and one that leaves every slot in.
 const MARGINS: [f32; 2] = [0.05, 1e9];
 
+/// The signs of zeros may differ: a sum of products with zero has the sign of its first one.
 fn assert_same_bits(what: &str, a: &[f32], b: &[f32]) {
     assert_eq!(a.len(), b.len());
     let mut pairs = a.iter().zip(b).enumerate();
@@ -75,16 +75,19 @@ fn gradients_keep_their_bits() {
     }
 }
 
+/// Compares one kernel with and without skipped slots.
+///
+/// Compilers may round differently in a kernel without branches.
 #[test]
 fn weights_keep_their_bits() {
     let scene = scenes::ordinary(300, 0, true, 9);
     let case = Surfaces::new(scene, scenes::camera([61, 37]), false, 2.0);
-    let with = |on: bool, width: u32| run(&Gpu::new().with_slots(on, width, MARGINS[0]), &case);
-    let off = with(false, *widths().last().unwrap());
     for width in widths() {
-        let on = with(true, width);
-        assert!(off.row_starts == on.row_starts && off.columns == on.columns, "slots of {width} columns");
-        assert_same_bits("weights", &off.weights, &on.weights);
+        let with = |margin: f32| run(&Gpu::new().with_slots(true, width, margin), &case);
+        let [few, all] = MARGINS.map(with);
+        assert!(few.weights.iter().any(|w| *w > 0.1));
+        assert!(few.row_starts == all.row_starts && few.columns == all.columns, "slots of {width} columns");
+        assert_same_bits("weights", &few.weights, &all.weights);
     }
 }
 

@@ -119,8 +119,8 @@ impl Case<'_> {
 
     /// Returns the first element outside of the reference's interval.
     ///
-    /// Also returns the number of pairs whose interval is wide.
-    pub fn compare(&self, found: &[f32]) -> (Option<String>, usize) {
+    /// Also returns the number of pairs whose interval is wide. `gpu` has computed the elements.
+    pub fn compare(&self, gpu: &Gpu, found: &[f32]) -> (Option<String>, usize) {
         let parts = parts_of(self.lights);
         assert_eq!(found.len(), parts.len() * self.receivers.len());
         // Rays at the edge of an opening are in doubt.
@@ -139,7 +139,7 @@ impl Case<'_> {
                 };
                 let (low, high, is) = (of(true), of(false), f64::from(found[l * self.receivers.len() + i]));
                 let most = self.outside.sky.iter().flat_map(|s| s.data()).fold(1.0_f32, |a, b| a.max(*b));
-                let slack = 2e-5 * f64::from(most) * scale(&light, r) + 1e-4 * high;
+                let slack = 2e-5 * gpu.division_error() * f64::from(most) * scale(&light, r) + 1e-4 * high;
                 wide += usize::from(high - low > slack);
                 if !(is >= low - slack && is <= high + slack) {
                     return (
@@ -156,7 +156,7 @@ impl Case<'_> {
     pub fn check(&self, gpu: &Gpu) -> usize {
         let (surfels, pixels) = (self.surfels(gpu), self.pixels(gpu));
         assert_eq!(surfels, pixels, "surfels and pixels differ");
-        let (fault, wide) = self.compare(&surfels);
+        let (fault, wide) = self.compare(gpu, &surfels);
         assert_eq!(fault, None);
         wide
     }
@@ -286,10 +286,10 @@ fn shadows_match_rays_against_all_discs() {
         if count == 40 {
             // A comparison without the occluders, or with other sample points, fails.
             let found = case.surfels(&gpu);
-            assert!(Case { surfels: &Surfels::default(), ..case }.compare(&found).0.is_some());
+            assert!(Case { surfels: &Surfels::default(), ..case }.compare(&gpu, &found).0.is_some());
             let mut reversed = found.clone();
             reversed.chunks_mut(receivers.len()).for_each(<[f32]>::reverse);
-            assert!(case.compare(&reversed).0.is_some());
+            assert!(case.compare(&gpu, &reversed).0.is_some());
         }
     }
 }

@@ -215,7 +215,11 @@ fn mirrors_show_the_wall_that_the_mirrored_ray_meets() {
             continue;
         }
         let face = 2 * axis + usize::from(l[axis] > 0.0);
-        assert_eq!([0, 1, 2].map(|k| f64::from(found[4 * i + k])), colors[face], "pixel {i}");
+        // The shares of a bilinear interpolation add up to one but for rounding, which devices may do differently.
+        let bound = f64::from(f32::EPSILON) * (gpu.division_error() - 1.0);
+        for (found, color) in found[4 * i..][..3].iter().zip(colors[face]) {
+            assert!((f64::from(*found) - color).abs() <= bound, "pixel {i}: {found} instead of {color}");
+        }
         assert_eq!(found[4 * i + 3], 1.0);
         shown[face] += 1;
     }
