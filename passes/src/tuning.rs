@@ -110,4 +110,15 @@ impl Tuning {
     pub fn tiles(&self) -> u32 {
         (16 / self.subgroup_size).max(1)
     }
+
+    /// Returns how many pixels of a mask a lane lists at once: 4 to 32.
+    ///
+    /// A workgroup processes its list alone, and pixels of a mask lie together. So GPUs split small views into shorter
+    /// lists, until the workgroups occupy the device.
+    pub fn lane_pixels(&self, pixels: u64) -> u32 {
+        // The list stays below 8 KiB on wide subgroups.
+        let most = if self.subgroup_size >= 64 { 16 } else { 32 };
+        let occupies = |count: &u32| pixels.div_ceil(u64::from(count * self.subgroup_size)) >= u64::from(self.workers);
+        if self.cpu { most } else { [32, 16, 8].into_iter().filter(|n| *n <= most).find(occupies).unwrap_or(4) }
+    }
 }

@@ -3,7 +3,7 @@
 // A workgroup, which is one subgroup, visits every n-th block of the mask and processes the list when it is nearly full.
 // Needs SUBGROUP and MASK(word), the mask's words.
 
-const uint LANE_PIXELS = SUBGROUP >= 64u ? 16u : 32u; // half a word each on wide subgroups, so that the list stays below 8 KiB
+layout(constant_id = 33) const uint LANE_PIXELS = 16; // a power of two up to 32; Tuning::lane_pixels
 const uint BLOCK = LANE_PIXELS * SUBGROUP;            // pixels whose words the lanes fetch at once
 const uint ROOM = BLOCK + 768u;
 

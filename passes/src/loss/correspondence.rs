@@ -47,6 +47,12 @@ pub struct ImagePart {
     pub mask: Buffer,
 }
 
+impl ImagePart {
+    fn pixels(&self) -> u64 {
+        u64::from(self.largest[0]) * u64::from(self.largest[1])
+    }
+}
+
 /// Region statistics of a training view and its pseudo-views.
 #[derive(Clone, Copy, Debug)]
 pub struct Regions {
@@ -86,8 +92,11 @@ fn slice(regions: &Regions, rendered: u32) -> Slice {
 
 /// Returns the number of workgroups that share the words of a mask.
 fn list_groups(tuning: Tuning, p: &ImagePart, classes: u32) -> u32 {
-    let pixels = u64::from(p.largest[0]) * u64::from(p.largest[1]);
-    batch_groups(tuning, pixels, 32 * tuning.subgroup_size, 128 + 2 * classes)
+    batch_groups(tuning, p.pixels(), lane_pixels(tuning, p) * tuning.subgroup_size, 128 + 2 * classes)
+}
+
+fn lane_pixels(tuning: Tuning, p: &ImagePart) -> u32 {
+    tuning.lane_pixels(p.pixels())
 }
 
 /// Adds the passes that compute the region of an image. Image 0 is the training view, the others are pseudo-views.
@@ -123,6 +132,7 @@ pub fn region(
         channels: p.channels,
         first: p.first,
         classify: rendered == 0,
+        lane_pixels: lane_pixels(prepared.tuning, p),
     };
     stage(g, &name("sum"), &region_sums::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(subgroup))
@@ -178,6 +188,7 @@ pub fn correspondence_bwd(
             classes: head.classes,
             channels: p.channels,
             first: p.first,
+            lane_pixels: lane_pixels(tuning, p),
         };
         let push = pseudo::Push { share: 1.0 / images.len() as f32 };
         let bytes = bytemuck::bytes_of(&push);
@@ -208,7 +219,8 @@ pub fn correspondence_train_bwd(
         grad_image: grad_image.into(),
     };
     let subgroup = tuning.subgroup_size;
-    let specs = train::Specs { subgroup, channels: p.channels, first: p.first, pairs: from.pairs };
+    let lane_pixels = lane_pixels(tuning, p);
+    let specs = train::Specs { subgroup, channels: p.channels, first: p.first, pairs: from.pairs, lane_pixels };
     stage(g, "correspondence_train_bwd", &train::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(subgroup))
         .dispatch([list_groups(tuning, p, 0), 1, 1])

@@ -339,8 +339,10 @@ fn gather(
     let subgroup = tuning.subgroup_size;
     // Wide subgroups spread the channels of a pixel over 8 lanes; in narrow ones a lane sums all channels of its pixel.
     let across = if tuning.narrow() { 1 } else { 8 };
-    let specs = semantic_gather::Specs { subgroup, channels: a.channels, first: a.first, across };
-    let blocks = (u64::from(a.largest[0]) * u64::from(a.largest[1])).div_ceil(u64::from(32 * subgroup)).max(1);
+    let pixels = u64::from(a.largest[0]) * u64::from(a.largest[1]);
+    let lane_pixels = tuning.lane_pixels(pixels);
+    let specs = semantic_gather::Specs { subgroup, channels: a.channels, first: a.first, across, lane_pixels };
+    let blocks = pixels.div_ceil(u64::from(lane_pixels * subgroup)).max(1);
     stage(g, "semantic_gather", &semantic_gather::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(subgroup))
         .dispatch([blocks.min(1 << 15) as u32, 1, 1])
