@@ -109,7 +109,10 @@ pub fn blend_features(
 ) -> Result<(), GraphError> {
     let bindings = of_tiles!(forward, (screen, gaussians, visible, entries, wanted), feature_image: into.into(),);
     let per_lane = wanted.per_lane(t);
-    let span = 2 * per_lane * t.subgroup_size;
+    // Two rounds of a workgroup share its list of selected pixels. Small views do not occupy a GPU that way.
+    let round = per_lane * t.subgroup_size;
+    let occupied = t.cpu || u64::from(screen.tiles()) * u64::from(pixels(screen)) >= u64::from(2 * round * t.workers);
+    let span = if occupied { 2 * round } else { round };
     let specs = splat_specs!(forward, t, { subgroup: t.subgroup_size,
         per_lane,
         tile_width: screen.tile[0],
