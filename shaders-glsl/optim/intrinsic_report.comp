@@ -10,7 +10,8 @@ layout(constant_id = 1) const bool ALBEDO = false;    // whether there was a pri
 layout(constant_id = 2) const bool ROUGHNESS = false;
 layout(constant_id = 3) const bool METALLIC = false;
 layout(constant_id = 4) const bool LIGHTS = false;    // whether lights are regularized
-layout(local_size_x = 1) in;
+layout(constant_id = 5) const uint SUBGROUP = 32;
+layout(local_size_x_id = 5) in;
 
 layout(push_constant, scalar) uniform Push {
     uint smooth_count; // workgroups that left sums of the environment's smoothness; 0 if it has no weight
@@ -48,7 +49,16 @@ IN(float, smooth_sums);
 IN(float, jitter_sums);
 OUT(IntrinsicReport, reports);
 
+// The subgroup adds the sums of workgroups.
+#define SUM_OF(sums, count, total)                                                             \
+    float total = 0.0;                                                                         \
+    for (uint i = gl_SubgroupInvocationID; i < (count); i += SUBGROUP) total += sums[i];       \
+    total = subgroupAdd(total);
+
 void main() {
+    SUM_OF(smooth_sums, push.smooth_count, smoothness)
+    SUM_OF(jitter_sums, push.jitter_count, jitter)
+    if (!subgroupElect()) return;
     LossStats s = shaded[0];
     float a = 0.0, r = 0.0, m = 0.0;
     if (ALBEDO) a = albedo[0].total;
@@ -56,9 +66,6 @@ void main() {
     if (METALLIC) m = metallic[0].total;
     vec2 lights = vec2(0.0);
     if (LIGHTS) lights = vec2(light_losses[0], light_losses[1]);
-    float smoothness = 0.0, jitter = 0.0;
-    for (uint i = 0u; i < push.smooth_count; i++) smoothness += smooth_sums[i];
-    for (uint i = 0u; i < push.jitter_count; i++) jitter += jitter_sums[i];
     reports[params.step.step % RING] =
         IntrinsicReport(params.step.step, skipped[0], s.total, s.l1, s.ssim, a, r, m, lights.x, lights.y, smoothness, jitter,
                         -1.0, -1.0, -1.0, materials[0]);
