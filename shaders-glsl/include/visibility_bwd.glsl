@@ -5,9 +5,9 @@
 // instruction multiplies a weight, the same for all lanes, by the numbers of as many pairs as there are lanes. Only the
 // gradients of weights add up over pairs. They are a product of two matrices, whose operands lanes exchange through shared
 // memory: the second layer's by tiles of TILE_ROWS outputs and four inputs a lane, the first layer's direction and distance
-// likewise. A lane keeps its tiles in registers until the end. Weights are loads from addresses that all lanes share. Rows
-// of points are summed over the lights first, so that the second half runs once a pixel. A workgroup is one subgroup and
-// writes one set of sums.
+// likewise. A lane keeps its tiles in registers until the end. Weights are loads from addresses that all lanes share, except
+// at the end of a workgroup; see visibility_weights.glsl. Rows of points are summed over the lights first, so that the second
+// half runs once a pixel. A workgroup is one subgroup and writes one set of sums.
 //
 // Needs visibility_grid.glsl, random.glsl and visibility_jitter.glsl, the constants and buffers below, and functions:
 //     void pair_begin(uint pixel, bool is_shaded)  before the first light of a pixel, which may be any if it is not shaded
@@ -36,19 +36,15 @@ shared vec4 shared_neurons[SUBGROUP * PITCH]; // outputs of the first layer, the
 shared vec4 shared_slopes[ACROSS * PITCH];    // gradients of the second layer, over the last one's weights
 shared float shared_ways[SUBGROUP * 4u];
 
-IN(vec4, mlp); // four weights each
+#include "visibility_weights.glsl"
 
 #define EACH(i, count) [[unroll]] for (uint i = 0u; i < count; i++)
 
-// Weights of the second layer by output and block of inputs, and of the first layer's direction and distance.
-vec4 second_from(uint i) { return mlp[SECOND / 4u + i]; }
-
-float weight(uint i) { return mlp[i / 4u][i % 4u]; }
-
-vec4 pair_from(uint n) {
-    uint at = n * INPUTS + 2u * LEVELS;
-    return vec4(weight(at), weight(at + 1u), weight(at + 2u), weight(at + 3u));
-}
+// Weights of the second layer by output and block of inputs, of the first layer's direction and distance, and of a block of
+// the last layer.
+vec4 second_from(uint i) { return mlp_vectors[SECOND / 4u + i]; }
+vec4 pair_from(uint n) { return weights_from(n * INPUTS + 2u * LEVELS); }
+vec4 last_from(uint b) { return mlp_vectors[LAST / 4u + b]; }
 
 // What other lanes of the subgroup, which is the workgroup, have written to shared memory.
 void exchange() {
@@ -105,7 +101,10 @@ void layers() {
         shared_neurons[gl_SubgroupInvocationID * PITCH + b] = hidden;
         EACH(n, WIDTH) slopes[n] = added(second_from(n * BLOCKS + b), hidden, slopes[n]);
     }
-    EACH(n, WIDTH) logit = fma(weight(LAST + n), rectified(slopes[n]), logit);
+    EACH(b, BLOCKS) {
+        vec4 w = last_from(b);
+        EACH(j, 4u) logit = fma(w[j], rectified(slopes[4u * b + j]), logit);
+    }
 }
 
 // Adds a lane's pair, whose slopes are in a row of shared_slopes, to the tile of the second layer.
@@ -146,7 +145,10 @@ void back(float slope) {
         EACH_PAIR(i, ACROSS) add_second(writer * ACROSS + i, i);
         exchange();
     }
-    EACH(n, WIDTH) slopes[n] *= weight(LAST + n);
+    EACH(b, BLOCKS) {
+        vec4 w = last_from(b);
+        EACH(j, 4u) slopes[4u * b + j] *= w[j];
+    }
     [[dont_unroll]] for (uint b = 0u; b < BLOCKS; b++) {
         vec4 g = vec4(0.0);
         EACH(n, WIDTH) g = fma(second_from(n * BLOCKS + b), vec4(slopes[n]), g);
@@ -205,7 +207,7 @@ void write_sums() {
         vec4 sum = sum_from(ACROSS, by_second[j]);
         float by_last = dot(sum, second_from(n * BLOCKS + block));
         [[unroll]] for (uint reach = 1u; reach < BLOCKS; reach *= 2u) by_last += subgroupShuffleXor(by_last, reach);
-        sum *= weight(LAST + n);
+        sum *= last_from(n / 4u)[j % 4u];
         if (writes) {
             EACH(k, 4u) sums_of[to + n * WIDTH + 4u * block + k] = sum[k];
             if (block == 0u) sums_of[to + WIDTH * (WIDTH + 4u) + n] = by_last;

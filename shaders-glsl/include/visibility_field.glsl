@@ -5,8 +5,8 @@
 //
 // Call field_weights(), then field_pixel() for each pixel, then field_visibilities() any number of times, all of them from
 // uniform control flow, by every invocation. Needs SUBGROUP, WORKGROUP, LEVELS (at most 16), FIELD_SPREAD, and buffers
-// `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last), `mlp_vectors` (the same
-// buffer), `field_levels`; the tables are visibility_tables.glsl's.
+// `mlp` (rows of the first layer: features, direction, distance; rows of the second, the last), `field_levels`; the tables
+// are visibility_tables.glsl's, and visibility_weights.glsl binds `mlp` a second time.
 //
 // With FIELD_SPREAD the eight lanes of a subgroup process their eight pixels together, lanes over neurons, because CPUs
 // read weights cheaply only from an invocation's own arrays; see visibility_lanes.glsl. Without, every invocation works
@@ -109,8 +109,7 @@ void spread_layers(uint first) {
     }
 }
 
-// Every invocation alone. Weights are loads from addresses that all lanes share, so that AMD's GPUs keep them in scalar
-// registers.
+// Every invocation alone. Weights are loads from addresses that all lanes share; see visibility_weights.glsl.
 
 const uint FIELD_BLOCKS = WIDTH / 4u; // of four neurons
 const bool FIELD_ALIGNED = LEVELS % 2u == 0u; // whether rows of the first layer are whole vectors
@@ -118,11 +117,7 @@ const bool FIELD_ALIGNED = LEVELS % 2u == 0u; // whether rows of the first layer
 float field_point[WIDTH]; // the first layer's response to this pixel's point
 
 // Weights of the first layer from input k, an even one, on.
-vec4 first_from(uint n, uint k) {
-    uint at = n * FIELD_INPUTS + k;
-    if (FIELD_ALIGNED) return mlp_vectors[at / 4u];
-    return vec4(mlp[at], mlp[at + 1u], mlp[at + 2u], mlp[at + 3u]);
-}
+vec4 first_from(uint n, uint k) { return weights_from(n * FIELD_INPUTS + k); }
 
 // Direction and distance of a neuron of the first layer.
 float first_layer(vec4 w, vec4 way, float response) {

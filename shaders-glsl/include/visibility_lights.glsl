@@ -11,7 +11,7 @@ layout(scalar) uniform FieldBlock { FieldStep field; } field_params;
 IN(FieldLevel, field_levels);
 #include "visibility_tables.glsl"
 IN(float, mlp);
-IN(vec4, mlp_vectors); // the same
+#include "visibility_weights.glsl" // the same
 
 const uint WORKGROUP = SUBGROUP;
 #include "visibility_field.glsl"

@@ -18,7 +18,7 @@ layout(scalar) uniform FieldBlock { FieldStep field; } params;
 IN(FieldLevel, field_levels);
 #include "visibility_tables.glsl"
 IN(float, mlp);
-IN(vec4, mlp_vectors);     // the same
+#include "visibility_weights.glsl" // the same
 IN(vec3, light_positions); // world
 IN(vec3, points);
 IN(float, coverage);

@@ -23,7 +23,7 @@ layout(scalar) uniform FieldBlock { FieldStep field; } params;
 IN(FieldLevel, field_levels);
 #include "visibility_tables.glsl"
 IN(float, mlp);
-IN(vec4, mlp_vectors); // the same
+#include "visibility_weights.glsl" // the same
 IN(vec3, points);
 OUT(float, rows); // count x 32, or whole blocks
 

@@ -132,10 +132,10 @@ pub fn visibility_bwd(
         let [rows, moved] = plan.rows(g, field, view, [first, count])?;
         let chunk = plan.chunk(first, count);
         macro_rules! of_pairs {
-            ($kernel:ident) => {{
+            ($kernel:ident, $weights:ident) => {{
                 let bindings = $kernel::Bindings {
                     field_params: field.step.into(),
-                    mlp: field.mlp.into(),
+                    $weights: field.mlp.into(),
                     points: view.points.into(),
                     coverage: view.coverage.into(),
                     rows: rows.into(),
@@ -163,8 +163,8 @@ pub fn visibility_bwd(
             }};
         }
         match field_batched(tuning) {
-            true => of_pairs!(pairs),
-            false => of_pairs!(lanes),
+            true => of_pairs!(pairs, mlp_vectors),
+            false => of_pairs!(lanes, mlp),
         }
     }
     plan.finish(g, field, view, into)

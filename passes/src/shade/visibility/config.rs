@@ -16,6 +16,11 @@ pub const FIELD_FEATURES: usize = 2;
 /// Maximum number of levels in the kernels.
 pub const FIELD_LEVELS: u32 = 16;
 
+/// Weights of a field with the maximum number of levels. Kernels bind them as a uniform buffer
+/// (`visibility_weights.glsl`), of which every device supports 16 KiB.
+const MOST_WEIGHTS: usize = FieldConfig::new(FIELD_LEVELS, 19, 32, 4096).weights();
+const _: () = assert!(MOST_WEIGHTS == 4 * 552 && 4 * MOST_WEIGHTS <= 16 << 10);
+
 /// Reason why a field's configuration is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum FieldError {
@@ -143,13 +148,13 @@ impl FieldConfig {
     }
 
     /// Returns the inputs of the first layer: features, direction, distance.
-    pub fn inputs(&self) -> usize {
+    pub const fn inputs(&self) -> usize {
         FIELD_FEATURES * self.levels as usize + 4
     }
 
     /// Returns the number of weights of the network. The weights are rows of the first layer, rows of the second layer,
     /// and the last layer.
-    pub fn weights(&self) -> usize {
+    pub const fn weights(&self) -> usize {
         FIELD_WIDTH * self.inputs() + FIELD_WIDTH * FIELD_WIDTH + FIELD_WIDTH
     }
 

@@ -236,10 +236,10 @@ pub fn visibility_lights_bwd(
         let [rows, moved] = plan.rows(g, field, &view, [first, count])?;
         let chunk = plan.chunk(first, count);
         macro_rules! of_pairs {
-            ($kernel:ident) => {{
+            ($kernel:ident, $weights:ident) => {{
                 let bindings = of_lights!($kernel, a, {
                     field_params: field.step.into(),
-                    mlp: field.mlp.into(),
+                    $weights: field.mlp.into(),
                     rows: rows.into(),
                     moved_rows: moved.into(),
                     row_gradients: chunk.gradients,
@@ -267,8 +267,8 @@ pub fn visibility_lights_bwd(
             }};
         }
         match field_batched(tuning) {
-            true => of_pairs!(pairs),
-            false => of_pairs!(lanes),
+            true => of_pairs!(pairs, mlp_vectors),
+            false => of_pairs!(lanes, mlp),
         }
     }
     plan.finish(g, field, &view, into)?;
