@@ -41,6 +41,46 @@ shared vec3 spread[3u * TILE_Y * PITCH];
 shared float owed[3u * TILE_Y * TILE_X];
 #endif
 
+vec3 partial_or_zero(uvec2 size, uint x, uint y, uint channel) {
+    if (AHEAD == 1u && (x >= size.x || y >= size.y)) return vec3(0.0);
+    vec3 v = partials[(channel * size.y + min(y, size.y - 1u)) * size.x + min(x, size.x - 1u)];
+    return x < size.x && y < size.y ? v : vec3(0.0);
+}
+
+void filter_column(uint channel, uint column, uint x, uvec2 size, uint top, uint rows) {
+    Window window = window_start();
+    for (uint begin = 0u; begin < rows + WINDOW_DELAY; begin += AHEAD) {
+        vec3 values[AHEAD];
+        [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+            values[i] = partial_or_zero(size, x, top + begin + i - WINDOW_RADIUS, channel);
+        }
+        [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+            uint k = begin + i;
+            vec3 v = window_next(window, values[i]);
+            if (k >= WINDOW_DELAY) spread[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = v;
+        }
+    }
+}
+
+// The same by taps, with all outputs of the column in registers.
+void add_up_column(uint channel, uint column, uint x, uvec2 size, uint top) {
+    vec3 mean[TILE_Y];
+    [[unroll]] for (uint n = 0u; n < TILE_Y; n++) mean[n] = vec3(0.0);
+    [[unroll]] for (uint begin = 0u; begin < TILE_Y + WINDOW_DELAY; begin += AHEAD) {
+        vec3 values[AHEAD];
+        [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+            values[i] = partial_or_zero(size, x, top + begin + i - WINDOW_RADIUS, channel);
+        }
+        [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+            uint k = begin + i;
+            [[unroll]] for (uint n = 0u; n < TILE_Y; n++) {
+                if (k - n < WINDOW_TAPS) mean[n] = fma(vec3(window_tap(k - n)), values[i], mean[n]);
+            }
+        }
+    }
+    [[unroll]] for (uint n = 0u; n < TILE_Y; n++) spread[(channel * TILE_Y + n) * PITCH + column] = mean[n];
+}
+
 void main() {
     uvec2 size = params.step.camera.size;
     uint tiles_x = (size.x + TILE_X - 1u) / TILE_X;
@@ -53,22 +93,8 @@ void main() {
     for (uint item = gl_LocalInvocationID.x; item < 3u * COLUMNS; item += WORKGROUP) {
         uint channel = item / COLUMNS, column = item % COLUMNS;
         uint x = origin.x + column - WINDOW_RADIUS;
-        Window window = window_start();
-        for (uint begin = 0u; begin < rows + WINDOW_DELAY; begin += AHEAD) {
-            vec3 values[AHEAD];
-            [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
-                uint y = origin.y + begin + i - WINDOW_RADIUS;
-                values[i] = vec3(0.0);
-                if (AHEAD == 1u && (x >= size.x || y >= size.y)) continue;
-                vec3 v = partials[(channel * size.y + min(y, size.y - 1u)) * size.x + min(x, size.x - 1u)];
-                if (x < size.x && y < size.y) values[i] = v;
-            }
-            [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
-                uint k = begin + i;
-                vec3 v = window_next(window, values[i]);
-                if (k >= WINDOW_DELAY) spread[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = v;
-            }
-        }
+        if (RUN > 1u) filter_column(channel, column, x, size, origin.y, rows);
+        else add_up_column(channel, column, x, size, origin.y);
     }
     barrier();
 
@@ -83,9 +109,13 @@ void main() {
         uint count = min(RUN, size.x - first);
         uint from = (channel * TILE_Y + row) * PITCH + run * RUN;
         uint to = (origin.y + row) * size.x + first;
+        vec3 v = vec3(0.0);
+        if (RUN == 1u) {
+            [[unroll]] for (uint k = 0u; k < WINDOW_TAPS; k++) v = fma(vec3(window_tap(k)), spread[from + k], v);
+        }
         Window window = window_start();
-        for (uint k = 0u; k < count + WINDOW_DELAY; k++) {
-            vec3 v = window_next(window, spread[from + k]);
+        for (uint k = RUN == 1u ? WINDOW_DELAY : 0u; k < count + WINDOW_DELAY; k++) {
+            if (RUN > 1u) v = window_next(window, spread[from + k]);
             if (k < WINDOW_DELAY) continue;
             uint pixel = to + k - WINDOW_DELAY;
             uint packed = targets[params.step.target_offset + pixel];

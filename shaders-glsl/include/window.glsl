@@ -2,10 +2,21 @@
 // splatting), as a filter with memory. Samples go in one by one along a row or column; the weighted mean over the last
 // eleven comes out. Each sample is loaded once for all eleven outputs that it belongs to, and nothing is indexed, so
 // the ten partial sums stay in registers on every device.
+// Short runs of outputs add up taps instead (window_tap): the filter with memory takes ten samples before the first output.
 // Define WINDOW_T (float, vec3, ...) before including this file.
 
 const uint WINDOW_RADIUS = 5u;
 const uint WINDOW_DELAY = 10u; // outputs are complete from this sample on, counted from 0
+
+const uint WINDOW_TAPS = 11u;
+
+// The weight of a sample of the window. Callers pass constants.
+float window_tap(uint i) {
+    const float taps[WINDOW_TAPS] = float[WINDOW_TAPS](0.00102838012, 0.00759875821, 0.0360007733, 0.109360687, 0.213005543,
+                                                       0.266011715, 0.213005543, 0.109360687, 0.0360007733, 0.00759875821,
+                                                       0.00102838012);
+    return taps[i];
+}
 
 // Partial sums of the ten outputs that are under way, the next one first.
 struct Window {

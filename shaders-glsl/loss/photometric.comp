@@ -15,7 +15,7 @@ layout(constant_id = 0) const uint WORKGROUP = 96;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint TILE_X = 22;   // columns of a tile; 32 with both margins
 layout(constant_id = 3) const uint TILE_Y = 16;
-layout(constant_id = 4) const uint RUN = 11;      // outputs of one invocation along a row; divides TILE_X
+layout(constant_id = 4) const uint RUN = 11;      // outputs of one invocation along a row; divides TILE_X; 1: taps add up
 layout(constant_id = 5) const uint CHANNELS = 3;  // floats of a pixel of the image
 layout(constant_id = 6) const uint AHEAD = 2;     // rows that are loaded together; divides TILE_Y + WINDOW_DELAY
 
@@ -70,6 +70,50 @@ float ssim(vec4 m, out vec3 derivatives) {
     return s;
 }
 
+// Filters a column of the tile. Adds its differences to `sum`.
+void filter_column(uint channel, uint column, uint x, uvec2 size, uint top, uint rows, inout float sum) {
+    bool inside = column >= WINDOW_RADIUS && column < WINDOW_RADIUS + TILE_X;
+    Window window = window_start();
+    for (uint begin = 0u; begin < rows + WINDOW_DELAY; begin += AHEAD) {
+        vec2 values[AHEAD];
+        [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+            values[i] = fetch_or_zero(size, x, top + begin + i - WINDOW_RADIUS, channel);
+        }
+        [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+            uint k = begin + i;
+            vec2 v = values[i];
+            if (inside && k - WINDOW_RADIUS < rows) sum += abs(v.x - v.y);
+            v -= 0.5;
+            vec4 mean = window_next(window, vec4(v, dot(v, v), v.x * v.y));
+            if (k >= WINDOW_DELAY) means[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = mean;
+        }
+    }
+}
+
+// The same by taps, with all outputs of the column in registers.
+void add_up_column(uint channel, uint column, uint x, uvec2 size, uint top, uint rows, inout float sum) {
+    bool inside = column >= WINDOW_RADIUS && column < WINDOW_RADIUS + TILE_X;
+    vec4 mean[TILE_Y];
+    [[unroll]] for (uint n = 0u; n < TILE_Y; n++) mean[n] = vec4(0.0);
+    [[unroll]] for (uint begin = 0u; begin < TILE_Y + WINDOW_DELAY; begin += AHEAD) {
+        vec2 values[AHEAD];
+        [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+            values[i] = fetch_or_zero(size, x, top + begin + i - WINDOW_RADIUS, channel);
+        }
+        [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
+            uint k = begin + i;
+            vec2 v = values[i];
+            if (inside && k - WINDOW_RADIUS < rows) sum += abs(v.x - v.y);
+            v -= 0.5;
+            vec4 s = vec4(v, dot(v, v), v.x * v.y);
+            [[unroll]] for (uint n = 0u; n < TILE_Y; n++) {
+                if (k - n < WINDOW_TAPS) mean[n] = fma(vec4(window_tap(k - n)), s, mean[n]);
+            }
+        }
+    }
+    [[unroll]] for (uint n = 0u; n < TILE_Y; n++) means[(channel * TILE_Y + n) * PITCH + column] = mean[n];
+}
+
 void main() {
     uvec2 size = params.step.camera.size;
     uint tiles_x = (size.x + TILE_X - 1u) / TILE_X;
@@ -87,22 +131,8 @@ void main() {
     for (uint item = gl_LocalInvocationID.x; item < 3u * COLUMNS; item += WORKGROUP) {
         uint channel = item / COLUMNS, column = item % COLUMNS;
         uint x = origin.x + column - WINDOW_RADIUS; // left of the image, wraps around and fails the comparison
-        bool inside = column >= WINDOW_RADIUS && column < WINDOW_RADIUS + TILE_X;
-        Window window = window_start();
-        for (uint begin = 0u; begin < rows + WINDOW_DELAY; begin += AHEAD) {
-            vec2 values[AHEAD];
-            [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
-                values[i] = fetch_or_zero(size, x, origin.y + begin + i - WINDOW_RADIUS, channel);
-            }
-            [[unroll]] for (uint i = 0u; i < AHEAD; i++) {
-                uint k = begin + i;
-                vec2 v = values[i];
-                if (inside && k - WINDOW_RADIUS < rows) sum.x += abs(v.x - v.y);
-                v -= 0.5;
-                vec4 mean = window_next(window, vec4(v, dot(v, v), v.x * v.y));
-                if (k >= WINDOW_DELAY) means[(channel * TILE_Y + k - WINDOW_DELAY) * PITCH + column] = mean;
-            }
-        }
+        if (RUN > 1u) filter_column(channel, column, x, size, origin.y, rows, sum.x);
+        else add_up_column(channel, column, x, size, origin.y, rows, sum.x);
     }
     barrier();
 
@@ -114,11 +144,18 @@ void main() {
         uint count = min(RUN, size.x - first);
         uint from = (channel * TILE_Y + row) * PITCH + run * RUN;
         uint to = (channel * size.y + origin.y + row) * size.x + first;
+        vec3 derivatives;
+        if (RUN == 1u) {
+            vec4 mean = vec4(0.0);
+            [[unroll]] for (uint k = 0u; k < WINDOW_TAPS; k++) mean = fma(vec4(window_tap(k)), means[from + k], mean);
+            sum.y += ssim(mean, derivatives);
+            partials[to] = derivatives;
+            continue;
+        }
         Window window = window_start();
         for (uint k = 0u; k < count + WINDOW_DELAY; k++) {
             vec4 mean = window_next(window, means[from + k]);
             if (k < WINDOW_DELAY) continue;
-            vec3 derivatives;
             sum.y += ssim(mean, derivatives);
             partials[to + k - WINDOW_DELAY] = derivatives;
         }

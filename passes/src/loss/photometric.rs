@@ -13,7 +13,7 @@
 //! pixel of 4 C (`photometric_bwd`; in place 4 more are written). That is 104 bytes for C = 3. With the margins of a
 //! high tile, caches supply 2.1 times as much. Arithmetic: a window takes 11 multiply-adds per value; columns are
 //! filtered 2.4 times (both margins) and rows 1.9 times. That is 3 channels x 11 x (4 + 3) values x 4.3 = 990
-//! multiply-adds, and 3 x 40 for SSIM. Low tiles filter columns 5 times.
+//! multiply-adds, and 3 x 40 for SSIM. Low tiles filter columns 5 times with memory, or 1.5 times if taps add up.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -54,7 +54,7 @@ struct Tile {
     size: [u32; 2],
     /// Invocations of a workgroup: at most one for each column of the 3 channels.
     workgroup: u32,
-    /// Pixels of a row that one invocation filters.
+    /// Pixels of a row that one invocation filters. With 1, invocations add up taps instead of filtering with memory.
     run: u32,
     /// Rows that an invocation loads together; divides the rows of a tile and its margins.
     ahead: u32,
@@ -70,7 +70,7 @@ impl Tile {
         if tuning.subgroup_size < 32 {
             Tile { size: [22, 16], workgroup: (3 * tuning.subgroup_size).min(96), run: 22, ahead: 1 }
         } else {
-            Tile { size: [22, 4], workgroup: 96, run: 11, ahead: 7 }
+            Tile { size: [22, 4], workgroup: 96, run: 1, ahead: 7 }
         }
     }
 
