@@ -9,6 +9,9 @@
 // at the end of a workgroup; see visibility_weights.glsl. Rows of points are summed over the lights first, so that the second
 // half runs once a pixel. A workgroup is one subgroup and writes one set of sums.
 //
+// Small views have fewer batches of pixels than a device runs subgroups. There PARTS workgroups share a batch: each takes
+// every PARTS-th of its lights, and writes rows of its own.
+//
 // Needs visibility_grid.glsl, random.glsl and visibility_jitter.glsl, the constants and buffers below, and functions:
 //     void pair_begin(uint pixel, bool is_shaded)  before the first light of a pixel, which may be any if it is not shaded
 //     bool pair_matters(uint light)                cheap: whether the next one can be other than zero
@@ -225,7 +228,9 @@ void main() {
     FieldStep field = field_params.field;
     uint lights = light_count();
     float largest = 0.0, jitter = 0.0;
-    [[dont_unroll]] for (uint batch = gl_WorkGroupID.x; batch * SUBGROUP < push.count; batch += gl_NumWorkGroups.x) {
+    uint items = (push.count + SUBGROUP - 1u) / SUBGROUP * PARTS;
+    [[dont_unroll]] for (uint item = gl_WorkGroupID.x; item < items; item += gl_NumWorkGroups.x) {
+        uint batch = item / PARTS, part = item % PARTS;
         uint local = batch * SUBGROUP + gl_SubgroupInvocationID, pixel = push.first + local;
         bool exists = local < push.count && pixel < field.pixels;
         uint at = exists ? pixel : 0u;
@@ -236,7 +241,7 @@ void main() {
         row_at = batch * SUBGROUP * WIDTH + gl_SubgroupInvocationID;
         EACH(b, BLOCKS) by_row[b] = vec4(0.0);
         pair_begin(at, lane_shaded);
-        uint next = 0u;
+        uint next = part;
         [[dont_unroll]] for (;;) {
             // To the next light that matters to any pixel of the group. Groups that have found one wait for the others.
             uint light = 0u;
@@ -250,7 +255,7 @@ void main() {
                     found = true;
                     light = candidate;
                 }
-                next += uint(is_open);
+                next += is_open ? PARTS : 0u;
             }
             if (!subgroupAny(found)) break;
             bool counts = found && lane_shaded && sampled(pixel, light);
@@ -287,7 +292,7 @@ void main() {
                 largest = max(largest, abs(by_row[b][j]));
             }
             if (local < push.count) {
-                EACH(j, 4u) row_gradients[local * WIDTH + 4u * b + j] = by_row[b][j];
+                EACH(j, 4u) row_gradients[(part * push.count + local) * WIDTH + 4u * b + j] = by_row[b][j];
             }
         }
     }

@@ -11,6 +11,7 @@
 layout(constant_id = 0) const uint SUBGROUP = 32;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const uint LEVELS = 16;
+layout(constant_id = 3) const uint PARTS = 1; // of the lights, each with its rows
 
 layout(push_constant, scalar) uniform Push {
     uint first; // pixel
@@ -24,7 +25,7 @@ IN(FieldLevel, field_levels);
 IN(float, mlp);
 IN(vec3, points);
 IN(float, coverage);
-IN(float, row_gradients);     // count x 32
+IN(float, row_gradients);     // PARTS x count x 32
 IN(float, scale);             // of whole numbers, and its inverse
 OUT(float, feature_sums);     // by workgroup and side: neuron, feature
 INOUT(uint, table_gradients); // entries x 2 x 2
@@ -53,7 +54,13 @@ float first_row(uint n, uint h) { return neuron(h) < FEATURES ? mlp[n * INPUTS +
 void fetch_row(uint item) {
     bool is_shaded = from_lane(lane_shaded ? 1.0 : 0.0, item) > 0.0;
     uint at = min(side_first + item, push.count - 1u) * WIDTH;
-    EACH_HELD(h) gradients[item * HELD + h] = is_shaded ? row_gradients[at + neuron(h)] : 0.0;
+    EACH_HELD(h) {
+        float sum = is_shaded ? row_gradients[at + neuron(h)] : 0.0;
+        [[unroll]] for (uint part = 1u; part < PARTS; part++) {
+            sum += is_shaded ? row_gradients[part * push.count * WIDTH + at + neuron(h)] : 0.0;
+        }
+        gradients[item * HELD + h] = sum;
+    }
 }
 
 void back(uint item) {

@@ -12,6 +12,7 @@ layout(constant_id = 2) const uint LEVELS = 16;
 layout(push_constant, scalar) uniform Push {
     uint first; // of the extents
     uint count;
+    uint parts; // rows of a pixel, which add up
 } push;
 
 layout(scalar) uniform FieldBlock { FieldStep field; } params;
@@ -36,6 +37,7 @@ void main() {
     if (gl_LocalInvocationID.x != 0u) return;
     float extent = 0.0;
     for (uint i = 0u; i < WORKGROUP; i++) extent = max(extent, largest[i]);
+    extent = min(extent * float(push.parts), 3e38); // with the exponent of the largest number
     float most = 0.0;
     for (uint k = 0u; k < 2u * LEVELS; k++) most = max(most, columns[k]);
     // Exponents that the numbers are below, with one to spare for rounding.

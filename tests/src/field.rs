@@ -39,6 +39,8 @@ pub struct Case {
     pub table_bits: u32,
     /// Whether the kernels of CPUs run; `None` for those of the device.
     pub cpu: Option<bool>,
+    /// Compute units of the device, instead of its own. They decide how the backward pass splits its work.
+    pub units: Option<u32>,
 }
 
 /// Configuration with sixteen small levels, most of them hashed.
@@ -80,13 +82,14 @@ impl Case {
             step,
             table_bits: 32,
             cpu: None,
+            units: None,
         }
     }
 
     /// Returns the kernel sizes.
     pub fn tuning(&self, gpu: &Gpu) -> Tuning {
         let own = gpu.tuning();
-        Tuning { cpu: self.cpu.unwrap_or(own.cpu), ..own }
+        Tuning { cpu: self.cpu.unwrap_or(own.cpu), units: self.units.unwrap_or(own.units), ..own }
     }
 
     /// Returns the field of the reference.

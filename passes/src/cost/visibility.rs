@@ -52,19 +52,20 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         }
         "visibility_encode" => ((12.0 + 128.0 + entry * corners) * p, (CORNER * corners + project) * p),
         "visibility_bwd" => {
-            let moved = spec("REGULARIZED");
-            ((28.0 + 256.0 + 128.0 * moved) * p, ((1.0 + moved) * PAIR + PAIR_BWD) * pairs)
+            let (moved, parts) = (spec("REGULARIZED"), spec("PARTS"));
+            ((28.0 + 128.0 * (1.0 + moved + parts)) * p, ((1.0 + moved) * PAIR + PAIR_BWD) * pairs)
         }
         // Additional cost of a pair's light. Half of the pairs face each other, and one in `SAMPLE` is evaluated.
         "visibility_lights_bwd" => {
             let (moved, taken) = (spec("REGULARIZED"), 0.5 * pairs / spec("SAMPLE").max(1.0));
             let light = super::shade::pair(spec("LOBES"));
-            ((72.0 + 256.0 + 128.0 * moved) * p, ((1.0 + moved) * PAIR + PAIR_BWD + light) * taken)
+            ((72.0 + 128.0 * (1.0 + moved + spec("PARTS"))) * p, ((1.0 + moved) * PAIR + PAIR_BWD + light) * taken)
         }
         // The kernel reads entries for the weights, and changes two sums of two words each for the tables.
-        "visibility_encode_bwd" => {
-            ((16.0 + 128.0 + (32.0 + entry) * corners) * p, (2.0 * CORNER * corners + 2.0 * project) * p)
-        }
+        "visibility_encode_bwd" => (
+            (16.0 + 128.0 * spec("PARTS") + (32.0 + entry) * corners) * p,
+            (2.0 * CORNER * corners + 2.0 * project) * p,
+        ),
         "visibility_reduce" => {
             let (pairs, points) = ((s.push)(0), (s.push)(1));
             let sums = 1184.0 * pairs + 64.0 * levels * points;

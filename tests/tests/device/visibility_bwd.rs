@@ -150,13 +150,33 @@ fn both_kernels_sample_the_same_pairs() {
     case.step.regularizer = 0.3;
     let mut requested = LossGradients::random(&case, 1.0, 19);
     requested.options.sample = 3;
-    let [a, b] = BOTH.map(|cpu| Case { cpu, ..case.clone() }.backward(&gpu, &requested));
+    same_gradients(&gpu, &case, &requested);
+}
+
+fn same_gradients(gpu: &Gpu, case: &Case, requested: &LossGradients) {
+    let [a, b] = BOTH.map(|cpu| Case { cpu, ..case.clone() }.backward(gpu, requested));
     let wide = |v: &[f32]| v.iter().map(|x| f64::from(*x)).collect::<Vec<f64>>();
     for (what, a, b) in [("layers", &a.mlp, &b.mlp), ("tables", &a.tables, &b.tables), ("lights", &a.lights, &b.lights)]
     {
         let largest = a.iter().fold(0.0_f64, |m, x| m.max(f64::from(x.abs())));
         assert!(largest > 0.0);
         assert_close(what, &wide(a), b, Tolerance::new(1e-5 * largest, 1e-3));
+    }
+}
+
+/// Tests that subgroups may share the lights of a batch of pixels. With one unit a subgroup visits them all, with two every
+/// second light, with many one light.
+#[test]
+fn split_lights_match_reference() {
+    let gpu = Gpu::new();
+    let pixels = 40 * gpu.tuning().subgroup_size as usize - 3;
+    for units in [1, 2, 48] {
+        let mut case = Case { cpu: Some(false), units: Some(units), ..Case::random(SMALL, pixels, 5, 8) };
+        case.step.regularizer = 0.3;
+        let mut requested = LossGradients::random(&case, 1.0, 9);
+        case.check_gradients(&gpu, &requested, 1e-5);
+        requested.options.sample = 2;
+        same_gradients(&gpu, &case, &requested);
     }
 }
 

@@ -24,13 +24,17 @@
 //! |---|---|---|
 //! | multiply-adds | 148 | 148 |
 //! | shuffles | 0.2 | 120 |
-//! | loads of four weights, the same address in all lanes | 27 | 0 |
+//! | loads of four weights from a uniform buffer, the same address in all lanes | 28 | 0 |
 //! | loads of rows, neighboring addresses | 2 | 0 |
 //! | accesses of shared memory, four numbers each | 6 | 0 |
 //!
 //! Cost per pair: 3 x 1024 multiply-adds for value and gradient, 1024 more with the smoothness term, and about 500 for
 //! the rest. Per pixel: 384 gathers of 8 bytes (4 with 16-bit tables), 5 x 1024 multiply-adds, 256 to 512 atomics.
 //! Memory: 128 bytes per pixel, and 256 for each pixel of a chunk.
+//!
+//! On small views GPUs split the lights into up to eight parts, so that there are four batches for each subgroup that runs
+//! at once. Each part takes 128 bytes per pixel, which is less than 32 KiB in all for each such subgroup of 32 lanes. The
+//! parts of a row are added in order.
 
 use super::{Field, View, field_batched, visibility_encode};
 use crate::Tuning;
@@ -49,8 +53,14 @@ const CHUNK: u32 = 1 << 19;
 /// Sums that a workgroup of `visibility_bwd` writes.
 const SUMS: u64 = (FIELD_WIDTH * (FIELD_WIDTH + 5)) as u64;
 
-/// Subgroups of a compute unit: three for each of four schedulers, which their registers allow.
-const PER_UNIT: u32 = 12;
+/// Subgroups of a compute unit that process pairs: two for each of four schedulers, which their registers allow.
+const PAIRS_PER_UNIT: u32 = 8;
+
+/// Subgroups of a compute unit that process points: three for each scheduler.
+const POINTS_PER_UNIT: u32 = 12;
+
+/// Maximum number of parts of the lights.
+const PARTS: u32 = 8;
 
 /// Bytes of a pixel's row.
 const ROW: u64 = 4 * FIELD_WIDTH as u64;
@@ -102,13 +112,18 @@ pub struct Gradients {
     pub scale: Buffer,
 }
 
-/// Returns the number of single-subgroup workgroups for `count` pixels. Each batch of pixels takes `rounds` loop
-/// iterations.
-fn subgroups(tuning: Tuning, count: u32, batch: u32, rounds: u64) -> u32 {
-    let batches = u64::from(count.div_ceil(batch).max(1));
+/// Returns the number of single-subgroup workgroups for `batches` of pixels. Each batch takes `rounds` loop iterations.
+/// `per_unit`: subgroups of a compute unit.
+fn subgroups(tuning: Tuning, per_unit: u32, batches: u32, rounds: u64) -> u32 {
+    let batches = u64::from(batches.max(1));
     let least = (batches * rounds).div_ceil(u64::from(tuning.rounds) / 4 * 3);
     // An even number, so that slices of sums start at an offset that buffers can be bound at.
-    (least.max(u64::from(tuning.parts(PER_UNIT))).min(batches) as u32).next_multiple_of(2)
+    (least.max(u64::from(tuning.parts(per_unit))).min(batches) as u32).next_multiple_of(2)
+}
+
+/// Returns the number of parts of the lights. Each subgroup has several batches, so that all end at about the same time.
+fn parts(tuning: Tuning, batches: u32, lights: u32) -> u32 {
+    (4 * tuning.parts(PAIRS_PER_UNIT)).div_ceil(batches).clamp(1, lights.clamp(1, PARTS))
 }
 
 /// Adds the passes for lights of constant radiance. `most` is the maximum number of lights; the step's `lights` is the
@@ -154,6 +169,7 @@ pub fn visibility_bwd(
                     regularized: options.regularized,
                     places: options.places,
                     sample: options.sample,
+                    parts: plan.parts,
                 };
                 let push = $kernel::Push { first, count, most, normalizer: 1.0 };
                 let (kernel, bytes) = (&$kernel::KERNEL, bytemuck::bytes_of(&push));
@@ -183,6 +199,8 @@ pub(super) struct Plan {
     sets: [u32; 2],
     /// Rows of sums for the lights' positions.
     place_rows: u32,
+    /// Parts of the lights, whose rows of a pixel are separate.
+    pub parts: u32,
     gradients: Buffer,
     sums: Buffer,
     feature_sums: Buffer,
@@ -216,9 +234,11 @@ impl Plan {
         // Iterations per batch. Pairs: the loops over the lights, and those in them, share a counter. Points: levels,
         // features and corners.
         let by_light = if batched { 24 + lobes + u64::from(tuning.subgroup_size.min(32) / 2) } else { 4 + lobes };
+        let batches = chunk.div_ceil(pixels_of_pairs);
+        let parts = if batched { parts(tuning, batches, lights) } else { 1 };
         let groups = [
-            subgroups(tuning, chunk, pixels_of_pairs, by_light * most + 8),
-            subgroups(tuning, chunk, 4 * sides, 16 + 4 + 8 * 9 + 8),
+            subgroups(tuning, PAIRS_PER_UNIT, batches * parts, by_light * most.div_ceil(u64::from(parts)) + 8),
+            subgroups(tuning, POINTS_PER_UNIT, chunk.div_ceil(4 * sides), 16 + 4 + 8 * 9 + 8),
         ];
         let sets = [groups[0] * if batched { 1 } else { sides }, groups[1] * sides];
         // With sampling, groups of eight lanes visit different lights.
@@ -234,7 +254,8 @@ impl Plan {
             groups,
             sets,
             place_rows,
-            gradients: g.transient("visibility.gradients", u64::from(pixels) * ROW),
+            parts,
+            gradients: g.transient("visibility.gradients", u64::from(parts) * u64::from(pixels) * ROW),
             sums: g.transient("visibility.sums", chunks * u64::from(sets[0]) * SUMS * 4),
             feature_sums: g
                 .transient("visibility.feature_sums", chunks * u64::from(sets[1]) * u64::from(levels) * 2 * ROW),
@@ -281,7 +302,7 @@ impl Plan {
         let sets = u64::from(self.sets[0]) * SUMS * 4;
         Chunk {
             groups: self.groups[0],
-            gradients: self.gradients.slice(u64::from(first) * ROW, u64::from(count) * ROW),
+            gradients: self.gradients.slice(u64::from(self.parts * first) * ROW, u64::from(self.parts * count) * ROW),
             sums: self.sums.slice(u64::from(first / CHUNK) * sets, sets),
         }
     }
@@ -296,7 +317,7 @@ impl Plan {
             scale: into.scale.into(),
         };
         let specs = scale::Specs { workgroup: 32, levels };
-        let push = scale::Push { first: self.sets[0], count: self.groups[0] };
+        let push = scale::Push { first: self.sets[0], count: self.groups[0], parts: self.parts };
         let push = bytemuck::bytes_of(&push);
         stage(g, "visibility_scale", &scale::KERNEL, bindings.entries(), specs.entries(), push).dispatch([1, 1, 1])?;
         let sets = u64::from(self.sets[1]) * u64::from(levels) * 2 * ROW;
@@ -315,7 +336,8 @@ impl Plan {
                 table_gradients: into.tables.into(),
                 touched: into.touched.into(),
             };
-            let specs = points::Specs { subgroup: tuning.subgroup_size, levels, table_bits: field.table_bits() };
+            let (subgroup, parts, table_bits) = (tuning.subgroup_size, self.parts, field.table_bits());
+            let specs = points::Specs { subgroup, levels, parts, table_bits };
             let push = points::Push { first, count };
             let bytes = bytemuck::bytes_of(&push);
             stage(g, "visibility_encode_bwd", &points::KERNEL, bindings.entries(), specs.entries(), bytes)
@@ -349,5 +371,19 @@ impl Plan {
             false => pass.bind_discard("accumulated", into.lights),
         };
         pass.dispatch(groups(3 * u64::from(self.lights), tuning.workgroup))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lights_are_split_on_small_views() {
+        let split = |units, batches, lights| parts(Tuning { units, ..Tuning::for_subgroups(32) }, batches, lights);
+        assert_eq!([1, 2, 48].map(|units| split(units, 40, 5)), [1, 2, 5]);
+        // 160 x 120, 320 x 240 and 640 x 480 pixels on a large GPU.
+        assert_eq!([600, 2400, 9600].map(|batches| split(132, batches, 64)), [8, 2, 1]);
+        assert_eq!(split(132, 1, 0), 1);
     }
 }

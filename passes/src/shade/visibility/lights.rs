@@ -258,6 +258,7 @@ pub fn visibility_lights_bwd(
                     regularized: options.regularized,
                     places: options.places,
                     sample: options.sample,
+                    parts: plan.parts,
                 };
                 let push = $kernel::Push { first, count, most, normalizer: a.normalizer };
                 let (kernel, bytes) = (&$kernel::KERNEL, bytemuck::bytes_of(&push));
