@@ -21,6 +21,9 @@ pub struct Tuning {
     pub sub_tiles: bool,
     /// Margin of the exponent of these slots, far more than rounding. A huge one leaves every slot in, for comparison.
     pub slot_margin: f32,
+    /// Subgroups that blend a tile in the forward pass, each a part of it: a power of two. `None` chooses by the tiles of
+    /// the view and the units of the device.
+    pub tile_parts: Option<u32>,
     /// Workgroups of one subgroup that occupy the device. Work whose split requires an additional sum is split into
     /// about this many parts.
     pub workers: u32,
@@ -68,6 +71,7 @@ impl Tuning {
             },
             sub_tiles: subgroup_size >= 16,
             slot_margin: 0.05,
+            tile_parts: None,
             workers: 512,
             // A mid-range GPU. Intel's and software drivers report no units.
             units: 48,

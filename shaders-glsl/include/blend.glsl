@@ -1,6 +1,9 @@
 // Blends the splats of a tile front to back, for any number of channels. For blend and, where CHECKPOINTS is defined,
 // blend_buckets.
 //
+// Views of few tiles have several subgroups a tile. Each fetches all entries, but visits only those that can show in its
+// part. A pixel meets the same splats in the same order, whatever the part.
+//
 // alpha = min(0.99, opacity * exp(-power)); an alpha below 1/255 is skipped; a pixel stops before its transmittance would
 // fall below 1e-4. The background goes behind the colors, which are the first three channels.
 #include "common.glsl"
@@ -14,9 +17,11 @@ layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const bool HAS_COLORS = true;
 layout(local_size_x_id = 0) in;
+#define HAS_PARTS
 #include "channels.glsl"
 #include "tile.glsl"
 #include "sub_tiles.glsl"
+#include "next_lane.glsl"
 #ifdef CHECKPOINTS
 const uint PIXELS = TILE_WIDTH * TILE_HEIGHT;
 #include "buckets.glsl"
@@ -41,10 +46,12 @@ void main() {
     if (tile.index >= camera.tiles.x * camera.tiles.y) return;
     float px = float(tile.first.x) + 0.5;
     float py = float(tile.first.y) + 0.5;
-    // Negative once a pixel has stopped: its final transmittance with the sign as the mark.
+    // Negative once a pixel has stopped: its final transmittance with the sign as the mark. Pixels outside of the view have
+    // stopped from the start.
     float T[PER_LANE];
     float sum[PER_LANE * CHANNELS];
-    [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) T[k] = 1.0;
+    [[unroll]] for (uint k = 0u; k < PER_LANE; ++k)
+        T[k] = all(lessThan(tile.first + slot_corner(k), camera.size)) ? 1.0 : -1.0;
     [[unroll]] for (uint k = 0u; k < PER_LANE * CHANNELS; ++k) sum[k] = 0.0;
     uint begin = tile_ranges[2u * tile.index], end = tile_ranges[2u * tile.index + 1u];
 #ifdef CHECKPOINTS
@@ -56,10 +63,10 @@ void main() {
         if (subgroupAll(best < 0.0)) break;
 #ifdef CHECKPOINTS
         if ((batch - begin) % BUCKET == 0u) {
-            // The first bucket of a tile starts with nothing blended.
+            // The first bucket of a tile starts with nothing blended. A part that has stopped writes none.
             if (reached > 0u) {
                 [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                    uvec2 pixel = slot_corner(k) + pixel_of_lane(gl_SubgroupInvocationID);
+                    uvec2 pixel = part_corner(tile.part) + slot_corner(k) + pixel_of_lane(gl_SubgroupInvocationID);
                     uint at = checkpoint(begin, reached, pixel.y * TILE_WIDTH + pixel.x);
                     checkpoints[at] = T[k];
                     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c)
@@ -69,14 +76,15 @@ void main() {
             ++reached;
         }
 #endif
-        // Each lane fetches one splat; all lanes then see them in turn.
+        // Each lane fetches one splat; all lanes then see those that show in the part, in turn.
         uint mine = min(batch + gl_SubgroupInvocationID, end - 1u);
         uint v = entry_splats[sorted_entries[mine]];
         Splat s = splats[v];
         uint own_slots = touched_slots(s, vec2(tile.corner) + 0.5);
         FETCH_CHANNELS(f, features, v)
-        uint count = min(SUBGROUP, end - batch);
-        for (uint i = 0u; i < count; ++i) {
+        uvec4 hits = subgroupBallot(batch + gl_SubgroupInvocationID < end && own_slots != 0u);
+        while (any_lane(hits)) {
+            uint i = next_lane(hits);
             float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
             float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);
             float u22 = subgroupShuffle(s.factor.z, i), opacity = subgroupShuffle(s.opacity, i);
@@ -112,7 +120,9 @@ void main() {
         }
     }
 #ifdef CHECKPOINTS
-    for (uint b = gl_SubgroupInvocationID; b < bucket_count(begin, end); b += SUBGROUP)
-        bucket_tiles[first_bucket(begin, tile.index) + b] = tile.index | (b < reached ? 0u : UNREACHED);
+    for (uint b = gl_SubgroupInvocationID; b < bucket_count(begin, end); b += SUBGROUP) {
+        uint mark = bucket_mark(first_bucket(begin, tile.index) + b, tile.part);
+        bucket_tiles[mark] = tile.index | (b < reached ? 0u : UNREACHED);
+    }
 #endif
 }

@@ -13,10 +13,10 @@ fn widths() -> Vec<u32> {
     [2, 4, 8, 16].into_iter().filter(|w| *w <= t.tile[0] && t.subgroup_size / w <= t.tile[1]).collect()
 }
 
-/// The signs of zeros may differ: a sum of products with zero has the sign of its first one.
 /// Margin of the exponent of ordinary runs, and one that leaves every slot in.
 const MARGINS: [f32; 2] = [0.05, 1e9];
 
+/// The signs of zeros may differ: a sum of products with zero has the sign of its first one.
 fn assert_same_bits(what: &str, a: &[f32], b: &[f32]) {
     assert_eq!(a.len(), b.len());
     let mut pairs = a.iter().zip(b).enumerate();
@@ -47,6 +47,30 @@ fn images_keep_their_bits() {
                 let (other, rest) = with(on, width, margin);
                 assert_same_bits(&format!("image {size:?}, {width}, {on}"), &image, &other);
                 assert_same_bits(&format!("transmittance {size:?}, {width}, {on}"), &transmittance, &rest);
+            }
+        }
+    }
+}
+
+/// Compares several subgroups per tile with one.
+#[test]
+fn parts_of_tiles_keep_the_bits_of_images() {
+    for (scene, size) in views() {
+        let camera = scenes::camera(size);
+        for width in widths() {
+            for on in [false, true] {
+                let with = |parts: u32| {
+                    let gpu = Gpu::new().with_slots(on, width, MARGINS[0]).with_tile_parts(parts);
+                    channels_of(&gpu, &scene, &camera, true).unwrap()
+                };
+                let (image, transmittance) = with(1);
+                assert!(transmittance.iter().any(|t| *t < 0.5), "nothing to see");
+                for parts in [2, 4, 8, 16] {
+                    let (other, rest) = with(parts);
+                    let what = format!("{size:?}, slots of {width} columns, {on}, {parts} parts");
+                    assert_same_bits(&format!("image {what}"), &image, &other);
+                    assert_same_bits(&format!("transmittance {what}"), &transmittance, &rest);
+                }
             }
         }
     }
