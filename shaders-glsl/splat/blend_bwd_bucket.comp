@@ -69,7 +69,8 @@ void main() {
             uint here = k * SUBGROUP + lane;
             uvec2 in_tile = uvec2(here % TILE_WIDTH, here / TILE_WIDTH);
             uvec2 pixel = corner + in_tile;
-            bool inside = all(lessThan(pixel, camera.size)) && (reached >> part_of_pixel(in_tile) & 1u) != 0u;
+            bool inside = all(lessThan(pixel, camera.size));
+            if (TILE_PARTS > 1u) inside = inside && (reached >> part_of_pixel(in_tile) & 1u) != 0u;
             uint at = inside ? pixel.y * camera.size.x + pixel.x : 0u;
             uint before = bucket > 0u ? checkpoint(begin, bucket, here) : 0u;
             float T = bucket > 0u ? checkpoints[before] : 1.0;

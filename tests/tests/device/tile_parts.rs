@@ -1,17 +1,18 @@
-//! Several subgroups per tile in the forward pass of blending, and what they leave for the backward pass over buckets.
+//! Several subgroups per tile in the forward pass of blending.
 //!
-//! Images and gradients have the bits of one subgroup per tile, which other tests compare with the reference.
+//! They leave marks and checkpoints for the backward pass over buckets. Images and gradients have the bits of one subgroup
+//! per tile that hands splats on by shuffles, which other tests compare with the reference.
 
 use super::buckets::{Both, both_from};
 use sgs_passes::reference::project::Gaussians;
 use sgs_passes::splat::Statistic;
-use sgs_passes::{Accuracy, Tuning};
+use sgs_passes::{Accuracy, Sharing, Tuning};
 use sgs_tests::{Gpu, scenes};
 
 /// Mark of a part that had stopped before a bucket.
 const UNREACHED: u32 = 1 << 31;
 
-/// Returns whether some tile has parts that reached a bucket, and parts that had stopped before it.
+/// Returns whether parts of a tile stop at different buckets.
 fn parts_stop_apart(b: &Both) -> bool {
     let used = b.marks.chunks_exact(b.parts).filter(|marks| marks[0] != u32::MAX);
     used.into_iter().any(|marks| marks.iter().any(|m| m & UNREACHED == 0) && marks.iter().any(|m| m & UNREACHED != 0))
@@ -21,7 +22,9 @@ fn bits(rows: &[f32]) -> Vec<u32> {
     rows.iter().map(|x| x.to_bits()).collect()
 }
 
-/// Splats of which those at the top of the view are opaque, so that its pixels stop early.
+/// Returns splats that are opaque at the top of the view.
+///
+/// Its pixels stop early.
 fn uneven(count: usize, normals: bool) -> Gaussians {
     let mut g = scenes::ordinary(count, 0, normals, 11);
     for i in 0..count {
@@ -50,20 +53,28 @@ fn cases(own: Tuning) -> Vec<Case> {
 
 fn compare(gpu: &Gpu, cases: Vec<Case>) {
     for (name, t, scene, size, statistic) in cases {
-        let with = |parts: u32| {
-            let t = Tuning { tile_parts: Some(parts), ..t };
+        let with = |parts: u32, sharing: Sharing| {
+            let t = Tuning { tile_parts: Some(parts), sharing, ..t };
             both_from(gpu, &t, &scene, size, statistic, 1 << 14, None)
         };
-        let one = with(1);
+        let one = with(1, Sharing::Shuffles);
         assert!(one.flags == 0 && one.parts == 1, "{name}: the entries overflowed");
         assert!(one.bucket.rows.iter().any(|x| x.is_finite() && *x != 0.0), "{name}: all gradients are zero");
         let mut apart = false;
-        for parts in [2, 4, 8] {
-            let found = with(parts);
+        let shuffles = [2, 4, 8].map(|parts| (parts, Sharing::Shuffles));
+        let others = [Sharing::Ballots, Sharing::Memory].into_iter().flat_map(|sharing| [(1, sharing), (4, sharing)]);
+        for (parts, sharing) in shuffles.into_iter().chain(others) {
+            let found = with(parts, sharing);
             for (what, a, b) in [("pixel", &one.pixel, &found.pixel), ("bucket", &one.bucket, &found.bucket)] {
-                assert!(a.image == b.image, "{name}: {parts} parts change the image of {what}");
-                assert!(a.transmittance == b.transmittance, "{name}: {parts} parts change transmittance of {what}");
-                assert!(bits(&a.rows) == bits(&b.rows), "{name}: {parts} parts change gradients of {what}");
+                assert!(a.image == b.image, "{name}: {parts} parts, {sharing:?}, change the image of {what}");
+                assert!(
+                    a.transmittance == b.transmittance,
+                    "{name}: {parts} parts, {sharing:?}, change transmittance of {what}"
+                );
+                assert!(
+                    bits(&a.rows) == bits(&b.rows),
+                    "{name}: {parts} parts, {sharing:?}, change gradients of {what}"
+                );
             }
             apart |= parts_stop_apart(&found);
         }
@@ -85,7 +96,9 @@ fn parts_keep_the_bits_of_large_buckets() {
     compare(&gpu, vec![("large buckets", large, uneven(6000, false), [16, 16], None)]);
 }
 
-/// Tests that the backward pass reads no checkpoint of a stopped part. None is written, so it may hold anything.
+/// Tests that the backward pass reads no checkpoint of a stopped part.
+///
+/// None is written, so it may hold anything.
 #[test]
 fn stopped_parts_need_no_checkpoints() {
     let gpu = Gpu::new();

@@ -1,23 +1,28 @@
 //! Graphs of blending with every number of subgroups per tile.
 //!
-//! Other graphs have views of one size, and thus one number of them.
+//! Other graphs have views of one size, and thus one number of them. Only benchmarks share splats by
+//! ballots and memory.
 
 use super::SIZE;
 use sgs_engine::Device;
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{CompileOptions, Graph};
-use sgs_passes::Tuning;
 use sgs_passes::pipeline::Step;
 use sgs_passes::scene::{Gaussians, Model};
 use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, Screen, blend, blend_bwd, blend_debt, blend_for, intersect, project,
 };
+use sgs_passes::{Sharing, Tuning};
 use std::sync::Arc;
 
-/// Builds the forward passes and the backward pass over buckets, with colors alone and with all channels.
+/// Builds the forward passes and the backward pass over buckets.
+///
+/// Each with colors alone and with all channels.
 pub fn build(device: &Device) -> anyhow::Result<()> {
-    for (normals, parts) in [false, true].into_iter().flat_map(|normals| [1, 2, 4, 8].map(|parts| (normals, parts))) {
-        let t = Tuning { tile_parts: Some(parts), ..Tuning::for_device(device.info()) };
+    let all = [1, 2, 4, 8].map(|parts| (parts, Sharing::Shuffles)).into_iter();
+    let all = all.chain([Sharing::Ballots, Sharing::Memory].into_iter().flat_map(|s| [(1, s), (4, s)]));
+    for (normals, (parts, sharing)) in all.flat_map(|parts| [(false, parts), (true, parts)]) {
+        let t = Tuning { tile_parts: Some(parts), sharing, ..Tuning::for_device(device.info()) };
         let model = Model { sh_degree: 3, normals, semantics: false };
         let gaussians = Gaussians::new(device, model, 1000, false)?;
         let channels = Channels { colors: true, normals, depth: normals };
