@@ -74,7 +74,7 @@ fn stages_are_checked_and_have_a_cost_model() {
         assert!(pass["bytes"].is_number() && pass["operations"].is_number(), "{pass}");
         assert!(pass["nanoseconds"]["samples"] == 3, "{pass}");
     }
-    assert_eq!(report["checks"].as_array().unwrap().len(), 27);
+    assert_eq!(report["checks"].as_array().unwrap().len(), 28);
     assert!(report["device"]["driver"].as_str().is_some_and(|d| !d.is_empty()));
 }
 

@@ -1,6 +1,9 @@
 // Blends the splats of a tile front to back, for any number of channels. For blend and, where CHECKPOINTS is defined,
 // blend_buckets.
 //
+// Views of few tiles have several subgroups a tile. Each fetches all entries, but visits only those that can show in its
+// part. A pixel meets the same splats in the same order, whatever the part.
+//
 // alpha = min(0.99, opacity * exp(-power)); an alpha below 1/255 is skipped; a pixel stops before its transmittance would
 // fall below 1e-4. The background goes behind the colors, which are the first three channels.
 #include "common.glsl"
@@ -13,10 +16,15 @@ layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const bool HAS_COLORS = true;
+// How lanes hand splats on. 0: all by shuffles. 1: a splat's slots by ballots, the rest by shuffles. 2: slots by ballots, the
+// rest through shared memory. Ballots tell the compiler that branches by them are uniform.
+layout(constant_id = 6) const uint SHARING = 0;
 layout(local_size_x_id = 0) in;
+#define HAS_PARTS
 #include "channels.glsl"
 #include "tile.glsl"
 #include "sub_tiles.glsl"
+#include "next_lane.glsl"
 #ifdef CHECKPOINTS
 const uint PIXELS = TILE_WIDTH * TILE_HEIGHT;
 #include "buckets.glsl"
@@ -35,16 +43,23 @@ OUT(float, checkpoints);
 OUT(uint, bucket_tiles);
 #endif
 
+// Splats of a batch, by rows of four numbers: mean, factor, opacity, channels.
+const uint ROWS = (6u + CHANNELS + 3u) / 4u;
+shared vec4 rows[SHARING == 2u ? ROWS * SUBGROUP : 1u];
+
 void main() {
     Camera camera = params.step.camera;
     Tile tile = this_tile(camera);
     if (tile.index >= camera.tiles.x * camera.tiles.y) return;
     float px = float(tile.first.x) + 0.5;
     float py = float(tile.first.y) + 0.5;
-    // Negative once a pixel has stopped: its final transmittance with the sign as the mark.
+    // Negative once a pixel has stopped: its final transmittance with the sign as the mark. Pixels outside of the view have
+    // stopped from the start.
     float T[PER_LANE];
     float sum[PER_LANE * CHANNELS];
-    [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) T[k] = 1.0;
+    ivec2 inside = ivec2(camera.size) - ivec2(tile.first);
+    [[unroll]] for (uint k = 0u; k < PER_LANE; ++k)
+        T[k] = all(lessThan(ivec2(slot_corner(k)), inside)) ? 1.0 : -1.0;
     [[unroll]] for (uint k = 0u; k < PER_LANE * CHANNELS; ++k) sum[k] = 0.0;
     uint begin = tile_ranges[2u * tile.index], end = tile_ranges[2u * tile.index + 1u];
 #ifdef CHECKPOINTS
@@ -56,10 +71,10 @@ void main() {
         if (subgroupAll(best < 0.0)) break;
 #ifdef CHECKPOINTS
         if ((batch - begin) % BUCKET == 0u) {
-            // The first bucket of a tile starts with nothing blended.
+            // The first bucket of a tile starts with nothing blended. A part that has stopped writes none.
             if (reached > 0u) {
                 [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                    uvec2 pixel = slot_corner(k) + pixel_of_lane(gl_SubgroupInvocationID);
+                    uvec2 pixel = part_corner(tile.part) + slot_corner(k) + pixel_of_lane(gl_SubgroupInvocationID);
                     uint at = checkpoint(begin, reached, pixel.y * TILE_WIDTH + pixel.x);
                     checkpoints[at] = T[k];
                     [[unroll]] for (uint c = 0u; c < CHANNELS; ++c)
@@ -69,22 +84,59 @@ void main() {
             ++reached;
         }
 #endif
-        // Each lane fetches one splat; all lanes then see them in turn.
+        // Each lane fetches one splat; all lanes then see those that show in the part, in turn.
         uint mine = min(batch + gl_SubgroupInvocationID, end - 1u);
         uint v = entry_splats[sorted_entries[mine]];
         Splat s = splats[v];
         uint own_slots = touched_slots(s, vec2(tile.corner) + 0.5);
         FETCH_CHANNELS(f, features, v)
-        uint count = min(SUBGROUP, end - batch);
-        for (uint i = 0u; i < count; ++i) {
-            float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
-            float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);
-            float u22 = subgroupShuffle(s.factor.z, i), opacity = subgroupShuffle(s.opacity, i);
+        bool there = batch + gl_SubgroupInvocationID < end;
+        uvec4 hits = subgroupBallot(there && own_slots != 0u);
+        uvec4 slot_hits[PER_LANE];
+        [[unroll]] for (uint k = 0u; k < PER_LANE; ++k)
+            slot_hits[k] = SHARING == 0u ? uvec4(0u) : subgroupBallot(in_slots(own_slots, k));
+        if (SHARING == 2u) {
+            float own[4u * ROWS];
+            own[0] = s.mean.x;
+            own[1] = s.mean.y;
+            own[2] = s.factor.x;
+            own[3] = s.factor.y;
+            own[4] = s.factor.z;
+            own[5] = s.opacity;
+            [[unroll]] for (uint c = 6u; c < 4u * ROWS; ++c) own[c] = c < 6u + CHANNELS ? f[(c - 6u) % CHANNELS] : 0.0;
+            barrier();
+            [[unroll]] for (uint r = 0u; r < ROWS; ++r)
+                rows[r * SUBGROUP + gl_SubgroupInvocationID] =
+                    vec4(own[4u * r], own[4u * r + 1u], own[4u * r + 2u], own[4u * r + 3u]);
+            barrier();
+        }
+        while (any_lane(hits)) {
+            uint i = next_lane(hits);
+            float mx, my, u11, u12, u22, opacity;
             float color[CHANNELS];
-            [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) color[c] = subgroupShuffle(f[c], i);
-            uint slots = subgroupShuffle(own_slots, i);
+            if (SHARING == 2u) {
+                vec4 first = rows[i], second = rows[SUBGROUP + i];
+                mx = first.x;
+                my = first.y;
+                u11 = first.z;
+                u12 = first.w;
+                u22 = second.x;
+                opacity = second.y;
+                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c)
+                    color[c] = rows[(6u + c) / 4u * SUBGROUP + i][(6u + c) % 4u];
+            } else {
+                mx = subgroupShuffle(s.mean.x, i);
+                my = subgroupShuffle(s.mean.y, i);
+                u11 = subgroupShuffle(s.factor.x, i);
+                u12 = subgroupShuffle(s.factor.y, i);
+                u22 = subgroupShuffle(s.factor.z, i);
+                opacity = subgroupShuffle(s.opacity, i);
+                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) color[c] = subgroupShuffle(f[c], i);
+            }
+            uint slots = SHARING == 0u ? subgroupShuffle(own_slots, i) : 0u;
             [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                if (!in_slots(slots, k)) continue;
+                if (SHARING == 0u && !in_slots(slots, k)) continue;
+                if (SHARING > 0u && SUB_TILES && !subgroupBallotBitExtract(slot_hits[k], i)) continue;
                 vec2 offset = vec2(slot_corner(k));
                 float dx = px + offset.x - mx, dy = py + offset.y - my;
                 float p = u11 * dx + u12 * dy;
@@ -100,7 +152,8 @@ void main() {
         }
     }
     [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-        uvec2 pixel = tile.first + slot_corner(k);
+        // The pixel follows from its center, so the walk keeps only one of them in registers.
+        uvec2 pixel = uvec2(px, py) + slot_corner(k);
         if (all(lessThan(pixel, camera.size))) {
             uint at = pixel.y * camera.size.x + pixel.x;
             float rest = abs(T[k]);
@@ -112,7 +165,9 @@ void main() {
         }
     }
 #ifdef CHECKPOINTS
-    for (uint b = gl_SubgroupInvocationID; b < bucket_count(begin, end); b += SUBGROUP)
-        bucket_tiles[first_bucket(begin, tile.index) + b] = tile.index | (b < reached ? 0u : UNREACHED);
+    for (uint b = gl_SubgroupInvocationID; b < bucket_count(begin, end); b += SUBGROUP) {
+        uint mark = bucket_mark(first_bucket(begin, tile.index) + b, tile.part);
+        bucket_tiles[mark] = tile.index | (b < reached ? 0u : UNREACHED);
+    }
 #endif
 }

@@ -3,6 +3,8 @@
 // Selected pixels are few and splats are small, so most entries of a tile cover none of them. The test is conservative (by
 // far more than rounding): it rejects only entries that cannot contribute. Needs constants SUBGROUP and PER_LANE.
 
+#include "next_lane.glsl"
+
 // Whether an entry is tried only at those pixels of a lane, by number, where it shows in some lane.
 layout(constant_id = 29) const bool SUB_TILES = true;
 
@@ -28,12 +30,3 @@ uvec4 lane_hits(Splat s, bool there, vec2 center[PER_LANE], out uint slots) {
 }
 
 bool in_slots(uint slots, uint k) { return !SUB_TILES || (slots & (1u << k)) != 0u; }
-
-// The next lane of a ballot, which must have one; it leaves the ballot.
-uint next_lane(inout uvec4 votes) {
-    uint i = subgroupBallotFindLSB(votes);
-    if (SUBGROUP <= 32u) votes.x &= votes.x - 1u;
-    else if (i < 32u) votes.x &= votes.x - 1u;
-    else votes.y &= votes.y - 1u;
-    return i;
-}

@@ -1,6 +1,6 @@
-// Slots of a tile that a splat can touch, a bit each. Included after splat.glsl and tile.glsl.
+// Slots of a tile, or of a part of it, that a splat can touch, a bit each. Included after splat.glsl and tile.glsl.
 //
-// A splat shows at a part of its tile only. Each lane finds the slots of the splat that it fetched, and hands the bits on
+// A splat shows at some pixels of its tile only. Each lane finds the slots of the splat that it fetched, and hands the bits on
 // with the splat, so branches by them are uniform in the subgroup. The test is conservative by far more than rounding: in
 // a slot that it leaves out every alpha is below ALPHA_MIN, so skipping it changes no bit. passes/src/reference/sub_tiles.rs
 // is its reference.
@@ -19,7 +19,7 @@ uint touched_slots(Splat s, vec2 corner) {
     float steepest = reach * slope * inversesqrt(1.0 + slope * slope);
     vec2 start = corner - s.mean - SLOT_GAP;
     uint slots = 0u;
-    [[unroll]] for (uint row = 0u; row < TILE_HEIGHT / SLOT_HEIGHT; ++row) {
+    [[unroll]] for (uint row = 0u; row < PART_HEIGHT / SLOT_HEIGHT; ++row) {
         float top = start.y + float(row * SLOT_HEIGHT);
         float q0 = s.factor.z * top, q1 = s.factor.z * (top + (float(SLOT_HEIGHT - 1u) + 2.0 * SLOT_GAP));
         float right_q = clamp(-steepest, q0, q1), left_q = clamp(steepest, q0, q1);

@@ -20,6 +20,7 @@ layout(local_size_x_id = 0) in;
 const uint PIXELS = TILE_WIDTH * TILE_HEIGHT;
 #include "channels.glsl"
 #include "statistic.glsl"
+#include "parts.glsl"
 #include "buckets.glsl"
 
 const uint GRADIENTS = MOMENTS + CHANNELS + WEIGHTS + STATISTIC_FLOATS;
@@ -49,22 +50,27 @@ shared uint place[PIXELS]; // in the tile, by rows
 void main() {
     Camera camera = params.step.camera;
     uint slot = folded_workgroup();
-    if (slot >= bucket_tiles.length()) return;
-    uint mark = bucket_tiles[slot];
+    if (bucket_mark(slot, 0u) >= bucket_tiles.length()) return;
+    uint mark = bucket_tiles[bucket_mark(slot, 0u)];
     if (mark == NO_TILE) return;
     uint lane = gl_SubgroupInvocationID;
     uint tile = mark & ~UNREACHED;
+    uint reached = uint((mark & UNREACHED) == 0u); // parts of the tile, a bit each
+    [[unroll]] for (uint part = 1u; part < TILE_PARTS; ++part)
+        reached |= uint((bucket_tiles[bucket_mark(slot, part)] & UNREACHED) == 0u) << part;
     uvec2 corner = uvec2(tile % camera.tiles.x, tile / camera.tiles.x) * uvec2(TILE_WIDTH, TILE_HEIGHT);
     uint begin = tile_ranges[2u * tile];
     uint bucket = slot - first_bucket(begin, tile);
     uint first = begin + bucket * BUCKET;
     uint end = min(first + BUCKET, tile_ranges[2u * tile + 1u]);
     uint pixels = 0u;
-    if ((mark & UNREACHED) == 0u) {
+    if (reached != 0u) {
         [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
             uint here = k * SUBGROUP + lane;
-            uvec2 pixel = corner + uvec2(here % TILE_WIDTH, here / TILE_WIDTH);
+            uvec2 in_tile = uvec2(here % TILE_WIDTH, here / TILE_WIDTH);
+            uvec2 pixel = corner + in_tile;
             bool inside = all(lessThan(pixel, camera.size));
+            if (TILE_PARTS > 1u) inside = inside && (reached >> part_of_pixel(in_tile) & 1u) != 0u;
             uint at = inside ? pixel.y * camera.size.x + pixel.x : 0u;
             uint before = bucket > 0u ? checkpoint(begin, bucket, here) : 0u;
             float T = bucket > 0u ? checkpoints[before] : 1.0;

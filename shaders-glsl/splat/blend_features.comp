@@ -62,7 +62,7 @@ void main() {
             uint gaussian = splat_ids[v];
             uint own_slots;
             uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center, own_slots);
-            while ((hits.x | hits.y) != 0u) {
+            while (any_lane(hits)) {
                 uint i = next_lane(hits);
                 float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
                 float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);

@@ -84,7 +84,7 @@ void main() {
             bool contributes = false;
             uint own_slots;
             uvec4 hits = lane_hits(s, batch + gl_SubgroupInvocationID < end, center, own_slots);
-            while ((hits.x | hits.y) != 0u) {
+            while (any_lane(hits)) {
                 uint i = next_lane(hits);
                 float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
                 float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);

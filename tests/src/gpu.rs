@@ -22,6 +22,7 @@ pub struct Gpu {
     /// Replaces the numbers of the tuning.
     large_tiles: Option<u32>,
     slots: Option<(bool, u32, f32)>,
+    tile_parts: Option<u32>,
     // Last field, so that others wait until the device is closed or back in the pool.
     right: Right,
 }
@@ -64,7 +65,8 @@ impl Gpu {
     pub fn new() -> Gpu {
         let ((device, tests), share) = pool::take();
         let right = Right::Pool { tests, _share: share };
-        Gpu { device: Some(device), emulated: Emulated::wanted(), large_tiles: None, slots: None, right }
+        let emulated = Emulated::wanted();
+        Gpu { device: Some(device), emulated, large_tiles: None, slots: None, tile_parts: None, right }
     }
 
     /// Opens a device of its own, without pipelines and with a peak of memory of zero.
@@ -73,7 +75,8 @@ impl Gpu {
     pub fn fresh() -> Gpu {
         let turn = turn();
         let right = Right::Own { _turn: turn };
-        Gpu { device: Some(pool::open()), emulated: Emulated::wanted(), large_tiles: None, slots: None, right }
+        let (device, emulated) = (Some(pool::open()), Emulated::wanted());
+        Gpu { device, emulated, large_tiles: None, slots: None, tile_parts: None, right }
     }
 
     /// Returns the same device with another [`Tuning::large_tiles`].
@@ -92,6 +95,12 @@ impl Gpu {
         self
     }
 
+    /// Returns the same device with another [`Tuning::tile_parts`].
+    pub fn with_tile_parts(mut self, parts: u32) -> Gpu {
+        self.tile_parts = Some(parts);
+        self
+    }
+
     /// Returns the device.
     pub fn device(&self) -> &Device {
         self.device.as_ref().expect("the device is present until the drop")
@@ -103,7 +112,8 @@ impl Gpu {
         let own = (tuning.sub_tiles, tuning.slot_width, tuning.slot_margin);
         let (sub_tiles, slot_width, slot_margin) = self.slots.unwrap_or(own);
         let large_tiles = self.large_tiles.unwrap_or(tuning.large_tiles);
-        Tuning { large_tiles, sub_tiles, slot_width, slot_margin, ..tuning }
+        let tile_parts = self.tile_parts.or(tuning.tile_parts);
+        Tuning { large_tiles, sub_tiles, slot_width, slot_margin, tile_parts, ..tuning }
     }
 
     /// Returns how far the device may round a division, in units of exact rounding.

@@ -18,6 +18,7 @@ mod photometric;
 mod primitives;
 mod semantic;
 mod sub_tiles;
+mod tile_parts;
 mod traced;
 mod transport;
 pub mod view;

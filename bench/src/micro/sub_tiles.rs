@@ -1,6 +1,7 @@
 //! Benchmark of sub-tiles in blending: `blend` and `blend_bwd` with each shape of slots, trying all or only those touched.
 //!
-//! All variants must blend the same image, bit for bit. The share of slots left is counted for every subgroup size.
+//! All variants must blend the same image, bit for bit. The share of slots left is counted for every subgroup size. Then
+//! several subgroups per tile are measured ([`super::tile_parts`]).
 
 use super::Context;
 use super::blend::subject;
@@ -61,7 +62,7 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             format!("{:.1} %, {:.1} %", 100.0 * o.slots, 100.0 * o.showing / f64::from(of.tile[0] * of.tile[1])),
         );
     }
-    Ok(())
+    super::tile_parts::all(c, report)
 }
 
 /// Returns the view with another tuning.

@@ -63,7 +63,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         // Ranges of the tiles; the first push constant is their number.
         "long_tiles" => (8.0 * (s.push)(0), 2.0 * (s.push)(0)),
         // A pair: distance 2, factor 5, square 3, exponential 4, opacity and thresholds 3, transmittance 3; 2 per
-        // channel.
+        // channel. Further parts of a tile fetch its entries from a cache.
         "blend" => (fetched * e + 4.0 * (channels + 1.0) * p, (20.0 + 2.0 * channels) * c.pairs),
         // Also the checkpoints: the state of a tile's pixels before each bucket of entries.
         "blend_buckets" => {

@@ -1,14 +1,14 @@
-//! `blend`, `blend_debt` and `blend_bwd`: blending of any number of channels, one subgroup per tile or, backward, per
-//! bucket of a tile's entries ([`Buckets`]).
+//! `blend`, `blend_debt` and `blend_bwd`: blending of any number of channels, one subgroup per tile, per part of it (forward
+//! in views of few tiles) or, backward, per bucket of a tile's entries ([`Buckets`]).
 //!
-//! Cost: each entry's record is fetched once per tile (28 + 4 C bytes, 4 fewer with 16-bit colors). A pixel takes about
-//! 12 + C multiply-adds and one exponential per entry of its tile until it is opaque, backward about 30 + 2 C. Pixels
-//! write 4 (C + 1) bytes. The debt reads twice that and writes 4. Backward reads 4 (C + 1) bytes per pixel and writes 4
-//! (6 + C) bytes per entry.
+//! Cost: each entry's record is fetched once per tile (28 + 4 C bytes, 4 fewer with 16-bit colors). Further parts of a tile
+//! fetch it from a cache. A pixel takes about 12 + C multiply-adds and one exponential per entry of its tile until it is
+//! opaque, backward about 30 + 2 C. Pixels write 4 (C + 1) bytes. The debt reads twice that and writes 4. Backward reads
+//! 4 (C + 1) bytes per pixel and writes 4 (6 + C) bytes per entry.
 
 use super::buckets::{Buckets, OWN, blend_buckets};
 use super::project::EntryGradients;
-use super::{Entries, Screen, Visible};
+use super::{Entries, Screen, Visible, parts};
 use crate::Tuning;
 use crate::kernel::{groups, splat_specs, stage};
 use sgs_engine::DeviceInfo;
@@ -84,8 +84,12 @@ pub fn blend(
         image: into.image.into(),
         transmittance: into.transmittance.into(),
     };
+    let part = parts::part(t, screen);
     let specs = splat_specs!(kernel, t, { subgroup: t.subgroup_size,
-        per_lane: per_lane(t, screen),
+        per_lane: parts::per_lane(t, part),
+        part_width: part[0],
+        part_height: part[1],
+        sharing: t.sharing as u32,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         sub_tiles: t.sub_tiles,
@@ -96,7 +100,7 @@ pub fn blend(
         color_bits: visible.color_bits, });
     stage(g, "blend", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
-        .dispatch(groups(u64::from(screen.tiles()), 1))
+        .dispatch(groups(u64::from(screen.tiles()) * u64::from(parts::count(screen, part)), 1))
 }
 
 /// Blends a view into `into`, as [`blend`], and prepares for a backward kernel. The caller passes the result on in
@@ -280,7 +284,7 @@ pub fn blend_bwd(
             })?;
             add!(blend_bwd_bucket, entry_gradients, groups(u64::from(b.slots), 1),
                 { checkpoints: b.checkpoints.into(), bucket_tiles: b.tiles.into(), },
-                { own: OWN, bucket: b.entries, });
+                { own: OWN, bucket: b.entries, part_width: b.part[0], part_height: b.part[1], });
         }
     }
     Ok(EntryGradients { starts: entries.starts, gradients, features: None, weights, statistic, reduced })

@@ -10,8 +10,7 @@
 //! takes about 30 + 2 C multiply-adds and one exponential per entry; two shuffles and 4 + C words of shared
 //! memory serve two entries.
 
-use super::blend::per_lane;
-use super::{Blended, Entries, Screen, Visible};
+use super::{Blended, Entries, Screen, Visible, parts};
 use crate::Tuning;
 use crate::kernel::{groups, splat_specs, stage};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -27,13 +26,19 @@ pub struct Buckets {
     pub entries: u32,
     /// Largest number of slots for buckets.
     pub slots: u32,
-    /// Tile of each slot, marked if its pixels had stopped, or `u32::MAX`.
+    /// Columns and rows of a part of a tile.
+    pub part: [u32; 2],
+    /// Tile of each slot, or `u32::MAX`, once for each part of a tile.
+    ///
+    /// Marked if the part's pixels had stopped.
     pub tiles: Buffer,
     /// Transmittance and channel sums by bucket, a plane of pixels each. See `buckets.glsl`.
     pub checkpoints: Buffer,
 }
 
-/// Returns the entries of a bucket. Few tiles get small buckets, so that they fill the device. Otherwise large buckets
+/// Returns the entries of a bucket.
+///
+/// Few tiles get small buckets, so that they fill the device. Otherwise large buckets
 /// halve the memory.
 fn bucket_entries(t: &Tuning, screen: &Screen) -> u32 {
     let entries = if screen.tiles() <= 4 * t.workers { 64 } else { 128 };
@@ -57,7 +62,9 @@ pub fn blend_buckets(
     let bucket = bucket_entries(t, screen);
     let full = entries.capacity / bucket;
     let slots = full + screen.tiles();
-    let tiles = g.transient("bucket_tiles", 4 * u64::from(slots));
+    let part = parts::part(t, screen);
+    let count = u64::from(parts::count(screen, part));
+    let tiles = g.transient("bucket_tiles", 4 * count * u64::from(slots));
     let pixels = u64::from(screen.tile[0] * screen.tile[1]);
     let checkpoints = g.transient("checkpoints", 4 * u64::from(1 + channels) * pixels * u64::from(full.max(1)));
     g.fill("clear_bucket_tiles", tiles, u32::MAX)?;
@@ -74,7 +81,10 @@ pub fn blend_buckets(
         bucket_tiles: tiles.into(),
     };
     let specs = splat_specs!(kernel, t, { subgroup: t.subgroup_size,
-        per_lane: per_lane(t, screen),
+        per_lane: parts::per_lane(t, part),
+        part_width: part[0],
+        part_height: part[1],
+        sharing: t.sharing as u32,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         sub_tiles: t.sub_tiles,
@@ -86,6 +96,6 @@ pub fn blend_buckets(
         bucket, });
     stage(g, "blend_buckets", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
-        .dispatch(groups(u64::from(screen.tiles()), 1))?;
-    Ok(Buckets { entries: bucket, slots, tiles, checkpoints })
+        .dispatch(groups(u64::from(screen.tiles()) * count, 1))?;
+    Ok(Buckets { entries: bucket, slots, part, tiles, checkpoints })
 }

@@ -9,6 +9,7 @@ mod buckets;
 mod extra;
 mod features;
 mod intersect;
+mod parts;
 mod present;
 mod project;
 mod show;

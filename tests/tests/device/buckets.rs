@@ -20,28 +20,47 @@ fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
 }
 
 /// Results of a kernel of blending.
-struct Side {
-    image: Vec<u32>,
-    transmittance: Vec<u32>,
+pub(super) struct Side {
+    pub image: Vec<u32>,
+    pub transmittance: Vec<u32>,
     /// Row of gradients of each entry; entries after the last stay poisoned.
-    rows: Vec<f32>,
+    pub rows: Vec<f32>,
 }
 
 /// Results of the kernels of pixels and of buckets.
-struct Both {
-    pixel: Side,
-    bucket: Side,
+pub(super) struct Both {
+    pub pixel: Side,
+    pub bucket: Side,
     /// Floats of a row.
     row: usize,
     /// Required entries.
-    wanted: usize,
-    flags: u32,
+    pub wanted: usize,
+    pub flags: u32,
     /// Entries of a bucket.
     size: u32,
+    /// Parts of a tile.
+    pub parts: usize,
+    /// Marks of the buckets, part by part.
+    pub marks: Vec<u32>,
+    /// Checkpoints of the forward pass.
+    pub checkpoints: Vec<u32>,
 }
 
 /// Blends a scene forward and backward by both kernels.
 fn both(gpu: &Gpu, t: &Tuning, scene: &Gaussians, size: [u32; 2], statistic: Option<Statistic>, capacity: u32) -> Both {
+    both_from(gpu, t, scene, size, statistic, capacity, None)
+}
+
+/// Blends a scene as [`both`] does. The backward pass reads other checkpoints than the forward pass wrote, if given.
+pub(super) fn both_from(
+    gpu: &Gpu,
+    t: &Tuning,
+    scene: &Gaussians,
+    size: [u32; 2],
+    statistic: Option<Statistic>,
+    capacity: u32,
+    checkpoints: Option<&[u32]>,
+) -> Both {
     let mut g = Graph::new("buckets");
     let model = Model { normals: !scene.normals.is_empty(), ..Model::default() };
     let channels = Channels { colors: true, normals: model.normals, depth: model.normals };
@@ -59,15 +78,29 @@ fn both(gpu: &Gpu, t: &Tuning, scene: &Gaussians, size: [u32; 2], statistic: Opt
         transmittance: g.input("grad_transmittance", 4 * pixels),
     };
     let row = 7 + c as usize + if statistic.is_some() { 2 } else { 0 };
-    let mut bucket_size = 0;
+    let mut kept = None;
+    let mut replaced = Vec::new();
     let outputs = [(BackwardKernel::Pixel, "pixel."), (BackwardKernel::Bucket, "bucket.")].map(|(which, prefix)| {
         g.set_prefix(prefix);
         let into = Blended {
             image: g.external("image", 4 * u64::from(c) * pixels),
             transmittance: g.external("transmittance", 4 * pixels),
         };
-        let buckets = blend_for(&mut g, t, &screen, &visible, &entries, &into, which).unwrap();
-        bucket_size = buckets.map_or(0, |b| b.entries);
+        let mut buckets = blend_for(&mut g, t, &screen, &visible, &entries, &into, which).unwrap();
+        if let Some(b) = &mut buckets {
+            let parts = t.tile[0] / b.part[0] * (t.tile[1] / b.part[1]);
+            let marks = g.external("marks", 4 * u64::from(b.slots * parts));
+            g.copy("keep_marks", b.tiles, marks).unwrap();
+            let tile = u64::from(t.tile[0] * t.tile[1]);
+            let length = 4 * u64::from(1 + c) * tile * u64::from((capacity / b.entries).max(1));
+            let states = g.external("states", length);
+            g.copy("keep_states", b.checkpoints, states).unwrap();
+            kept = Some((b.entries, parts as usize, marks, states));
+            if let Some(other) = checkpoints {
+                b.checkpoints = g.input("other_states", length);
+                replaced.push((b.checkpoints, bytes(other)));
+            }
+        }
         let mut owed = blend_debt(&mut g, t, &screen, c, &into, &gradient).unwrap();
         owed.buckets = buckets;
         owed.statistic =
@@ -85,6 +118,7 @@ fn both(gpu: &Gpu, t: &Tuning, scene: &Gaussians, size: [u32; 2], statistic: Opt
     uniform.camera.tiles = [size[0].div_ceil(t.tile[0]), size[1].div_ceil(t.tile[1])];
     let data = scenes::data(scene);
     let mut inputs = handles.contents(&data);
+    inputs.extend(replaced);
     inputs.push((step, bytes(&[uniform])));
     inputs.push((flags, vec![0; 4]));
     let mut rng = Rng::new(5);
@@ -98,7 +132,9 @@ fn both(gpu: &Gpu, t: &Tuning, scene: &Gaussians, size: [u32; 2], statistic: Opt
         rows: out.get(rows),
     });
     let (wanted, flags) = (out.get::<u32>(total)[0] as usize, out.get::<u32>(flags)[0]);
-    Both { pixel, bucket, row, wanted, flags, size: bucket_size }
+    let (size, parts, marks, states) = kept.unwrap();
+    let (marks, checkpoints) = (out.get(marks), out.get(states));
+    Both { pixel, bucket, row, wanted, flags, size, parts, marks, checkpoints }
 }
 
 /// Returns the largest difference of two sets of gradients.

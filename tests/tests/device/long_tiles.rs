@@ -140,6 +140,8 @@ fn no_entry_of_a_long_tile_is_lost() {
         check(&gpu, [8, 16], 20_000, false, which);
         check(&gpu, [5, 11], 2000, false, which);
     }
+    drop(gpu);
+    check(&Gpu::new().with_tile_parts(2), [8, 16], 20_000, false, BackwardKernel::Bucket);
 }
 
 /// Entries behind a saturated wall are still written.
@@ -150,4 +152,6 @@ fn entries_behind_a_wall_are_written() {
         check(&gpu, [8, 16], 2003, true, which);
         check(&gpu, [20, 19], 2001, true, which);
     }
+    drop(gpu);
+    check(&Gpu::new().with_tile_parts(4), [20, 19], 2001, true, BackwardKernel::Bucket);
 }

@@ -46,6 +46,7 @@ mod splat;
 mod splat_bwd;
 mod sub_tiles;
 mod surface_properties;
+mod tile_parts;
 mod traced;
 mod traced_lights;
 mod transport;

@@ -123,6 +123,17 @@ fn gradients_with_semantic_features_match_reference() {
     check(&gpu, &Case::new(g, [21, 18], true), BackwardKernel::Pixel);
 }
 
+/// Tests several subgroups per tile, with and without skipped slots.
+#[test]
+fn gradients_with_parts_of_tiles_match_reference() {
+    for (parts, sub_tiles) in [(2, false), (4, true), (8, true)] {
+        let gpu = Gpu::new().with_slots(sub_tiles, 4, 0.05).with_tile_parts(parts);
+        for which in [BackwardKernel::Pixel, BackwardKernel::Bucket] {
+            check(&gpu, &Case::new(scenes::ordinary(12, 1, true, 5), [24, 19], true), which);
+        }
+    }
+}
+
 /// Tests slots of every shape, also where the tuning leaves sub-tiles out.
 #[test]
 fn gradients_with_sub_tiles_match_reference() {

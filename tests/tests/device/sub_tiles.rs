@@ -52,6 +52,30 @@ fn images_keep_their_bits() {
     }
 }
 
+/// Compares several subgroups per tile with one.
+#[test]
+fn parts_of_tiles_keep_the_bits_of_images() {
+    for (scene, size) in views() {
+        let camera = scenes::camera(size);
+        for width in widths() {
+            for on in [false, true] {
+                let with = |parts: u32| {
+                    let gpu = Gpu::new().with_slots(on, width, MARGINS[0]).with_tile_parts(parts);
+                    channels_of(&gpu, &scene, &camera, true).unwrap()
+                };
+                let (image, transmittance) = with(1);
+                assert!(transmittance.iter().any(|t| *t < 0.5), "nothing to see");
+                for parts in [2, 4, 8, 16] {
+                    let (other, rest) = with(parts);
+                    let what = format!("{size:?}, slots of {width} columns, {on}, {parts} parts");
+                    assert_same_bits(&format!("image {what}"), &image, &other);
+                    assert_same_bits(&format!("transmittance {what}"), &transmittance, &rest);
+                }
+            }
+        }
+    }
+}
+
 /// Compares one kernel with and without skipped slots. The order of a sum over pixels follows the slots, and compilers
 /// may round sums differently in a kernel without branches.
 #[test]

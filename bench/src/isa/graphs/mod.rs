@@ -1,9 +1,10 @@
 //! Graphs of all pipelines, built on a planning device.
 //!
 //! The sizes of the model are those of the settings; the scene is small. Specialization constants follow the model and the
-//! device, not the number of Gaussians or pixels.
+//! device, not the number of Gaussians or pixels. Only the subgroups per tile of blending follow the size of views.
 
 mod gradients;
+mod parts;
 mod shading;
 mod training;
 mod transport;
@@ -41,6 +42,7 @@ pub fn build(device: &Device) -> anyhow::Result<()> {
     training::transport(device, &scene, &splats)?;
     views::build(device)?;
     gradients::build(device)?;
+    parts::build(device)?;
     let count = splats.len();
     splats.normals = Some(vec![[0.0, 0.0, 1.0]; count]);
     (splats.albedo, splats.roughness) = (Some(vec![[0.0; 3]; count]), Some(vec![0.0; count]));

@@ -1,0 +1,120 @@
+//! Several subgroups per tile in the forward pass of blending.
+//!
+//! They leave marks and checkpoints for the backward pass over buckets. Images and gradients have the bits of one subgroup
+//! per tile that hands splats on by shuffles, which other tests compare with the reference.
+
+use super::buckets::{Both, both_from};
+use sgs_passes::reference::project::Gaussians;
+use sgs_passes::splat::Statistic;
+use sgs_passes::{Accuracy, Sharing, Tuning};
+use sgs_tests::{Gpu, scenes};
+
+/// Mark of a part that had stopped before a bucket.
+const UNREACHED: u32 = 1 << 31;
+
+/// Returns whether parts of a tile stop at different buckets.
+fn parts_stop_apart(b: &Both) -> bool {
+    let used = b.marks.chunks_exact(b.parts).filter(|marks| marks[0] != u32::MAX);
+    used.into_iter().any(|marks| marks.iter().any(|m| m & UNREACHED == 0) && marks.iter().any(|m| m & UNREACHED != 0))
+}
+
+fn bits(rows: &[f32]) -> Vec<u32> {
+    rows.iter().map(|x| x.to_bits()).collect()
+}
+
+/// Returns splats that are opaque at the top of the view.
+///
+/// Its pixels stop early.
+fn uneven(count: usize, normals: bool) -> Gaussians {
+    let mut g = scenes::ordinary(count, 0, normals, 11);
+    for i in 0..count {
+        let top = g.means[3 * i + 1] < 0.0;
+        g.opacity_logits[i] = if top { 4.0 } else { -4.0 };
+    }
+    g
+}
+
+/// Name, tuning, scene, size and statistic.
+type Case = (&'static str, Tuning, Gaussians, [u32; 2], Option<Statistic>);
+
+fn cases(own: Tuning) -> Vec<Case> {
+    let kept = own.with(Accuracy { keep_last: true, transmittance_min: 0.05, ..Accuracy::EXACT });
+    let slots = Tuning { sub_tiles: true, slot_width: 4, ..own };
+    let few = Tuning { sub_tiles: false, ..own };
+    vec![
+        ("colors", own, uneven(1500, false), [33, 21], None),
+        ("eight channels", slots, uneven(1200, true), [21, 33], Some(Statistic::Photometric)),
+        ("all slots tried", few, uneven(1500, false), [19, 16], None),
+        ("last splat kept", kept, uneven(3000, false), [16, 31], None),
+        ("extreme splats", slots, scenes::hard(2), [40, 30], None),
+        ("one pixel", own, uneven(300, false), [1, 1], None),
+    ]
+}
+
+fn compare(gpu: &Gpu, cases: Vec<Case>) {
+    for (name, t, scene, size, statistic) in cases {
+        let with = |parts: u32, sharing: Sharing| {
+            let t = Tuning { tile_parts: Some(parts), sharing, ..t };
+            both_from(gpu, &t, &scene, size, statistic, 1 << 14, None)
+        };
+        let one = with(1, Sharing::Shuffles);
+        assert!(one.flags == 0 && one.parts == 1, "{name}: the entries overflowed");
+        assert!(one.bucket.rows.iter().any(|x| x.is_finite() && *x != 0.0), "{name}: all gradients are zero");
+        let mut apart = false;
+        let shuffles = [2, 4, 8].map(|parts| (parts, Sharing::Shuffles));
+        let others = [Sharing::Ballots, Sharing::Memory].into_iter().flat_map(|sharing| [(1, sharing), (4, sharing)]);
+        for (parts, sharing) in shuffles.into_iter().chain(others) {
+            let found = with(parts, sharing);
+            for (what, a, b) in [("pixel", &one.pixel, &found.pixel), ("bucket", &one.bucket, &found.bucket)] {
+                assert!(a.image == b.image, "{name}: {parts} parts, {sharing:?}, change the image of {what}");
+                assert!(
+                    a.transmittance == b.transmittance,
+                    "{name}: {parts} parts, {sharing:?}, change transmittance of {what}"
+                );
+                assert!(
+                    bits(&a.rows) == bits(&b.rows),
+                    "{name}: {parts} parts, {sharing:?}, change gradients of {what}"
+                );
+            }
+            apart |= parts_stop_apart(&found);
+        }
+        assert!(apart || ["extreme splats", "one pixel"].contains(&name), "{name}: parts stop at the same bucket");
+    }
+}
+
+#[test]
+fn parts_keep_the_bits_of_images_and_gradients() {
+    let gpu = Gpu::new();
+    compare(&gpu, cases(gpu.tuning()));
+}
+
+/// Tests buckets of more entries than the lanes own at a time.
+#[test]
+fn parts_keep_the_bits_of_large_buckets() {
+    let gpu = Gpu::new();
+    let large = Tuning { workers: 0, ..gpu.tuning() };
+    compare(&gpu, vec![("large buckets", large, uneven(6000, false), [16, 16], None)]);
+}
+
+/// Tests that the backward pass reads no checkpoint of a stopped part.
+///
+/// None is written, so it may hold anything.
+#[test]
+fn stopped_parts_need_no_checkpoints() {
+    let gpu = Gpu::new();
+    let t = Tuning { tile_parts: Some(4), ..gpu.tuning() };
+    let scene = uneven(1500, false);
+    let run = |checkpoints: Option<&[u32]>| both_from(&gpu, &t, &scene, [33, 21], None, 1 << 14, checkpoints);
+    let found = run(None);
+    assert!(parts_stop_apart(&found));
+    let replaced = |of: &dyn Fn(u32) -> u32| found.checkpoints.iter().map(|x| of(*x)).collect::<Vec<u32>>();
+    let stale = replaced(&|x| if x == u32::MAX { 0.5_f32.to_bits() } else { x });
+    assert!(stale != found.checkpoints, "every checkpoint was written");
+    assert!(
+        bits(&run(Some(&stale)).bucket.rows) == bits(&found.bucket.rows),
+        "a checkpoint of a stopped part was read"
+    );
+    // Written checkpoints are read.
+    let wrong = replaced(&|x| if x == u32::MAX { x } else { (0.5 * f32::from_bits(x)).to_bits() });
+    assert!(bits(&run(Some(&wrong)).bucket.rows) != bits(&found.bucket.rows));
+}
