@@ -40,6 +40,8 @@ pub(super) struct Both {
     size: u32,
     /// Parts of a tile.
     pub parts: usize,
+    /// Columns and rows of a part.
+    pub part: [u32; 2],
     /// Marks of the buckets, part by part.
     pub marks: Vec<u32>,
     /// Checkpoints of the forward pass.
@@ -95,7 +97,7 @@ pub(super) fn both_from(
             let length = 4 * u64::from(1 + c) * tile * u64::from((capacity / b.entries).max(1));
             let states = g.external("states", length);
             g.copy("keep_states", b.checkpoints, states).unwrap();
-            kept = Some((b.entries, parts as usize, marks, states));
+            kept = Some((b.entries, parts as usize, b.part, marks, states));
             if let Some(other) = checkpoints {
                 b.checkpoints = g.input("other_states", length);
                 replaced.push((b.checkpoints, bytes(other)));
@@ -132,9 +134,9 @@ pub(super) fn both_from(
         rows: out.get(rows),
     });
     let (wanted, flags) = (out.get::<u32>(total)[0] as usize, out.get::<u32>(flags)[0]);
-    let (size, parts, marks, states) = kept.unwrap();
+    let (size, parts, part, marks, states) = kept.unwrap();
     let (marks, checkpoints) = (out.get(marks), out.get(states));
-    Both { pixel, bucket, row, wanted, flags, size, parts, marks, checkpoints }
+    Both { pixel, bucket, row, wanted, flags, size, parts, part, marks, checkpoints }
 }
 
 /// Returns the largest difference of two sets of gradients.
