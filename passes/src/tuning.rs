@@ -3,7 +3,7 @@
 use crate::{Accuracy, Matrices};
 use sgs_engine::DeviceInfo;
 
-/// How the lanes of blending's forward pass hand splats on. Images do not depend on it.
+/// How the lanes of blending's forward pass hand splats on. Images do not depend on it, on compilers that round each kernel alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sharing {
     /// By shuffles.
@@ -139,7 +139,7 @@ impl Tuning {
     /// A workgroup processes its list alone, and pixels of a mask lie together. So GPUs split small views into shorter
     /// lists, until the workgroups occupy the device.
     pub fn lane_pixels(&self, pixels: u64) -> u32 {
-        // The list stays below 8 KiB on wide subgroups.
+        // The list stays below 8 KiB with 64 lanes.
         let most = if self.subgroup_size >= 64 { 16 } else { 32 };
         let occupies = |count: &u32| pixels.div_ceil(u64::from(count * self.subgroup_size)) >= u64::from(self.workers);
         if self.cpu { most } else { [32, 16, 8].into_iter().filter(|n| *n <= most).find(occupies).unwrap_or(4) }

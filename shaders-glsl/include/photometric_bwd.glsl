@@ -1,7 +1,7 @@
 // Photometric loss, second half: the gradient by the image's first three channels.
 //
 // SSIM's derivatives by the windowed means are spread back over the windows (the window is symmetric, so this is the
-// same filter), joined with the pixel's own values, and the sign of L1 is added. Tiles and filters as in the first half.
+// same filter), joined with the pixel's own values, and the sign of L1 is added. Tiles, filters and taps as in the first half.
 //
 // Included with IN_PLACE 0, or 1: then the image has three channels and becomes its own gradient (a pixel's gradient
 // needs only that pixel of the image), and the debt of each pixel (blend_bwd.glsl) is written beside it.

@@ -2,7 +2,7 @@
 // splatting), as a filter with memory. Samples go in one by one along a row or column; the weighted mean over the last
 // eleven comes out. Each sample is loaded once for all eleven outputs that it belongs to, and nothing is indexed, so
 // the ten partial sums stay in registers on every device.
-// Short runs of outputs add up taps instead (window_tap): the filter with memory takes ten samples before the first output.
+// window_tap is the other form, for single outputs: the filter takes ten samples before its first one.
 // Define WINDOW_T (float, vec3, ...) before including this file.
 
 const uint WINDOW_RADIUS = 5u;

@@ -3,7 +3,7 @@
 // One workgroup processes one tile. The first pass filters columns and reads each sample once, directly from the image.
 // Neighboring invocations read neighboring pixels. The windowed means of (x, y, x^2 + y^2, xy) go to shared memory. The
 // second pass filters rows of these means and again reads each sample once for all outputs of a run. One barrier
-// separates the passes. Values are shifted by one half so that variances cancel less. Pixels outside the image are zero
+// separates the passes. With RUN 1, both passes add up taps instead, and each mean is read eleven times. Values are shifted by one half so that variances cancel less. Pixels outside the image are zero
 // before the shift, as in the published definition.
 #version 460
 #include "common.glsl"

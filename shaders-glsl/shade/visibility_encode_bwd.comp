@@ -6,6 +6,7 @@
 #version 460
 #include "common.glsl"
 #include "coverage.glsl"
+#include "finite.glsl"
 #include "visibility_grid.glsl"
 
 layout(constant_id = 0) const uint SUBGROUP = 32;
@@ -59,6 +60,8 @@ void fetch_row(uint item) {
         [[unroll]] for (uint part = 1u; part < PARTS; part++) {
             sum += is_shaded ? row_gradients[part * push.count * WIDTH + at + neuron(h)] : 0.0;
         }
+        // Parts are finite, but their sum may not be.
+        if (PARTS > 1u && !finite_bits(sum)) sum = 0.0;
         gradients[item * HELD + h] = sum;
     }
 }

@@ -37,7 +37,7 @@ void main() {
     if (gl_LocalInvocationID.x != 0u) return;
     float extent = 0.0;
     for (uint i = 0u; i < WORKGROUP; i++) extent = max(extent, largest[i]);
-    extent = min(extent * float(push.parts), 3e38); // with the exponent of the largest number
+    extent = min(extent * float(push.parts), 3e38); // whose exponent is that of the largest float: frexp of infinity is undefined
     float most = 0.0;
     for (uint k = 0u; k < 2u * LEVELS; k++) most = max(most, columns[k]);
     // Exponents that the numbers are below, with one to spare for rounding.

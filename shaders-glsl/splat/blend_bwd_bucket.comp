@@ -73,7 +73,7 @@ void main() {
             if (TILE_PARTS > 1u) inside = inside && (reached >> part_of_pixel(in_tile) & 1u) != 0u;
             uint at = inside ? pixel.y * camera.size.x + pixel.x : 0u;
             uint before = bucket > 0u ? checkpoint(begin, bucket, here) : 0u;
-            float T = bucket > 0u ? checkpoints[before] : 1.0;
+            float T = bucket > 0u && inside ? checkpoints[before] : 1.0;
             bool walked = inside && T > 0.0;
             uvec4 all_walked = subgroupBallot(walked);
             uint to = pixels + subgroupBallotExclusiveBitCount(all_walked);

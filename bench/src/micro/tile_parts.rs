@@ -64,14 +64,20 @@ pub(super) fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     };
     let expected = read(&variants[0], 0)?;
     ensure!(expected[0].iter().any(|v| *v != 0), "The image is black.");
+    // Compilers may round kernels of different numbers of parts differently, so a difference is reported.
+    let mut largest = 0.0_f32;
     for v in &variants {
         for pass in 0..PASSES.len() {
-            ensure!(read(v, pass)? == expected, "{} subgroups per tile, {:?}, change the image.", v.parts, v.sharing);
+            for (found, expected) in read(v, pass)?.iter().zip(&expected) {
+                let pairs = found.iter().zip(expected).map(|(a, b)| [*a, *b].map(f32::from_bits));
+                largest = pairs.fold(largest, |most, [a, b]| if (a - b).abs() <= most { most } else { (a - b).abs() });
+            }
         }
     }
+    ensure!(largest <= 1e-4, "The number of subgroups per tile changes the image by {largest:e}.");
     let most = variants.last().map_or(1, |v| v.parts);
     report.check(format!(
-        "sub-tiles: 1 to {most} subgroups per tile, with every way of sharing, blend the same image bit for bit"
+        "sub-tiles: images of 1 to {most} subgroups per tile, with every way of sharing, differ by {largest:e} at most"
     ));
     Ok(())
 }

@@ -12,8 +12,9 @@
 //! Cost per pixel. Device memory: 4 C + 4 bytes read, 36 written (`photometric`); 36 + 4 C + 4 read, 12 written, in a
 //! pixel of 4 C (`photometric_bwd`; in place 4 more are written). That is 104 bytes for C = 3. With the margins of a
 //! high tile, caches supply 2.1 times as much. Arithmetic: a window takes 11 multiply-adds per value; columns are
-//! filtered 2.4 times (both margins) and rows 1.9 times. That is 3 channels x 11 x (4 + 3) values x 4.3 = 990
-//! multiply-adds, and 3 x 40 for SSIM. Low tiles filter columns 5 times with memory, or 1.5 times if taps add up.
+//! filtered 2.4 times (both margins) and rows 1.5 times. That is 3 channels x 11 x (4 + 3) values x 3.9 = 900
+//! multiply-adds, and 3 x 40 for SSIM. Low tiles would filter columns 5 times. On GPUs taps add up instead: 1.5 times for
+//! columns, once for rows.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -54,7 +55,7 @@ struct Tile {
     size: [u32; 2],
     /// Invocations of a workgroup: at most one for each column of the 3 channels.
     workgroup: u32,
-    /// Pixels of a row that one invocation filters. With 1, invocations add up taps instead of filtering with memory.
+    /// Pixels of a row that one invocation filters. With 1, invocations add up taps.
     run: u32,
     /// Rows that an invocation loads together; divides the rows of a tile and its margins.
     ahead: u32,

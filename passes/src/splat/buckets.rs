@@ -38,8 +38,7 @@ pub struct Buckets {
 
 /// Returns the entries of a bucket.
 ///
-/// Few tiles get small buckets, so that they fill the device. Otherwise large buckets
-/// halve the memory.
+/// Few tiles get small buckets, so that they fill the device. Otherwise large buckets halve the memory.
 fn bucket_entries(t: &Tuning, screen: &Screen) -> u32 {
     let entries = if screen.tiles() <= 4 * t.workers { 64 } else { 128 };
     entries.max(OWN * t.subgroup_size)

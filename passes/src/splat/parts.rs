@@ -14,7 +14,7 @@ const MOST: u32 = 8;
 
 /// Returns the number of subgroups that should blend a tile: a power of two.
 ///
-/// `tiles`: of the largest view. It depends on the device and the size of views only, so that results are repeatable.
+/// `tiles`: of the largest view. It depends on the device and the size of views only, so that every run takes the same number.
 fn wanted(t: &Tuning, tiles: u32) -> u32 {
     if t.cpu {
         // Few threads run all subgroups, so parts would only repeat fetches.

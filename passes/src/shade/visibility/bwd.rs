@@ -32,9 +32,9 @@
 //! the rest. Per pixel: 384 gathers of 8 bytes (4 with 16-bit tables), 5 x 1024 multiply-adds, 256 to 512 atomics.
 //! Memory: 128 bytes per pixel, and 256 for each pixel of a chunk.
 //!
-//! On small views GPUs split the lights into up to eight parts, so that there are four batches for each subgroup that runs
-//! at once. Each part takes 128 bytes per pixel, which is less than 32 KiB in all for each such subgroup of 32 lanes. The
-//! parts of a row are added in order.
+//! Small views split the lights into up to eight parts on GPUs, so that each subgroup has about four batches. Each part takes
+//! 128 bytes per pixel: in all less than 32 KiB for each subgroup of 32 lanes that runs at once. The parts of a row are
+//! added in order.
 
 use super::{Field, View, field_batched, visibility_encode};
 use crate::Tuning;
@@ -53,7 +53,8 @@ const CHUNK: u32 = 1 << 19;
 /// Sums that a workgroup of `visibility_bwd` writes.
 const SUMS: u64 = (FIELD_WIDTH * (FIELD_WIDTH + 5)) as u64;
 
-/// Subgroups of a compute unit that process pairs: two for each of four schedulers, which their registers allow.
+/// Subgroups of a compute unit that process pairs: two for each of four schedulers, which their registers allow. Units with
+/// 64 KiB of shared memory run four to six at once.
 const PAIRS_PER_UNIT: u32 = 8;
 
 /// Subgroups of a compute unit that process points: three for each scheduler.
@@ -122,7 +123,12 @@ fn subgroups(tuning: Tuning, per_unit: u32, batches: u32, rounds: u64) -> u32 {
 }
 
 /// Returns the number of parts of the lights. Each subgroup has several batches, so that all end at about the same time.
-fn parts(tuning: Tuning, batches: u32, lights: u32) -> u32 {
+/// Views of several chunks are not split, because each part has memory for all pixels.
+fn parts(tuning: Tuning, pixels: u32, lights: u32) -> u32 {
+    if pixels > CHUNK {
+        return 1;
+    }
+    let batches = pixels.div_ceil(tuning.subgroup_size).max(1);
     (4 * tuning.parts(PAIRS_PER_UNIT)).div_ceil(batches).clamp(1, lights.clamp(1, PARTS))
 }
 
@@ -235,7 +241,7 @@ impl Plan {
         // features and corners.
         let by_light = if batched { 24 + lobes + u64::from(tuning.subgroup_size.min(32) / 2) } else { 4 + lobes };
         let batches = chunk.div_ceil(pixels_of_pairs);
-        let parts = if batched { parts(tuning, batches, lights) } else { 1 };
+        let parts = if batched { parts(tuning, pixels, lights) } else { 1 };
         let groups = [
             subgroups(tuning, PAIRS_PER_UNIT, batches * parts, by_light * most.div_ceil(u64::from(parts)) + 8),
             subgroups(tuning, POINTS_PER_UNIT, chunk.div_ceil(4 * sides), 16 + 4 + 8 * 9 + 8),
@@ -380,10 +386,13 @@ mod tests {
 
     #[test]
     fn lights_are_split_on_small_views() {
-        let split = |units, batches, lights| parts(Tuning { units, ..Tuning::for_subgroups(32) }, batches, lights);
-        assert_eq!([1, 2, 48].map(|units| split(units, 40, 5)), [1, 2, 5]);
-        // 160 x 120, 320 x 240 and 640 x 480 pixels on a large GPU.
-        assert_eq!([600, 2400, 9600].map(|batches| split(132, batches, 64)), [8, 2, 1]);
+        let split = |units, pixels, lights| parts(Tuning { units, ..Tuning::for_subgroups(32) }, pixels, lights);
+        assert_eq!([1, 2, 48].map(|units| split(units, 40 * 32, 5)), [1, 2, 5]);
+        // Sizes of views on a large GPU.
+        assert_eq!([160 * 120, 320 * 240, 640 * 480].map(|pixels| split(132, pixels, 64)), [8, 2, 1]);
         assert_eq!(split(132, 1, 0), 1);
+        // Views of several chunks keep one row per pixel.
+        let largest = Tuning { units: 304, ..Tuning::for_subgroups(64) };
+        assert_eq!([CHUNK, CHUNK + 1].map(|pixels| parts(largest, pixels, 64)), [2, 1]);
     }
 }
