@@ -10,8 +10,8 @@ layout(constant_id = 1) const bool ALBEDO = false;    // whether there was a pri
 layout(constant_id = 2) const bool ROUGHNESS = false;
 layout(constant_id = 3) const bool METALLIC = false;
 layout(constant_id = 4) const bool LIGHTS = false;    // whether lights are regularized
-layout(constant_id = 5) const uint SUBGROUP = 32;
-layout(local_size_x_id = 5) in;
+const uint WORKGROUP = 64;
+layout(local_size_x = WORKGROUP) in;
 
 layout(push_constant, scalar) uniform Push {
     uint smooth_count; // workgroups that left sums of the environment's smoothness; 0 if it has no weight
@@ -49,16 +49,18 @@ IN(float, smooth_sums);
 IN(float, jitter_sums);
 OUT(IntrinsicReport, reports);
 
-// The subgroup adds the sums of workgroups.
-#define SUM_OF(sums, count, total)                                                             \
-    float total = 0.0;                                                                         \
-    for (uint i = gl_SubgroupInvocationID; i < (count); i += SUBGROUP) total += sums[i];       \
-    total = subgroupAdd(total);
+shared vec2 parts[WORKGROUP]; // of the sums of workgroups: smoothness, jitter
 
 void main() {
-    SUM_OF(smooth_sums, push.smooth_count, smoothness)
-    SUM_OF(jitter_sums, push.jitter_count, jitter)
-    if (!subgroupElect()) return;
+    uint own = gl_LocalInvocationID.x;
+    vec2 part = vec2(0.0);
+    for (uint i = own; i < push.smooth_count; i += WORKGROUP) part.x += smooth_sums[i];
+    for (uint i = own; i < push.jitter_count; i += WORKGROUP) part.y += jitter_sums[i];
+    parts[own] = part;
+    barrier();
+    if (own > 0u) return;
+    for (uint i = 1u; i < WORKGROUP; i++) part += parts[i];
+    float smoothness = part.x, jitter = part.y;
     LossStats s = shaded[0];
     float a = 0.0, r = 0.0, m = 0.0;
     if (ALBEDO) a = albedo[0].total;

@@ -295,12 +295,9 @@ pub(super) fn build(g: &mut Graph, t: &Tuning, all: &StepResources<'_>, o: &Intr
         roughness: of_priors[1].is_some(),
         metallic: of_priors[2].is_some(),
         lights: light_losses.is_some(),
-        subgroup: t.subgroup_size,
     };
     let push = report::Push { smooth_count: smooth.map_or(0, |s| s.1), jitter_count: jitter.map_or(0, |j| j.1) };
     let push = bytemuck::bytes_of(&push);
-    stage(g, "intrinsic_report", &report::KERNEL, bindings.entries(), specs.entries(), push)
-        .subgroup_size(Some(t.subgroup_size))
-        .dispatch([1, 1, 1])?;
+    stage(g, "intrinsic_report", &report::KERNEL, bindings.entries(), specs.entries(), push).dispatch([1, 1, 1])?;
     Ok(image)
 }
