@@ -22,4 +22,4 @@ mod tuning;
 
 pub use accuracy::Accuracy;
 pub use matrices::{Matrices, NoMatrices};
-pub use tuning::{Sharing, Tuning};
+pub use tuning::Tuning;

@@ -3,22 +3,6 @@
 use crate::{Accuracy, Matrices};
 use sgs_engine::DeviceInfo;
 
-/// How the lanes of blending's forward pass hand splats on. Images do not depend on it, on compilers that round each kernel alike.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sharing {
-    /// By shuffles.
-    Shuffles,
-    /// By shuffles, but slots by ballots.
-    Ballots,
-    /// Through shared memory, but slots by ballots.
-    Memory,
-}
-
-impl Sharing {
-    /// All ways.
-    pub const ALL: [Sharing; 3] = [Sharing::Shuffles, Sharing::Ballots, Sharing::Memory];
-}
-
 /// Kernel sizes for one device, and accuracy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tuning {
@@ -40,8 +24,6 @@ pub struct Tuning {
     /// Subgroups that blend a tile in the forward pass, each a part of it: a power of two. `None` chooses by the tiles of
     /// the view and the units of the device.
     pub tile_parts: Option<u32>,
-    /// How the lanes of blending hand splats on.
-    pub sharing: Sharing,
     /// Workgroups of one subgroup that occupy the device. Work whose split requires an additional sum is split into
     /// about this many parts.
     pub workers: u32,
@@ -90,7 +72,6 @@ impl Tuning {
             sub_tiles: subgroup_size >= 16,
             slot_margin: 0.05,
             tile_parts: None,
-            sharing: Sharing::Shuffles,
             workers: 512,
             // A mid-range GPU. Intel's and software drivers report no units.
             units: 48,

@@ -16,9 +16,6 @@ layout(constant_id = 2) const uint TILE_WIDTH = 16;
 layout(constant_id = 3) const uint TILE_HEIGHT = 16;
 layout(constant_id = 4) const uint CHANNELS = 3;
 layout(constant_id = 5) const bool HAS_COLORS = true;
-// How lanes hand splats on. 0: all by shuffles. 1: a splat's slots by ballots, the rest by shuffles. 2: slots by ballots, the
-// rest through shared memory. Ballots tell the compiler that branches by them are uniform.
-layout(constant_id = 6) const uint SHARING = 0;
 layout(local_size_x_id = 0) in;
 #define HAS_PARTS
 #include "channels.glsl"
@@ -42,10 +39,6 @@ OUT(float, transmittance); // [pixels]
 OUT(float, checkpoints);
 OUT(uint, bucket_tiles);
 #endif
-
-// Splats of a batch, by rows of four numbers: mean, factor, opacity, channels.
-const uint ROWS = (6u + CHANNELS + 3u) / 4u;
-shared vec4 rows[SHARING == 2u ? ROWS * SUBGROUP : 1u];
 
 void main() {
     Camera camera = params.step.camera;
@@ -92,51 +85,16 @@ void main() {
         FETCH_CHANNELS(f, features, v)
         bool there = batch + gl_SubgroupInvocationID < end;
         uvec4 hits = subgroupBallot(there && own_slots != 0u);
-        uvec4 slot_hits[PER_LANE];
-        [[unroll]] for (uint k = 0u; k < PER_LANE; ++k)
-            slot_hits[k] = SHARING == 0u ? uvec4(0u) : subgroupBallot(in_slots(own_slots, k));
-        if (SHARING == 2u) {
-            float own[4u * ROWS];
-            own[0] = s.mean.x;
-            own[1] = s.mean.y;
-            own[2] = s.factor.x;
-            own[3] = s.factor.y;
-            own[4] = s.factor.z;
-            own[5] = s.opacity;
-            [[unroll]] for (uint c = 6u; c < 4u * ROWS; ++c) own[c] = c < 6u + CHANNELS ? f[(c - 6u) % CHANNELS] : 0.0;
-            barrier();
-            [[unroll]] for (uint r = 0u; r < ROWS; ++r)
-                rows[r * SUBGROUP + gl_SubgroupInvocationID] =
-                    vec4(own[4u * r], own[4u * r + 1u], own[4u * r + 2u], own[4u * r + 3u]);
-            barrier();
-        }
         while (any_lane(hits)) {
             uint i = next_lane(hits);
-            float mx, my, u11, u12, u22, opacity;
+            float mx = subgroupShuffle(s.mean.x, i), my = subgroupShuffle(s.mean.y, i);
+            float u11 = subgroupShuffle(s.factor.x, i), u12 = subgroupShuffle(s.factor.y, i);
+            float u22 = subgroupShuffle(s.factor.z, i), opacity = subgroupShuffle(s.opacity, i);
             float color[CHANNELS];
-            if (SHARING == 2u) {
-                vec4 first = rows[i], second = rows[SUBGROUP + i];
-                mx = first.x;
-                my = first.y;
-                u11 = first.z;
-                u12 = first.w;
-                u22 = second.x;
-                opacity = second.y;
-                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c)
-                    color[c] = rows[(6u + c) / 4u * SUBGROUP + i][(6u + c) % 4u];
-            } else {
-                mx = subgroupShuffle(s.mean.x, i);
-                my = subgroupShuffle(s.mean.y, i);
-                u11 = subgroupShuffle(s.factor.x, i);
-                u12 = subgroupShuffle(s.factor.y, i);
-                u22 = subgroupShuffle(s.factor.z, i);
-                opacity = subgroupShuffle(s.opacity, i);
-                [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) color[c] = subgroupShuffle(f[c], i);
-            }
-            uint slots = SHARING == 0u ? subgroupShuffle(own_slots, i) : 0u;
+            [[unroll]] for (uint c = 0u; c < CHANNELS; ++c) color[c] = subgroupShuffle(f[c], i);
+            uint slots = subgroupShuffle(own_slots, i);
             [[unroll]] for (uint k = 0u; k < PER_LANE; ++k) {
-                if (SHARING == 0u && !in_slots(slots, k)) continue;
-                if (SHARING > 0u && SUB_TILES && !subgroupBallotBitExtract(slot_hits[k], i)) continue;
+                if (!in_slots(slots, k)) continue;
                 vec2 offset = vec2(slot_corner(k));
                 float dx = px + offset.x - mx, dy = py + offset.y - my;
                 float p = u11 * dx + u12 * dy;

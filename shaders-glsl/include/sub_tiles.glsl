@@ -1,7 +1,7 @@
 // Slots of a tile, or of a part of it, that a splat can touch, a bit each. Included after splat.glsl and tile.glsl.
 //
 // A splat shows at some pixels of its tile only. Each lane finds the slots of the splat that it fetched, and hands the bits on
-// with the splat or votes, so branches by them are uniform in the subgroup. The test is conservative by far more than rounding: in
+// with the splat, so branches by them are uniform in the subgroup. The test is conservative by far more than rounding: in
 // a slot that it leaves out every alpha is below ALPHA_MIN, so skipping it changes no bit. passes/src/reference/sub_tiles.rs
 // is its reference.
 

@@ -1,7 +1,7 @@
 // Mapping of one subgroup to one tile, or to a part of it: PER_LANE slots of SUBGROUP pixels, in each of them one pixel a
 // lane.
 //
-// A workgroup is one subgroup, so lanes share splats by broadcast: no shared memory and no barrier (blend.glsl can use both, see SHARING). Where HAS_PARTS is
+// A workgroup is one subgroup, so lanes share splats by broadcast: no shared memory and no barrier. Where HAS_PARTS is
 // defined, several subgroups cover a tile (parts.glsl); elsewhere the part is the tile. Needs
 // PART_WIDTH * PART_HEIGHT = SUBGROUP * PER_LANE, SUBGROUP a multiple of SLOT_WIDTH, and PART_WIDTH, too.
 //

@@ -89,7 +89,6 @@ pub fn blend(
         per_lane: parts::per_lane(t, part),
         part_width: part[0],
         part_height: part[1],
-        sharing: t.sharing as u32,
         tile_width: screen.tile[0],
         tile_height: screen.tile[1],
         sub_tiles: t.sub_tiles,

@@ -1,12 +1,12 @@
 //! Several subgroups per tile in the forward pass of blending.
 //!
 //! They leave marks and checkpoints for the backward pass over buckets. Images and gradients have the bits of one subgroup
-//! per tile that hands splats on by shuffles, which other tests compare with the reference.
+//! per tile, which other tests compare with the reference.
 
 use super::buckets::{Both, both_from};
 use sgs_passes::reference::project::Gaussians;
 use sgs_passes::splat::Statistic;
-use sgs_passes::{Accuracy, Sharing, Tuning};
+use sgs_passes::{Accuracy, Tuning};
 use sgs_tests::{Gpu, scenes};
 
 /// Mark of a part that had stopped before a bucket.
@@ -53,28 +53,20 @@ fn cases(own: Tuning) -> Vec<Case> {
 
 fn compare(gpu: &Gpu, cases: Vec<Case>) {
     for (name, t, scene, size, statistic) in cases {
-        let with = |parts: u32, sharing: Sharing| {
-            let t = Tuning { tile_parts: Some(parts), sharing, ..t };
+        let with = |parts: u32| {
+            let t = Tuning { tile_parts: Some(parts), ..t };
             both_from(gpu, &t, &scene, size, statistic, 1 << 14, None)
         };
-        let one = with(1, Sharing::Shuffles);
+        let one = with(1);
         assert!(one.flags == 0 && one.parts == 1, "{name}: the entries overflowed");
         assert!(one.bucket.rows.iter().any(|x| x.is_finite() && *x != 0.0), "{name}: all gradients are zero");
         let mut apart = false;
-        let shuffles = [2, 4, 8].map(|parts| (parts, Sharing::Shuffles));
-        let others = [Sharing::Ballots, Sharing::Memory].into_iter().flat_map(|sharing| [(1, sharing), (4, sharing)]);
-        for (parts, sharing) in shuffles.into_iter().chain(others) {
-            let found = with(parts, sharing);
+        for parts in [2, 4, 8] {
+            let found = with(parts);
             for (what, a, b) in [("pixel", &one.pixel, &found.pixel), ("bucket", &one.bucket, &found.bucket)] {
-                assert!(a.image == b.image, "{name}: {parts} parts, {sharing:?}, change the image of {what}");
-                assert!(
-                    a.transmittance == b.transmittance,
-                    "{name}: {parts} parts, {sharing:?}, change transmittance of {what}"
-                );
-                assert!(
-                    bits(&a.rows) == bits(&b.rows),
-                    "{name}: {parts} parts, {sharing:?}, change gradients of {what}"
-                );
+                assert!(a.image == b.image, "{name}: {parts} parts change the image of {what}");
+                assert!(a.transmittance == b.transmittance, "{name}: {parts} parts change transmittance of {what}");
+                assert!(bits(&a.rows) == bits(&b.rows), "{name}: {parts} parts change gradients of {what}");
             }
             apart |= parts_stop_apart(&found);
         }
@@ -122,7 +114,7 @@ fn replace_stopped(b: &Both, tile: [u32; 2], checkpoints: &mut [u32]) -> usize {
     count
 }
 
-/// Tests that the backward pass reads no checkpoint of a stopped part.
+/// Tests that the backward pass uses no checkpoint of a stopped part.
 ///
 /// None is written, so it may hold anything.
 #[test]
@@ -140,9 +132,9 @@ fn stopped_parts_need_no_checkpoints() {
     assert!(count > 100, "only {count} checkpoints of stopped parts");
     assert!(
         bits(&run(Some(&stale)).bucket.rows) == bits(&found.bucket.rows),
-        "a checkpoint of a stopped part was read"
+        "a checkpoint of a stopped part was used"
     );
-    // Written checkpoints are read.
+    // Written checkpoints are used.
     let wrong: Vec<u32> = found.checkpoints.iter().map(|x| (0.5 * f32::from_bits(*x)).to_bits()).collect();
     assert!(bits(&run(Some(&wrong)).bucket.rows) != bits(&found.bucket.rows));
 }

@@ -3,6 +3,7 @@
 //! The sizes of the model are those of the settings; the scene is small. Specialization constants follow the model and the
 //! device, not the number of Gaussians or pixels. Only the subgroups per tile of blending follow the size of views.
 
+mod entries;
 mod gradients;
 mod parts;
 mod shading;
