@@ -12,6 +12,7 @@ struct SplatGradient {
     vec2 mean2d;        // pixels; for densification
     mat3 camera_rows;   // d/d(rotation part of world-to-camera), as rows
     vec3 camera_translation;
+    vec3 camera_turn;   // d/d(turn of the camera about its center, world axes), by the splat's axes alone
 };
 
 // Gradient of the projected mean, pixels, from the moments h p and h dy.
@@ -87,5 +88,6 @@ SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_
     }
     g.camera_rows = transpose(dw_columns);
     g.camera_translation = dpoint;
+    g.camera_turn = cross(dm[0], m[0]) + cross(dm[1], m[1]) + cross(dm[2], m[2]);
     return g;
 }

@@ -52,4 +52,9 @@ struct Step {
     uint gather_statistics;
     // the region that this step is about, as region maps number it: 1 to 65535, 0 is none
     uint region;
+    // learned cameras and colors: the view's place among them, and their learning rates
+    uint view;
+    float lr_turn;           // radians
+    float lr_shift;          // lengths
+    float lr_gain;           // of the logarithms of the colors' factors
 };

@@ -4,8 +4,10 @@
 
 use crate::Gpu;
 use crate::scenes::{self, Rng};
+use glam::DVec3;
 use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
+use sgs_passes::optim::{camera_bwd, camera_part_bytes};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::blend::{Blended as RenderedImage, blend_at};
 use sgs_passes::reference::project::{Camera, Gaussians, project_at};
@@ -131,6 +133,33 @@ impl Case {
         }
     }
 
+    /// Tests the gradient by a turn about the camera's center and a shift of it against that by the pose's numbers.
+    ///
+    /// Parts of workgroups without visible splats must stay unwritten.
+    fn check_camera(&self, pose: &[f32], parts: &[f32]) {
+        if !pose.iter().all(|x| x.is_finite()) {
+            return;
+        }
+        let written: Vec<&[f32]> =
+            parts.chunks_exact(6).take_while(|part| part.iter().any(|x| x.to_bits() != u32::MAX)).collect();
+        assert!(!written.is_empty() && parts[6 * written.len()..].iter().all(|x| x.to_bits() == u32::MAX));
+        let found = |i: usize| written.iter().map(|part| f64::from(part[i])).sum::<f64>();
+        let number = |i: usize| f64::from(pose[i]);
+        let vector = |i: usize| DVec3::new(number(i), number(i + 1), number(i + 2));
+        let (turn, by_translation) = (self.camera.rotation.transpose(), vector(9));
+        let center = -(turn * self.camera.translation);
+        // The camera turns with its axes, the rows; t = -row . center.
+        let rows = (0..3).map(|i| (turn.col(i), vector(3 * i), by_translation[i]));
+        let expected: DVec3 = rows.clone().map(|(row, by_row, by_t)| row.cross(by_row - by_t * center)).sum();
+        let size: f64 = rows.map(|(_, by_row, by_t)| by_row.length() + (by_t * center).length()).sum();
+        let shift = -(turn * by_translation);
+        for (i, expected) in expected.to_array().into_iter().chain(shift.to_array()).enumerate() {
+            let slack = 1e-4 * if i < 3 { size } else { by_translation.length() } + 1e-6;
+            let found = found(i);
+            assert!((found - expected).abs() <= slack, "camera[{i}] is {found} and not {expected}, to {slack}");
+        }
+    }
+
     /// Computes gradients on the GPU: every group, then the twelve numbers of the pose.
     ///
     /// # Panics
@@ -187,6 +216,8 @@ impl Case {
         let means2d = g.external("means2d", 8 * u64::from(n));
         let into = Gradients { parameters: into_parameters, means2d, pose: Some(pose) };
         project_bwd(&mut g, &t, &screen, &handles, &visible, &sums, &into).unwrap();
+        let moved = g.external("camera_parts", camera_part_bytes(&t, &visible));
+        camera_bwd(&mut g, &t, &screen, &handles, &visible, &sums, moved).unwrap();
         if let Some((_, _, left, _)) = &wide {
             features_bwd(&mut g, &t, &visible, left, into_features).unwrap();
         }
@@ -226,6 +257,7 @@ impl Case {
         if let Some((.., image)) = wide {
             self.check_features(&out.get::<f32>(image));
         }
+        self.check_camera(&out.get::<f32>(pose), &out.get::<f32>(moved));
         let mut all = model.from_columns(&out.get::<f32>(into_parameters), n as usize);
         if model.semantics {
             all.groups[Group::Semantics as usize] = out.get(into_features);

@@ -24,6 +24,7 @@ const TESTS: &[&str] = &[
     "gbuffer::",
     "geometry_loss::",
     "learned_normals::",
+    "learned_views::",
     "lights::",
     "lights_regularize::",
     "loss::",
@@ -55,6 +56,7 @@ const SKIPPED: &[&str] = &[
     // They run executors of their own, which do nothing here.
     "prim::sort_writes_nothing_after_the_last_element",
     "learned_normals::training_restores_perturbed_normals",
+    "learned_views::moved_cameras_and_exposures_are_found",
     // A few blocks of narrow subgroups are its subject.
     "traced_lights::results_are_independent_of_stretches",
     // Lanes of `blend_bwd_bucket` hand pixels on by shuffles. Only this orders a read of their shared state before the write for

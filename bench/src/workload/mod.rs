@@ -76,6 +76,7 @@ impl Workload {
             semantics: self.semantics.as_deref().map(|(data, decoder)| data.inputs(decoder)),
             regions: None,
             pseudo_regions: None,
+            views: None,
         }
     }
 }

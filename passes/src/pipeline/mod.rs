@@ -4,6 +4,7 @@
 //! set, and every later step leaves the parameters unchanged. The host grows the buffer and replays from the first step
 //! that the overflow affected.
 
+mod align;
 mod densify;
 mod display;
 mod geometry;
@@ -18,6 +19,7 @@ mod surface;
 mod transport;
 mod view;
 
+pub use align::Aligner;
 pub use densify::{DensifyStep, OpacityReset};
 pub use display::{Display, DisplayRoom, Font, Shown};
 pub use geometry::{
@@ -42,6 +44,6 @@ pub use transport::{
 pub use view::{Frame, View, ViewError, ViewOptions, ViewReport, ViewResult};
 
 pub use sgs_shaders::structs::{
-    Camera, Densify as DensifySettings, DensifyStats, FieldStep, IntrinsicReport, LitStep, LossStats, MaterialStats,
-    MaterialWeights, SemanticTarget, Step, StepReport,
+    Camera, Densify as DensifySettings, DensifyStats, FieldStep, IntrinsicReport, LearnedView, LitStep, LossStats,
+    MaterialStats, MaterialWeights, SemanticTarget, Step, StepReport,
 };

@@ -9,6 +9,7 @@ mod decoder;
 mod gaussians;
 mod model;
 mod trainable;
+mod views;
 
 pub use columns::BLOCK;
 pub use compact::Storage;
@@ -16,3 +17,4 @@ pub use decoder::{AUGMENTED, Decoder, DecoderHandles, EMBEDDING, FEATURES};
 pub use gaussians::{GaussianData, Gaussians, Handles, Layout, MomentHandles, STATISTICS};
 pub use model::{Group, Model, SEMANTIC_FEATURES};
 pub use trainable::{Trainable, TrainableHandles};
+pub use views::{LearnedViews, ViewHandles, ViewKinds};

@@ -23,6 +23,7 @@ mod image;
 mod image_graph;
 mod large_splats;
 mod learned_normals;
+mod learned_views;
 mod lights;
 mod lights_regularize;
 mod long_tiles;

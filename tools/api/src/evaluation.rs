@@ -9,6 +9,7 @@ use sgs_evaluate::metrics::Lpips;
 use sgs_evaluate::{
     EvaluateOptions, Evaluation, Fps, Rendered, evaluate_classes, evaluate_shaded, render_fps, shade_fps,
 };
+use sgs_passes::scene::ViewKinds;
 use sgs_relight::{Emitting, LightOfRun, evaluate_relit, skip_relit};
 use sgs_run::{RunDirectory, ShadedView, Shading, light_of, shaded_scene};
 use sgs_scene::{Scene, Splats};
@@ -61,6 +62,8 @@ pub struct MeasureOptions<'a> {
     pub lpips: Option<&'a Lpips>,
     /// Receiver of images, if any.
     pub images: Option<&'a mut dyn EvaluatedImages>,
+    /// Aligns views before a second comparison also if training learned neither cameras nor exposures.
+    pub align: bool,
 }
 
 /// Measures a run and records the result in `metrics.json`.
@@ -75,7 +78,7 @@ pub fn measure(
     settings: &Settings,
     options: MeasureOptions<'_>,
 ) -> anyhow::Result<Evaluation> {
-    let MeasureOptions { split, lpips, mut images } = options;
+    let MeasureOptions { split, lpips, mut images, align } = options;
     let views = if split == Split::Test { &scene.split.test } else { &scene.split.train };
     if views.is_empty() {
         bail!("The scene has no views in that split.");
@@ -87,7 +90,10 @@ pub fn measure(
         images.begin(head.as_ref().map(|head| head.text.labels.as_slice()))?;
     }
     let background = settings.geometry.background;
-    let options = EvaluateOptions { views, background, head: head.as_ref(), lpips };
+    let [cameras, gains] = settings.geometry.rates.views.map(|rate| rate > 0.0);
+    let learned = ViewKinds { cameras, gains };
+    let align = (align || learned.any()).then_some(ViewKinds { cameras: true, ..learned });
+    let options = EvaluateOptions { views, background, head: head.as_ref(), lpips, align };
     let mut result = evaluate_classes(device, scene, &gaussians, &options, |name, rendered| match &mut images {
         Some(images) => images.rendered(scene, name, rendered),
         None => Ok(()),

@@ -2,6 +2,7 @@
 
 use anyhow::bail;
 use sgs_config::Settings;
+use sgs_run::{RunDirectory, use_learned_views};
 use sgs_scene::Scene;
 use sgs_train::Framing;
 use std::path::Path;
@@ -15,13 +16,17 @@ pub fn open_scene(s: &Settings) -> anyhow::Result<Scene> {
     Ok(scene)
 }
 
-/// Opens the scene of a run. Fails with advice if the scene has moved.
+/// Opens the scene of a run, with the cameras and exposures that training learned. Fails with advice if the scene has moved.
 pub fn open_scene_of_run(run: &Path, s: &Settings) -> anyhow::Result<Scene> {
     if !s.scene.exists() {
         let (run, scene) = (run.display(), s.scene.display());
         bail!("the scene of \"{run}\" is no longer at \"{scene}\"; name its place with --scene DIR.");
     }
-    open_scene(s)
+    let mut scene = open_scene(s)?;
+    if let Some(learned) = RunDirectory::open(run)?.learned_views()? {
+        use_learned_views(&mut scene, &learned);
+    }
+    Ok(scene)
 }
 
 /// Checks that training can start from a scene; logs warnings about a bad start.

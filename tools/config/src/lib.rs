@@ -197,6 +197,9 @@ pub struct Rates {
     pub means: f64,
     /// Rate of means at the last step, times the extent; log-linear between.
     pub means_final: f64,
+    /// Two rates of what is learned of each photograph. The first is that of its camera: the turn in radians, and the shift times
+    /// the extent. The second is that of its exposure: the logarithms of factors on red, green and blue. 0 learns neither.
+    pub views: [f64; 2],
     /// Rate of log scales. Not a setting.
     #[serde(skip)]
     pub scales: f64,
@@ -229,6 +232,7 @@ impl Default for Rates {
             factor: 0.0,
             means: 1.6e-4,
             means_final: 1.6e-6,
+            views: [0.0; 2],
             scales: 5e-3,
             rotations: 1e-3,
             opacities: 0.05,

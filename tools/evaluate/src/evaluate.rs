@@ -1,5 +1,6 @@
 //! Metrics of a trained run at the views of a split.
 
+use crate::align::Alignments;
 use crate::error::Result;
 use crate::measures::{Evaluation, Means, Nvs, Semantic, ViewMetrics, known};
 use crate::metrics::{self, Lpips, NormalError};
@@ -7,7 +8,7 @@ use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::loss::NO_LABEL;
 use sgs_passes::pipeline::{RenderedImage, Renderer};
-use sgs_passes::scene::Gaussians;
+use sgs_passes::scene::{Gaussians, ViewKinds};
 use sgs_passes::splat::Channels;
 use sgs_run::{Classifier, SemanticHead, render_view};
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
@@ -24,7 +25,13 @@ pub fn evaluate(
     background: [f32; 3],
     on_view: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
-    evaluate_classes(device, scene, gaussians, &EvaluateOptions { views, background, head: None, lpips: None }, on_view)
+    evaluate_classes(
+        device,
+        scene,
+        gaussians,
+        &EvaluateOptions { views, background, head: None, lpips: None, align: None },
+        on_view,
+    )
 }
 
 /// Views and measures of an evaluation.
@@ -37,6 +44,8 @@ pub struct EvaluateOptions<'a> {
     pub head: Option<&'a SemanticHead>,
     /// Network of LPIPS, if it is measured.
     pub lpips: Option<&'a Lpips>,
+    /// What is aligned with each photograph before a second comparison, if anything.
+    pub align: Option<ViewKinds>,
 }
 
 /// Evaluates as [`evaluate`] does, with classes and LPIPS. Classifies every pixel with the head if the Gaussians have
@@ -51,7 +60,11 @@ pub fn evaluate_classes(
     options: &EvaluateOptions<'_>,
     mut on_view: impl FnMut(&str, &Rendered) -> Result<()>,
 ) -> Result<Evaluation> {
-    let &EvaluateOptions { views, background, head, lpips } = options;
+    let &EvaluateOptions { views, background, head, lpips, align } = options;
+    let mut alignments = match align.filter(|kinds| kinds.any()) {
+        Some(kinds) => Some(Alignments::new(device, gaussians, scene, kinds)?),
+        None => None,
+    };
     let truth = GroundTruth::of(scene);
     let channels = Channels { colors: true, normals: gaussians.model.normals, depth: true };
     let head = head.filter(|_| gaussians.model.semantics);
@@ -76,7 +89,17 @@ pub fn evaluate_classes(
         let counts = scene.load_mask(i)?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
         let mask = mask.as_ref();
-        let nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref(), lpips)?;
+        let mut nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref(), lpips)?;
+        if let Some(alignments) = &mut alignments {
+            let found = alignments.find(gaussians, &view.camera, &photo, counts.as_ref(), background)?;
+            let rendering = render_view(&mut renderer, gaussians, &found.camera, background)?;
+            let mut aligned = Rendered::from_image(&rendering, channels).rgb;
+            for pixel in aligned.data.chunks_exact_mut(3) {
+                pixel.iter_mut().zip(found.gains).for_each(|(v, gain)| *v = (*v * gain).min(1.0));
+            }
+            nvs.psnr_aligned = Some(metrics::psnr(&aligned, &photo, counts.as_ref())?);
+            nvs.ssim_aligned = Some(metrics::ssim(&aligned, &photo, counts.as_ref())?);
+        }
         // Gaussians without normals still have a surface. Its normals are derived from depth.
         let surface;
         let shown = match &rendered.normal {
@@ -121,6 +144,8 @@ pub fn evaluate_classes(
             ssim: mean(&|v| v.nvs.ssim),
             flip: mean(&|v| v.nvs.flip),
             lpips: some(&|v| v.nvs.lpips),
+            psnr_aligned: some(&|v| v.nvs.psnr_aligned),
+            ssim_aligned: some(&|v| v.nvs.ssim_aligned),
         },
         normal_mae_deg: some(&|v| v.normal_mae_deg),
         normal_coverage: some(&|v| v.normal_coverage),

@@ -1,5 +1,6 @@
 //! Image metrics, and evaluation of a run against photographs and ground truth.
 
+mod align;
 mod error;
 mod evaluate;
 mod measures;

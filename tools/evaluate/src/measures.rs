@@ -44,6 +44,12 @@ pub struct Nvs {
     /// LPIPS, where weights are available ([`metrics::Lpips`]).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips: Option<f64>,
+    /// PSNR in dB after the camera, and the exposure if training learned it, were aligned with the photograph.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub psnr_aligned: Option<f64>,
+    /// Structural similarity after the same alignment.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ssim_aligned: Option<f64>,
 }
 
 impl Nvs {
@@ -54,6 +60,8 @@ impl Nvs {
             ssim: metrics::ssim(ours, theirs, mask)?,
             flip: metrics::flip(ours, theirs, mask)?,
             lpips: lpips.map(|l| l.distance(ours, theirs, mask)).transpose()?,
+            psnr_aligned: None,
+            ssim_aligned: None,
         })
     }
 }

@@ -139,7 +139,15 @@ pub fn mean(all: &[&ShadedMetrics]) -> ShadedMetrics {
     let pbr = || {
         let of = |f: fn(&Nvs) -> f64| some(&|m| m.pbr.as_ref().map(f));
         let lpips = some(&|m| m.pbr?.lpips);
-        Some(Nvs { psnr: of(|v| v.psnr)?, ssim: of(|v| v.ssim)?, flip: of(|v| v.flip)?, lpips })
+        let (psnr_aligned, ssim_aligned) = (None, None);
+        Some(Nvs {
+            psnr: of(|v| v.psnr)?,
+            ssim: of(|v| v.ssim)?,
+            flip: of(|v| v.flip)?,
+            lpips,
+            psnr_aligned,
+            ssim_aligned,
+        })
     };
     let albedo = || {
         let of = |f: fn(&AlbedoMetrics) -> f64| some(&|m| m.albedo.as_ref().map(f));

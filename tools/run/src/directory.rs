@@ -184,7 +184,8 @@ impl RunDirectory {
         self.remove([self.checkpoint(StageKind::Geometry), self.path("training.json")])?;
         self.rollback_files(StageKind::Geometry).remove()?;
         self.forget_intrinsic()?;
-        self.remove(names.map(|n| self.path(n)))
+        self.remove(names.map(|n| self.path(n)))?;
+        self.write_learned_views(None)
     }
 
     /// Removes the results of the intrinsic stage and of the stage after it.
@@ -218,7 +219,7 @@ impl RunDirectory {
         if all.is_empty() { self.remove([self.path("training.json")]) } else { self.write_json("training.json", &all) }
     }
 
-    fn remove(&self, paths: impl IntoIterator<Item = PathBuf>) -> Result<()> {
+    pub(crate) fn remove(&self, paths: impl IntoIterator<Item = PathBuf>) -> Result<()> {
         paths.into_iter().try_for_each(|path| remove(&path))
     }
 

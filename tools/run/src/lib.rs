@@ -14,6 +14,7 @@ mod gltf_lights;
 pub mod harmonics;
 mod head;
 mod known;
+mod learned_views;
 mod light_list;
 mod lights;
 mod lock;
@@ -40,6 +41,7 @@ pub use exchange::{Exchange, is_gltf, read_exchange, read_light, read_splats, wr
 pub use gltf_lights::{gltf_leaves_out, read_light_source};
 pub use head::SemanticHead;
 pub use known::{KnownEmitters, MOST_KNOWN};
+pub use learned_views::{LearnedViewRow, use_learned_views};
 pub use light_list::{LightList, ListedLight, PhysicalRow, read_light_list, write_light_list};
 pub use lights::{LightFile, LightRow, LobeRow, MOST as MOST_LIGHTS, raw_lobe, write_lights};
 pub use lock::{DirectoryLock, LockHolder, process_start};

@@ -26,6 +26,8 @@ pub struct View {
     pub distortion: Distortion,
     /// Camera at the size of the stored photograph.
     pub stored_camera: Camera,
+    /// Factors on red, green and blue that gave this photograph its exposure; loading divides by them. 1 if unknown.
+    pub gains: [f32; 3],
     declared_in: PathBuf,
     pub(crate) beside: Beside,
 }
@@ -59,7 +61,8 @@ impl View {
     pub(crate) fn new(frame: Frame, scale: f64) -> Self {
         let Frame { camera: stored_camera, lens, image, declared_in, beside } = frame;
         let camera = stored_camera.clone();
-        Self { camera, image_path: image, distortion: lens, stored_camera, declared_in, beside }.at_scale(scale)
+        let gains = [1.0; 3];
+        Self { camera, image_path: image, distortion: lens, stored_camera, gains, declared_in, beside }.at_scale(scale)
     }
 
     /// Returns the view at `scale` times its stored size; the pose is unchanged.
@@ -81,11 +84,20 @@ impl View {
     pub fn load_image(&self, options: &LoadOptions) -> Result<Image> {
         let (raster, encoding) = self.read(options.background)?;
         if encoding == Encoding::Srgb && self.distortion.is_none() && self.is_stored_size() {
-            return Ok(raster);
+            return Ok(self.evenly_exposed(raster));
         }
         let mut image = self.bring(self.linear(raster, encoding, options)?);
         image.data.iter_mut().for_each(|v| *v = linear_to_srgb(v.clamp(0.0, 1.0)));
-        Ok(image)
+        Ok(self.evenly_exposed(image))
+    }
+
+    /// Divides by the view's factors.
+    fn evenly_exposed(&self, mut image: Image) -> Image {
+        if self.gains != [1.0; 3] {
+            let each = image.data.chunks_exact_mut(3);
+            each.for_each(|p| p.iter_mut().zip(self.gains).for_each(|(v, gain)| *v = (*v / gain).min(1.0)));
+        }
+        image
     }
 
     /// Loads the photograph as linear light. The image is exposed, undistorted, and at the size of [`View::camera`].

@@ -7,6 +7,9 @@ use sgs_passes::pipeline::{Camera, DensifySettings, Step};
 /// Most halvings of a photograph.
 pub(crate) const MOST_HALVINGS: u32 = 2;
 
+/// Fraction of the steps before cameras and exposures are learned.
+const VIEWS_FROM: f64 = 0.05;
+
 /// Schedules of a run.
 #[derive(Clone, Debug)]
 pub struct Schedule {
@@ -80,6 +83,8 @@ impl Schedule {
         let done = f64::from(step) / f64::from(g.steps.max(1));
         let means = g.rates.means.powf(1.0 - done.min(1.0)) * g.rates.means_final.powf(done.min(1.0));
         let factor = g.rate_factor() * self.rates;
+        // Cameras wait until the Gaussians show a room; their last steps are a hundredth of the first.
+        let views = if done < VIEWS_FROM { 0.0 } else { factor * 0.01f64.powf(done.min(1.0)) };
         let spread = 10f64.powf(f64::from(step) / 5000.0).min(f64::from(g.losses.depth_variance_growth)) as f32;
         Step {
             camera: *camera,
@@ -99,6 +104,9 @@ impl Schedule {
             lr_semantics: (factor * g.rates.semantics) as f32,
             lr_decoder: (factor * g.rates.decoder) as f32,
             lr_share: 1.0,
+            lr_turn: (views * g.rates.views[0]) as f32,
+            lr_shift: (views * g.rates.views[0] * self.extent) as f32,
+            lr_gain: (views * g.rates.views[1]) as f32,
             correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
             correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
             weight_l1: g.losses.l1,

@@ -9,7 +9,7 @@ use sgs_config::Settings;
 use sgs_engine::exec::PassTime;
 use sgs_engine::graph::Plan;
 use sgs_passes::pipeline::DensifyStats;
-use sgs_run::{RunDirectory, RunLight, StageKind};
+use sgs_run::{LearnedViewRow, RunDirectory, RunLight, StageKind};
 use sgs_scene::{Camera, Image, Splats};
 use std::fmt;
 use std::path::Path;
@@ -140,6 +140,14 @@ pub trait Stage: Send {
     /// # Errors
     /// If the device fails.
     fn splats(&self) -> Result<Splats>;
+
+    /// Returns the learned cameras and exposures of the training views, if the stage learns any.
+    ///
+    /// # Errors
+    /// If the device fails.
+    fn learned_views(&self) -> Result<Option<Vec<LearnedViewRow>>> {
+        Ok(None)
+    }
 
     /// Returns all light of the current state, where the stage trains light.
     ///

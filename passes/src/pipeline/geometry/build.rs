@@ -12,7 +12,8 @@ use crate::loss::{
     photometric_bwd_in_place, semantic_loss, semantic_prepare, semantic_sum, wanted_samples,
 };
 use crate::optim::{
-    Adam, AdamUnseen, EPSILON, Rate, adam as adam_pass, adam_unseen, adam_unseen_features, decoder_step,
+    Adam, AdamUnseen, EPSILON, Rate, ViewGradients, ViewStatus, adam as adam_pass, adam_unseen, adam_unseen_features,
+    camera_bwd, camera_part_bytes, decoder_step, view_gain, view_gain_bwd, view_place, view_step,
 };
 use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
@@ -82,11 +83,15 @@ pub(super) fn build(
     inputs: &InputHandles,
     o: &GeometryOptions,
 ) -> Built<()> {
-    let step = steps.step;
+    // Passes of this view use its learned camera; the uniforms of other views stay as they are.
+    let step = match inputs.views.as_ref().filter(|views| views.kinds.cameras) {
+        Some(views) => view_place(g, steps.step, views)?,
+        None => steps.step,
+    };
     let view = render(g, t, step, gaussians, status, o.channels, o, o.backward)?;
     let screen = view.screen;
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
-    let mut gradient = appearance(g, t, &view, inputs, o, stats)?;
+    let (mut gradient, gains) = appearance(g, t, &view, inputs, o, stats)?;
     gradient.buckets = view.buckets;
     let meaning = match &inputs.semantics {
         Some(s) => Some(meaning(
@@ -107,6 +112,18 @@ pub(super) fn build(
     }
     let statistics = o.statistics.is_some();
     let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics, seen, extra };
+    if let Some(views) = &inputs.views {
+        let cameras = match views.kinds.cameras {
+            true => {
+                let parts = g.transient("camera_parts", camera_part_bytes(t, &view.visible));
+                camera_bwd(g, t, &screen, gaussians, &view.visible, &entry_gradients, parts)?;
+                Some(parts)
+            }
+            false => None,
+        };
+        let status = ViewStatus { flags: status.flags, skipped: status.skipped };
+        view_step(g, t, step, view.visible.work, views, &ViewGradients { cameras, gains }, &status)?;
+    }
     project_bwd_adam(g, t, &screen, gaussians, &view.visible, &entry_gradients, &adam)?;
     if let (Some(meaning), Some(moments)) = (&meaning, gaussians.moments) {
         let moments = moments.semantics;
@@ -167,17 +184,22 @@ fn appearance(
     inputs: &InputHandles,
     o: &GeometryOptions,
     stats: Buffer,
-) -> Built<PixelGradients> {
+) -> Built<(PixelGradients, Option<(Buffer, u32)>)> {
     let (screen, step, channels) = (&view.screen, view.screen.step, o.channels.count());
+    let gains = inputs.views.as_ref().filter(|views| views.kinds.gains);
+    if let Some(views) = gains {
+        view_gain(g, t, screen, views, channels, view.blended.image)?;
+    }
     let loss = Photometric { step, image: view.blended.image, targets: inputs.targets, channels, largest: o.largest };
     let partials = photometric(g, *t, &loss)?;
-    if !o.channels.normals && !o.channels.depth {
+    let color_alone = !o.channels.normals && !o.channels.depth;
+    if color_alone && gains.is_none() {
         let mut gradient = photometric_bwd_in_place(g, *t, &loss, &partials)?;
         // Among the losses of a step, only that of features is not a color loss.
         let apart = inputs.semantics.is_some() && o.semantic_geometry;
         gradient.statistic = own_statistic(o).filter(|_| apart).map(|which| (which, gradient.debt));
         loss_sum(g, *t, step, (partials.sums, partials.count), None, stats)?;
-        return Ok(gradient);
+        return Ok((gradient, None));
     }
     let gradient = Blended {
         image: g.transient("grad_image", 4 * u64::from(channels) * screen.pixels()),
@@ -195,14 +217,25 @@ fn appearance(
         priors: inputs.normals,
         largest: o.largest,
     };
-    let sums = geometry_loss(g, *t, &loss, gradient.image, gradient.transmittance)?;
-    loss_sum(g, *t, step, (partials.sums, partials.count), Some((sums.sums, sums.count)), stats)?;
+    let others = if color_alone {
+        g.fill("clear_grad_transmittance", gradient.transmittance, 0)?;
+        None
+    } else {
+        let sums = geometry_loss(g, *t, &loss, gradient.image, gradient.transmittance)?;
+        Some((sums.sums, sums.count))
+    };
+    loss_sum(g, *t, step, (partials.sums, partials.count), others, stats)?;
     let mut owed = blend_debt(g, t, screen, channels, &view.blended, &gradient)?;
     if let Some(which) = own_statistic(o) {
         let debt = statistic_debt(g, t, screen, channels, &view.blended, &gradient, which)?;
         owed.statistic = Some((which, debt));
     }
-    Ok(owed)
+    // The debt is the same before and after: the factors of image and gradient cancel.
+    let gains = match gains {
+        Some(views) => Some(view_gain_bwd(g, t, screen, views, channels, view.blended.image, gradient.image)?),
+        None => None,
+    };
+    Ok((owed, gains))
 }
 
 /// Returns the densification statistic, unless it covers all gradients.

@@ -1,7 +1,7 @@
 //! Inputs of a geometry step besides the Gaussians, and their sizes.
 
 use crate::loss::{Head, SemanticTargets};
-use crate::scene::{Decoder, DecoderHandles, EMBEDDING};
+use crate::scene::{Decoder, DecoderHandles, EMBEDDING, LearnedViews, ViewHandles, ViewKinds};
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
 use sgs_engine::{DeviceBuffer, Result};
@@ -23,6 +23,8 @@ pub struct Inputs<'a> {
     pub regions: Option<&'a DeviceBuffer>,
     /// Region ids of the pseudo-views, for numbered masks.
     pub pseudo_regions: Option<&'a DeviceBuffer>,
+    /// What is learned of the training views, if anything is.
+    pub views: Option<(&'a LearnedViews, ViewKinds)>,
 }
 
 /// Inputs of the semantic loss.
@@ -55,6 +57,8 @@ pub struct InputSizes {
     pub regions: Option<u64>,
     /// Bytes of the regions of the pseudo-views.
     pub pseudo_regions: Option<u64>,
+    /// Number of views of which something is learned, and what.
+    pub views: Option<(u32, ViewKinds)>,
 }
 
 /// Sizes of [`SemanticInputs`].
@@ -101,6 +105,7 @@ impl Inputs<'_> {
             }),
             regions: self.regions.map(DeviceBuffer::bytes),
             pseudo_regions: self.pseudo_regions.map(DeviceBuffer::bytes),
+            views: self.views.map(|(views, kinds)| (views.count(), kinds)),
         }
     }
 }
@@ -113,6 +118,7 @@ pub(super) struct InputHandles {
     pub semantics: Option<SemanticHandles>,
     pub regions: Option<Buffer>,
     pub pseudo_regions: Option<Buffer>,
+    pub views: Option<ViewHandles>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -142,6 +148,7 @@ impl InputHandles {
             }),
             regions: sizes.regions.map(|bytes| g.input("regions", bytes)),
             pseudo_regions: sizes.pseudo_regions.map(|bytes| g.input("pseudo_regions", bytes)),
+            views: sizes.views.map(|(count, kinds)| LearnedViews::declare(g, count, kinds)),
         }
     }
 
@@ -154,6 +161,9 @@ impl InputHandles {
             if let (Some(handle), Some(memory)) = (handle, memory) {
                 exec.bind(handle, memory)?;
             }
+        }
+        if let (Some(handles), Some((views, _))) = (&self.views, inputs.views) {
+            views.bind(exec, handles)?;
         }
         if let (Some(handles), Some(memory)) = (&self.semantics, &inputs.semantics) {
             memory.decoder.bind(exec, &handles.decoder)?;

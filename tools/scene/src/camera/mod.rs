@@ -6,7 +6,7 @@
 
 mod distortion;
 
-use glam::{DMat3, DMat4, DVec2, DVec3};
+use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 
 pub use distortion::Distortion;
 
@@ -61,6 +61,14 @@ impl Camera {
         let mut matrix = DMat4::from_mat3(self.rotation);
         matrix.w_axis = self.translation.extend(1.0);
         matrix
+    }
+
+    /// Returns the camera after its center has moved by `shift` and the camera has turned about it by the rotation vector
+    /// `turn` in radians. Both are in world axes.
+    #[must_use]
+    pub fn moved(&self, turn: DVec3, shift: DVec3) -> Self {
+        let rotation = self.rotation * DMat3::from_quat(DQuat::from_scaled_axis(-turn));
+        Self { rotation, translation: -(rotation * (self.position() + shift)), ..self.clone() }
     }
 
     /// Returns the camera for the image resized to `width`×`height`. The field of view is unchanged; each axis scales
@@ -170,6 +178,16 @@ pub(crate) mod tests {
         let half = camera.scaled(80, 61);
         let expected = DVec2::new(40.0 * 80.0 / 160.0, 30.0 * 61.0 / 120.0);
         assert!((half.project(point).unwrap() - expected).length() < 1e-9);
+    }
+
+    #[test]
+    fn moved_cameras_turn_about_their_center() {
+        let (camera, turn, shift) = (camera(), DVec3::new(0.1, -0.3, 0.2), DVec3::new(1.0, 2.0, -0.5));
+        let moved = camera.moved(turn, shift);
+        assert!((moved.position() - camera.position() - shift).length() < 1e-12);
+        let expected = DQuat::from_scaled_axis(turn) * camera.forward();
+        assert!((moved.forward() - expected).length() < 1e-12);
+        assert!((camera.moved(DVec3::ZERO, DVec3::ZERO).translation - camera.translation).length() < 1e-12);
     }
 
     #[test]

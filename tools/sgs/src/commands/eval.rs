@@ -34,6 +34,9 @@ pub struct Args {
     /// Scale images for LPIPS to -1 to 1, its own convention. By default 0 to 1, the convention of 3DGS evaluations.
     #[arg(long, requires = "lpips")]
     lpips_signed: bool,
+    /// Measure each view again with the camera that fits it best. Runs that learn cameras or exposures do so anyway.
+    #[arg(long)]
+    align: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -67,7 +70,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     let device = common.open_device()?;
     let mut written = a.images.as_deref().map(|dir| Written { dir, legend: None });
     let images = written.as_mut().map(|images| images as &mut dyn EvaluatedImages);
-    let options = MeasureOptions { split: a.split.into(), lpips: lpips.as_ref(), images };
+    let options = MeasureOptions { split: a.split.into(), lpips: lpips.as_ref(), images, align: a.align };
     let result = measure(&device, &scene, &run, &splats, &settings, options)?;
     if !common.answer(&result)? {
         print_table(&result);
@@ -172,6 +175,9 @@ fn print_table(e: &Evaluation) {
     let m = &e.mean;
     let labels = m.semantic.map(|s| s.accuracy);
     line("mean", &m.nvs, [m.normal_mae_deg, m.normal_coverage, m.depth_rel, labels]);
+    if let (Some(psnr), Some(ssim)) = (m.nvs.psnr_aligned, m.nvs.ssim_aligned) {
+        println!("{:<20} {psnr:>8.2} {ssim:>8.4}", "mean, aligned");
+    }
     if let Some(m) = &m.shaded {
         print_shaded(m);
     }

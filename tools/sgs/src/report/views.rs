@@ -81,7 +81,7 @@ pub fn html(common: &Common, device: &Device, run: &ShownRun<'_>, shown: &Shown)
     let mut done = 0;
     let mut all: BTreeMap<String, Figures> = BTreeMap::new();
     let mut next = views.iter();
-    let options = EvaluateOptions { views, background, head: head.as_ref(), lpips: None };
+    let options = EvaluateOptions { views, background, head: head.as_ref(), lpips: None, align: None };
     let mut result = evaluate_classes(device, scene, &gaussians, &options, |name, r| {
         let Some(&view) = next.next() else { return Ok(()) };
         let psnr = noted(metrics, name, "nvs");

@@ -9,6 +9,7 @@ use crate::decision::Decision;
 use crate::error::{Result, error};
 use safetensors::{Dtype, SafeTensors};
 use sgs_config::Backward;
+use sgs_passes::pipeline::LearnedView;
 use sgs_passes::scene::{AUGMENTED, EMBEDDING, GaussianData, Group, Model, STATISTICS};
 use sgs_run::floats::Floats;
 use std::collections::HashMap;
@@ -24,6 +25,8 @@ pub(crate) struct State {
     pub statistics: Vec<f32>,
     /// Semantic decoder, where the Gaussians have features.
     pub decoder: Option<DecoderValues>,
+    /// What was learned of each training view; empty if nothing is.
+    pub views: Vec<LearnedView>,
     /// Progress of the training besides its tensors.
     pub course: Course,
     /// State of the search for the number of spherical-harmonics bands.
@@ -60,6 +63,11 @@ impl State {
             tensors.push(("decoder".to_owned(), Floats(parameters, vec![EMBEDDING, AUGMENTED])));
             tensors.push(("decoder_moments".to_owned(), Floats(moments, vec![EMBEDDING, AUGMENTED, 2])));
         }
+        if !self.views.is_empty() {
+            let width = size_of::<LearnedView>() / 4;
+            tensors
+                .push(("views".to_owned(), Floats(bytemuck::cast_slice(&self.views), vec![self.views.len(), width])));
+        }
         tensors
     }
 }
@@ -87,8 +95,9 @@ pub(crate) fn save(path: &Path, state: &State) -> Result<()> {
     Ok(())
 }
 
-/// Reads a checkpoint of a model. With `any_degree`, accepts any number of spherical-harmonics bands.
-pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<State> {
+/// Reads a checkpoint of a model. With `any_degree`, accepts any number of spherical-harmonics bands. `views` is the number of
+/// views of which something is learned.
+pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool, views: Option<u32>) -> Result<State> {
     let bytes = std::fs::read(path).map_err(|e| error(path, e.to_string()))?;
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| error(path, format!("not a checkpoint: {e}")))?;
     let meta = header.metadata().clone().unwrap_or_default();
@@ -163,6 +172,18 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
             ));
         }
     }
+    let views = match views {
+        None => Vec::new(),
+        Some(count) => {
+            let numbers = floats("views")?;
+            let wrong = || error(path, format!("damaged: \"views\" does not fit {count} training views"));
+            let views: &[LearnedView] = bytemuck::try_cast_slice(&numbers).map_err(|_| wrong())?;
+            if views.len() != count as usize || views.iter().any(|v| v.values.iter().any(|x| !x.is_finite())) {
+                return Err(wrong());
+            }
+            views.to_vec()
+        }
+    };
     let course = Course::read(path, &meta)?;
     let bands = json(path, &meta, "bands")?;
     let decisions = json(path, &meta, "decisions")?.unwrap_or_default();
@@ -175,6 +196,7 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool) -> Result<St
         moments,
         statistics,
         decoder,
+        views,
         course,
         bands,
         decisions,

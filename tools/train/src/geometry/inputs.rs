@@ -4,9 +4,9 @@ use crate::correspondence::Correspondence;
 use crate::data::Packed;
 use crate::error::Result;
 use crate::semantics::{SemanticData, SemanticMaps};
-use sgs_config::Settings;
+use sgs_config::{GeometrySettings, Settings};
 use sgs_engine::Device;
-use sgs_passes::scene::Decoder;
+use sgs_passes::scene::{Decoder, ViewKinds};
 use sgs_scene::{Camera, Image, Scene};
 
 /// Training data.
@@ -26,6 +26,17 @@ impl GeometryInputs<'_> {
                 Ok((Packed::read(scene, normals)?, maps))
             }
             GeometryInputs::Renderings(images) => Ok((Packed::of(images)?, None)),
+        }
+    }
+
+    /// Returns what is learned of the views: of photographs only, since renderings have exact cameras.
+    pub fn learned(&self, g: &GeometrySettings) -> ViewKinds {
+        match self {
+            GeometryInputs::Scene(_) => {
+                let [cameras, gains] = g.rates.views.map(|rate| rate > 0.0);
+                ViewKinds { cameras, gains }
+            }
+            GeometryInputs::Renderings(_) => ViewKinds::default(),
         }
     }
 

@@ -39,6 +39,7 @@ use capacity::{entries_of, entries_with, first_entry_capacity, next_room};
 pub use expect::Sight;
 pub(crate) use fit::Growth;
 use fit::last_that;
+use glam::DVec3;
 use inputs::GeometryInputs;
 pub use log::StepLog;
 use sgs_config::{Backward, Settings};
@@ -46,12 +47,12 @@ use sgs_engine::exec::PassTime;
 use sgs_engine::{Device, DeviceBuffer};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{
-    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, OpacityReset, PSEUDO_VIEWS,
-    Status, Step, StepReport,
+    DensifyStats, DensifyStep, GeometryOptions, GeometryStep, InputSizes, Inputs, LearnedView, Masks, OpacityReset,
+    PSEUDO_VIEWS, Status, Step, StepReport,
 };
-use sgs_passes::scene::{Decoder, Gaussians};
-use sgs_run::{SemanticHead, splats};
-use sgs_scene::{Splats, Unit};
+use sgs_passes::scene::{Decoder, Gaussians, LearnedViews, ViewKinds};
+use sgs_run::{LearnedViewRow, SemanticHead, splats};
+use sgs_scene::{Camera, Splats, Unit};
 pub use thin::{MANY_POINTS, MOST_THINNED};
 
 /// Number of replays in flight.
@@ -88,6 +89,10 @@ pub struct Geometry {
     /// Pseudo-views and regions that are compared between views.
     correspondence: Option<Correspondence>,
     gaussians: Gaussians,
+    /// What is learned of the training views, if anything is.
+    views: Option<(LearnedViews, ViewKinds)>,
+    /// Cameras of the training views as given, in the unit of this stage.
+    cameras: Vec<Camera>,
     status: Status,
     /// Executor of a step. Absent only while it is rebuilt: the old memory is freed before the new memory is allocated.
     exec: Option<GeometryStep>,
@@ -265,6 +270,7 @@ impl Geometry {
         let view = self.view(step);
         let (camera, offset) = self.data.reduced(view, halvings);
         let mut values = self.schedule.step(step, &camera, offset);
+        values.view = view as u32;
         if let Some((data, _)) = &self.semantics {
             data.views[view].fill(&mut values);
         }
@@ -286,6 +292,7 @@ impl Geometry {
             semantics: self.semantics.as_ref().map(|(data, decoder)| data.inputs(decoder)),
             regions: None,
             pseudo_regions: None,
+            views: self.views.as_ref().map(|(views, kinds)| (views, *kinds)),
         };
         if let (Some(c), Some(_)) = (&self.correspondence, self.options.pseudo) {
             c.bind(&mut inputs);
@@ -368,6 +375,20 @@ impl Geometry {
     pub fn splats(&self) -> Result<Splats> {
         let splats = splats(&self.gaussians.download(&self.device)?, self.gaussians.model);
         Ok(splats.in_unit(self.unit.inverse()))
+    }
+
+    /// Returns the learned cameras and exposures of the training views, if any are learned. Lengths are in the scene's unit.
+    ///
+    /// # Errors
+    /// If the device fails.
+    pub fn learned_views(&self) -> Result<Option<Vec<LearnedViewRow>>> {
+        let Some((views, _)) = &self.views else { return Ok(None) };
+        let row = |(view, camera): (LearnedView, &Camera)| {
+            let vector = |i: usize| DVec3::from([0, 1, 2].map(|k| f64::from(view.values[i + k])));
+            let camera = camera.moved(vector(0), vector(3)).in_unit(self.unit.inverse());
+            LearnedViewRow::of(&camera, [6, 7, 8].map(|i| view.values[i].exp()))
+        };
+        Ok(Some(views.download(&self.device)?.into_iter().zip(&self.cameras).map(row).collect()))
     }
 
     /// Turns per-pass timestamps on or off.

@@ -14,7 +14,7 @@ use crate::semantics::SemanticMaps;
 use sgs_config::{Settings, ShDegree};
 use sgs_engine::Device;
 use sgs_passes::pipeline::{GeometryOptions, InputSizes, Status};
-use sgs_passes::scene::{Gaussians, Layout, Model};
+use sgs_passes::scene::{Gaussians, Layout, LearnedViews, Model};
 use sgs_passes::splat::Channels;
 use sgs_run::gaussian_data;
 use sgs_scene::{Camera, Image, Scene, Splats, Unit};
@@ -75,11 +75,13 @@ impl Geometry {
         data.reduce(if g.coarse > 0.0 { MOST_HALVINGS } else { 0 });
         data.split(device.info().largest_binding());
         maps.iter().try_for_each(|maps| maps.check(device))?;
+        let kinds = source.learned(g);
         let inputs = InputSizes {
             targets: data.image_bytes(),
             parts: data.parts() as u64,
             normals: data.normal_bytes(),
             semantics: maps.as_ref().map(SemanticMaps::sizes),
+            views: kinds.any().then_some((data.views().len() as u32, kinds)),
             ..Default::default()
         };
         let sh_degree = match g.sh_degree {
@@ -167,6 +169,10 @@ impl Geometry {
         needs.check(&budget)?;
         let gaussians = Gaussians::of(device, &layout)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
+        let views = match inputs.views {
+            Some((count, kinds)) => Some((LearnedViews::new(device, count)?, kinds)),
+            None => None,
+        };
         let status = Status::new(device)?;
         let schedule = Schedule::new(settings, source.extent(), data.views.len());
         let promised = settings.memory.budget > 0;
@@ -179,6 +185,8 @@ impl Geometry {
             semantics,
             correspondence,
             gaussians,
+            views,
+            cameras: source.cameras().into_iter().cloned().collect(),
             status,
             exec: None,
             densify: None,

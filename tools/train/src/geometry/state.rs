@@ -32,6 +32,10 @@ impl Geometry {
             moments,
             statistics,
             decoder,
+            views: match &self.views {
+                Some((views, _)) => views.download(device)?,
+                None => Vec::new(),
+            },
             course: Course { watch: self.watch.save(), roll_backs: self.roll_backs.clone() },
             bands: self.bands.clone(),
             decisions: self.decisions.clone(),
@@ -47,7 +51,12 @@ impl Geometry {
     /// # Errors
     /// If the file is damaged or belongs to other settings.
     pub fn restore(&mut self, path: &Path) -> Result<()> {
-        let state = checkpoint::load(path, self.gaussians.model, self.bands.is_some())?;
+        let state = checkpoint::load(
+            path,
+            self.gaussians.model,
+            self.bands.is_some(),
+            self.views.as_ref().map(|(v, _)| v.count()),
+        )?;
         let count = state.parameters.len() as u32;
         // Densification stops at the capacity, so it has to be restored.
         let enabled = self.settings.geometry.densify.enabled();
@@ -71,6 +80,9 @@ impl Geometry {
         if let (Some((_, decoder)), Some(values)) = (&self.semantics, &state.decoder) {
             decoder.upload(&self.device, &values.parameters)?;
             decoder.upload_moments(&self.device, &values.moments)?;
+        }
+        if let Some((views, _)) = &self.views {
+            views.upload(&self.device, &state.views)?;
         }
         self.options.entry_capacity = first;
         // The choice of an interrupted training belongs to its result.

@@ -94,6 +94,8 @@ pub struct Trainer {
     settings: Settings,
     options: TrainerOptions,
     next: VecDeque<Next>,
+    /// Scene with the cameras and exposures that the geometry stage learned, for the stages after it.
+    learned: Option<Arc<Scene>>,
     /// Gaussians that the active stage started from, if it did not create them.
     splats: Option<Splats>,
     active: Option<Active>,
@@ -150,6 +152,7 @@ impl Trainer {
             settings,
             options,
             next,
+            learned: None,
             splats: None,
             active: None,
             failed: false,

@@ -9,8 +9,8 @@ use crate::intrinsic::Intrinsic;
 use crate::stage::Stage;
 use crate::transport::Transport;
 use sgs_config::Settings;
-use sgs_run::{RunDirectory, StageKind, read_splats};
-use sgs_scene::Splats;
+use sgs_run::{RunDirectory, StageKind, read_splats, use_learned_views};
+use sgs_scene::{Scene, Splats};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -18,6 +18,7 @@ impl Trainer {
     /// Creates the next stage. Returns false if the observer stopped it before anything was written.
     pub(super) fn start(&mut self, next: Next, observer: &mut dyn Observer) -> Result<bool> {
         let Next { kind, resume, complete } = next;
+        self.learned = self.learned_scene(kind)?;
         // Whether the Gaussians in the run directory differ from those that the stage starts from.
         let mut changed = self.options.start.is_some() && !resume;
         let mut stage: Box<dyn Stage> = match kind {
@@ -29,7 +30,7 @@ impl Trainer {
                 (splats.albedo, splats.roughness, splats.metallic) = (None, None, None);
                 changed |= splats.emitters.take().is_some() | splats.light_gains.take().is_some();
                 let all = splats.len();
-                let (device, scene, settings) = (&self.device, &self.scene, &self.settings);
+                let (device, scene, settings) = (&self.device, self.scene_of(kind), &self.settings);
                 // Only a training that made the geometry itself may remove Gaussians.
                 let stage = match both && !resume {
                     true => Intrinsic::within(device, scene, settings, &mut splats),
@@ -88,6 +89,32 @@ impl Trainer {
         Ok(true)
     }
 
+    /// Returns the scene with what the geometry stage has learned of its views, for a later stage. Gaussians from another file
+    /// were not trained with this scene's views.
+    fn learned_scene(&self, kind: StageKind) -> Result<Option<Arc<Scene>>> {
+        if kind == StageKind::Geometry || self.options.start.is_some() || self.learned.is_some() {
+            return Ok(self.learned.clone());
+        }
+        let learned = match (&self.active, &self.options.run) {
+            (Some(before), _) => before.stage.learned_views()?,
+            (None, Some(root)) if root.join("config.toml").is_file() => RunDirectory::open(root)?.learned_views()?,
+            _ => None,
+        };
+        Ok(learned.map(|learned| {
+            let mut scene = (*self.scene).clone();
+            use_learned_views(&mut scene, &learned);
+            Arc::new(scene)
+        }))
+    }
+
+    /// Returns the scene as a stage sees it.
+    fn scene_of(&self, kind: StageKind) -> &Arc<Scene> {
+        match (&self.learned, kind) {
+            (Some(learned), StageKind::Intrinsic | StageKind::Transport) => learned,
+            _ => &self.scene,
+        }
+    }
+
     /// Returns the Gaussians that a stage after the geometry stage starts from.
     fn take_splats(&mut self, resume: bool) -> Result<Splats> {
         let before = self.active.take();
@@ -105,13 +132,14 @@ impl Trainer {
 
     /// Creates the transport stage. Beside the intrinsic stage it is left out where it brings nothing.
     fn transport(&self, settings: &Settings, splats: &Splats) -> Result<Transport> {
-        let stage = Transport::new(&self.device, Arc::clone(&self.scene), settings, splats)?;
+        let scene = Arc::clone(self.scene_of(StageKind::Transport));
+        let stage = Transport::new(&self.device, scene, settings, splats)?;
         let beside = self.options.stages.contains(&StageKind::Intrinsic);
         Ok(if beside { stage.automatic() } else { stage })
     }
 
     pub(super) fn build(&self, kind: StageKind, settings: &Settings) -> Result<Box<dyn Stage>> {
-        let (device, scene) = (&self.device, &self.scene);
+        let (device, scene) = (&self.device, self.scene_of(kind));
         Ok(match (kind, &self.splats) {
             (StageKind::Intrinsic, Some(splats)) => Box::new(Intrinsic::new(device, scene, settings, splats)?),
             (StageKind::Transport, Some(splats)) => Box::new(self.transport(settings, splats)?),

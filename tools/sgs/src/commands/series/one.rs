@@ -110,7 +110,7 @@ impl One<'_> {
         }
         let (splats, _) = splats_of(root)?;
         let directory = RunDirectory::open(root)?;
-        let options = MeasureOptions { split: Split::Test, lpips: self.lpips, images: None };
+        let options = MeasureOptions { split: Split::Test, lpips: self.lpips, images: None, align: false };
         measure(&device, &scene, &directory, &splats, settings, options)?;
         validated(&device)?;
         match Measures::read(&directory) {

@@ -1,0 +1,174 @@
+//! `view_place`, `view_gain`, `camera_bwd`, `view_step`: cameras and colors of views that training corrects.
+//!
+//! The camera of a step is placed on the device before projection, and its gradient is taken before the Gaussians change. Cost
+//! per step: a uniform and 112 bytes a view, read and written. With cameras, what [`project_bwd`](crate::splat::project_bwd)
+//! reads, read once more. With colors, 24 bytes read and 12 written a pixel, and an image of gradients beside the image.
+
+use crate::Tuning;
+use crate::kernel::{groups, splat_specs, stage};
+use crate::prim::Records;
+use crate::scene::{Group, Handles, ViewHandles};
+use crate::splat::{EntryGradients, Screen, Visible};
+use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_shaders::structs::Step;
+use sgs_shaders::{camera_bwd as bwd, view_gain, view_gain_bwd, view_place, view_step as kernel};
+
+/// Gradients by what is learned of a view, in parts.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewGradients {
+    /// `[parts * 6]` by turn and shift, of workgroups of visible splats.
+    pub cameras: Option<Buffer>,
+    /// `[parts * 3]` by the logarithms of the factors on colors, of workgroups of pixels.
+    pub gains: Option<(Buffer, u32)>,
+}
+
+/// Returns a step with the learned camera of its view. Later passes use it in place of `step`.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn view_place(g: &mut Graph, step: Buffer, views: &ViewHandles) -> Result<Buffer, GraphError> {
+    let placed = g.transient("placed_step", size_of::<Step>() as u64);
+    let bindings = view_place::Bindings { params: step.into(), views: views.views.into(), placed: placed.into() };
+    let specs = view_place::Specs::default();
+    stage(g, "view_place", &view_place::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])?;
+    Ok(placed)
+}
+
+/// Multiplies the colors of an image by the factors of its view, in place.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn view_gain(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    views: &ViewHandles,
+    channels: u32,
+    image: Buffer,
+) -> Result<(), GraphError> {
+    let bindings = view_gain::Bindings { params: screen.step.into(), views: views.views.into(), image: image.into() };
+    let specs = view_gain::Specs { workgroup: t.workgroup, channels };
+    stage(g, "view_gain", &view_gain::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch(groups(screen.pixels(), t.workgroup))
+}
+
+/// Takes gradients back through [`view_gain()`], in place. `image` has the factors. Returns the gradients by their
+/// logarithms, in parts.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn view_gain_bwd(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    views: &ViewHandles,
+    channels: u32,
+    image: Buffer,
+    grad_image: Buffer,
+) -> Result<(Buffer, u32), GraphError> {
+    let count = screen.pixels().div_ceil(u64::from(t.workgroup)) as u32;
+    let parts = g.transient("gain_parts", 12 * u64::from(count));
+    let bindings = view_gain_bwd::Bindings {
+        params: screen.step.into(),
+        views: views.views.into(),
+        image: image.into(),
+        grad_image: grad_image.into(),
+        gain_parts: parts.into(),
+    };
+    let specs = view_gain_bwd::Specs { workgroup: t.workgroup, channels };
+    stage(g, "view_gain_bwd", &view_gain_bwd::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch(groups(screen.pixels(), t.workgroup))?;
+    Ok((parts, count))
+}
+
+/// Computes the gradient by the pose of the camera, before the parameters change: `[parts * 6]` into a buffer of
+/// [`camera_part_bytes`].
+///
+/// # Errors
+/// If the graph rejects the pass.
+pub fn camera_bwd(
+    g: &mut Graph,
+    t: &Tuning,
+    screen: &Screen,
+    gaussians: &Handles,
+    visible: &Visible,
+    entries: &EntryGradients,
+    parts: Buffer,
+) -> Result<(), GraphError> {
+    let bindings = bwd::Bindings {
+        params: screen.step.into(),
+        visible: visible.work.slice,
+        splat_ids: visible.ids.into(),
+        entry_starts: entries.starts.into(),
+        tile_counts: visible.tile_counts.into(),
+        features: visible.features.into(),
+        entry_gradients: entries.gradients.into(),
+        entry_features: entries.features.map_or(entries.gradients, |f| f.values).into(),
+        entry_flags: entries.features.map_or(visible.ids, |f| f.flags).into(),
+        parameters: gaussians.parameters.into(),
+        camera_parts: parts.into(),
+    };
+    let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
+        columns: gaussians.columns(),
+        moment_columns: gaussians.model.columns(),
+        compact: gaussians.compact(),
+        subgroup: t.subgroup_size,
+        large_tiles: t.large_tiles,
+        sh_degree: gaussians.model.sh_degree,
+        channels: visible.channels.count(),
+        has_normals: visible.channels.normals,
+        has_depth: visible.channels.depth,
+        weights: u32::from(entries.weights),
+        statistic: entries.statistic.spec(),
+        reduced: entries.reduced,
+        features: if entries.features.is_some() { Group::Semantics.width() } else { 0 },
+        color_bits: visible.color_bits, });
+    stage(g, "camera_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
+        .subgroup_size(Some(t.subgroup_size))
+        .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
+}
+
+/// Returns the bytes of the parts of a camera's gradient.
+pub fn camera_part_bytes(t: &Tuning, visible: &Visible) -> u64 {
+    24 * u64::from(visible.capacity).div_ceil(u64::from(t.workgroup)).max(1)
+}
+
+/// Status words of [`view_step()`].
+#[derive(Clone, Copy, Debug)]
+pub struct ViewStatus {
+    /// Flag word. If it is not zero, the step changes nothing.
+    pub flags: Buffer,
+    /// Counter of gradients that are not finite.
+    pub skipped: Buffer,
+}
+
+/// Runs Adam for the view of a step, and makes the means over all views zero. `visible` counts the splats of the step.
+///
+/// # Errors
+/// If a buffer does not belong to the graph or is too small to be bound.
+pub fn view_step(
+    g: &mut Graph,
+    t: &Tuning,
+    step: Buffer,
+    visible: Records,
+    views: &ViewHandles,
+    gradients: &ViewGradients,
+    status: &ViewStatus,
+) -> Result<(), GraphError> {
+    let (gains, gain_parts) = gradients.gains.unwrap_or((status.flags, 0));
+    let bindings = kernel::Bindings {
+        params: step.into(),
+        visible: visible.slice,
+        flags: status.flags.into(),
+        camera_parts: gradients.cameras.unwrap_or(status.flags).into(),
+        gain_parts: gains.into(),
+        views: views.views.into(),
+        skipped: status.skipped.into(),
+    };
+    let specs =
+        kernel::Specs { cameras: gradients.cameras.is_some(), gains: gradients.gains.is_some(), ..Default::default() };
+    let push = kernel::Push { count: views.count, per_group: t.workgroup, gain_parts };
+    stage(g, "view_step", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
+        .dispatch([1, 1, 1])
+}
