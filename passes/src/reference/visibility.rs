@@ -275,7 +275,7 @@ impl Field {
         }
         // A light that is clamped to the box, or coincides with the point, has no gradient.
         let axis = |v: &[f64]| [v[inputs - 4], v[inputs - 3], v[inputs - 2]];
-        let (way, across) = (axis(&t.inputs), axis(&by_input));
+        let (way, across) = (axis(&t.inputs), axis(by_input));
         for k in 0..3 {
             let (low, high) = (f64::from(self.low[k]), f64::from(self.high[k]));
             if t.reach > 1e-12 && lights[light][k] > low && lights[light][k] < high {
