@@ -24,7 +24,7 @@ pub struct Accuracy {
     /// Bits of the visibility field in training: 32 or 16. 16 reads a copy of its tables in half precision, and runs its
     /// second layer on matrix units where the device has them (see `Matrices`). Visibility changes by less than 1e-3 with
     /// features of size one, and on matrix units by 2e-4 with initial layers, by 2e-3 with layers four times as large.
-    /// Tables, moments and gradients keep 32 bits.
+    /// Tables, moments and sums of gradients keep 32 bits. On matrix units, gradients round to 3 * 2^-11 of their terms.
     pub visibility_bits: u32,
     /// Bits of a color channel of a splat between projection and blending: 32 or 16. 16 rounds to half precision: a
     /// relative error of 2^-11, or 2^-25 below 2^-14; at most 65504. Gradients are taken at the rounded colors.

@@ -63,11 +63,12 @@ impl Matrices {
     }
 }
 
-/// Returns the suitable shape with the most products per tile; the first of equal ones. A shape is suitable if its rows
-/// and depth divide a layer, and its columns divide a subgroup.
+/// Returns the suitable shape with the most products per tile; the first of equal ones. A shape is suitable if it
+/// divides a layer, and its columns divide a subgroup.
 fn best(shapes: &[MatrixShape], subgroup: u32) -> Option<MatrixShape> {
     let divides = |n: u32, of: u32| n > 0 && of.is_multiple_of(n);
-    let fits = |s: &&MatrixShape| divides(s.rows, WIDTH) && divides(s.depth, WIDTH) && divides(s.columns, subgroup);
+    let layer = |s: &MatrixShape| [s.rows, s.columns, s.depth].iter().all(|n| divides(*n, WIDTH));
+    let fits = |s: &&MatrixShape| layer(s) && divides(s.columns, subgroup);
     let products = |s: &MatrixShape| s.rows * s.columns * s.depth;
     shapes.iter().filter(fits).fold(None, |best: Option<MatrixShape>, s| match best {
         Some(b) if products(&b) >= products(s) => Some(b),

@@ -92,8 +92,7 @@ impl Tuning {
         Tuning { accuracy, ..self }
     }
 
-    /// Returns the tiling of the visibility field's second layer in the forward pass. `None` selects the portable
-    /// kernels.
+    /// Returns the tiling of the visibility field's second layer. `None` selects the portable kernels.
     pub fn field_matrices(&self) -> Option<Matrices> {
         self.matrices.filter(|m| self.accuracy.visibility_bits == 16 && (Matrices::compiled() || !m.units))
     }

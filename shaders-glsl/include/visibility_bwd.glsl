@@ -1,13 +1,10 @@
 // Backward of the visibility field, first half: from the gradient of each pair of pixel and light to the weights of all
 // layers but the first one's features, to the lights' positions, and to the rows of points.
 //
-// Recomputes the forward pass of each pair. A lane holds a pixel and visits its lights, so that layers need no exchange: an
-// instruction multiplies a weight, the same for all lanes, by the numbers of as many pairs as there are lanes. Only the
-// gradients of weights add up over pairs. They are a product of two matrices, whose operands lanes exchange through shared
-// memory: the second layer's by tiles of TILE_ROWS outputs and four inputs a lane, the first layer's direction and distance
-// likewise. A lane keeps its tiles in registers until the end. Weights are loads from addresses that all lanes share, except
-// at the end of a workgroup; see visibility_weights.glsl. Rows of points are summed over the lights first, so that the second
-// half runs once a pixel. A workgroup is one subgroup and writes one set of sums.
+// Recomputes the forward pass of each pair. A lane holds a pixel and visits its lights. Layers are visibility_bwd_pairs.glsl's,
+// or visibility_bwd_matrices.glsl's where MATRIX_UNITS is defined. Weights are loads from addresses that all lanes share; see
+// visibility_weights.glsl. Rows of points are summed over the lights first, so that the second half runs once a pixel. A
+// workgroup is one subgroup and writes one set of sums.
 //
 // Small views have fewer batches of pixels than a device runs subgroups. There PARTS workgroups share a batch: each takes
 // every PARTS-th of its lights, and writes rows of its own.
@@ -30,14 +27,8 @@ const uint LAST = SECOND + WIDTH * WIDTH;
 const uint SUMS = WIDTH * WIDTH + 4u * WIDTH + WIDTH;
 
 const uint BLOCKS = WIDTH / 4u;                   // of four neurons
-const uint TILE_ROWS = WIDTH * BLOCKS / ACROSS;   // outputs of a lane's tile
-const uint PITCH = BLOCKS + 1u;                   // of a lane's row in shared memory: one more, so that banks differ
 const uint GROUP = SAMPLE > 1u ? 8u : SUBGROUP;   // pixels that visit the same lights; sampled() decides for eight
 const uint GROUPS = SUBGROUP / GROUP;
-
-shared vec4 shared_neurons[SUBGROUP * PITCH]; // outputs of the first layer, then their gradients
-shared vec4 shared_slopes[ACROSS * PITCH];    // gradients of the second layer, over the last one's weights
-shared float shared_ways[SUBGROUP * 4u];
 
 #include "visibility_weights.glsl"
 
@@ -56,119 +47,35 @@ void exchange() {
 }
 
 bool lane_shaded;
-uint row_at;                // first number of the pixel's row, whose numbers are SUBGROUP apart
-vec4 way;                   // of the pair
-bool moving;                // the jittered one
-float slopes[WIDTH];        // sums of the second layer; then the derivative of the loss by them
-uint alive;                 // bits of the first layer's neurons that are above zero
+uint row_at;       // first number of the pixel's row, whose numbers are SUBGROUP apart
+vec4 way;          // of the pair
+uint alive;        // bits of the first layer's neurons that are above zero
 float logit;
-vec4 turn;                  // derivative by the way
-vec4 by_second[TILE_ROWS];  // sums over pairs: this lane's tile
-vec4 by_pair[HELD];         // the same of direction and distance: four neurons, HELD of the four inputs
-vec4 by_row[BLOCKS];        // of this pixel, by neuron
+vec4 turn;         // derivative by the way
+vec4 by_row[BLOCKS]; // of this pixel, by neuron
 
 // A neuron of the first layer.
-float first_layer(uint k, vec4 w, float row) {
+float first_layer(vec4 w, vec4 way, float row) {
     return rectified(fma(w.x, way.x, fma(w.y, way.y, fma(w.z, way.z, fma(w.w, way.w, row)))));
 }
 
-float added(vec4 w, vec4 x, float sum) { return fma(w.x, x.x, fma(w.y, x.y, fma(w.z, x.z, fma(w.w, x.w, sum)))); }
-
-// Sums over lanes that are `reach` apart, and its multiples by powers of two.
-vec4 sum_from(uint reach, vec4 v) {
-    [[unroll]] for (; reach < SUBGROUP; reach *= 2u) {
-        v += vec4(subgroupShuffleXor(v.x, reach), subgroupShuffleXor(v.y, reach), subgroupShuffleXor(v.z, reach),
-                  subgroupShuffleXor(v.w, reach));
-    }
-    return v;
-}
-
-float row_of(uint n) {
+float row_of(uint n, bool moved) {
     if (!lane_shaded) return 0.0;
-    return REGULARIZED && moving ? moved_rows[row_at + n * SUBGROUP] : rows[row_at + n * SUBGROUP];
+    return REGULARIZED && moved ? moved_rows[row_at + n * SUBGROUP] : rows[row_at + n * SUBGROUP];
 }
 
-// Forward pass of a pair.
-void layers() {
-    EACH(n, WIDTH) slopes[n] = 0.0;
-    logit = 0.0;
-    alive = 0u;
-    // A loop, because instructions do not fit in caches otherwise.
-    [[dont_unroll]] for (uint b = 0u; b < BLOCKS; b++) {
-        vec4 hidden;
-        EACH(j, 4u) {
-            uint k = 4u * b + j;
-            hidden[j] = first_layer(k, pair_from(k), row_of(k));
-            alive |= uint(hidden[j] > 0.0) << k;
-        }
-        shared_neurons[gl_SubgroupInvocationID * PITCH + b] = hidden;
-        EACH(n, WIDTH) slopes[n] = added(second_from(n * BLOCKS + b), hidden, slopes[n]);
-    }
-    EACH(b, BLOCKS) {
-        vec4 w = last_from(b);
-        EACH(j, 4u) logit = fma(w[j], rectified(slopes[4u * b + j]), logit);
-    }
-}
-
-// Adds a lane's pair, whose slopes are in a row of shared_slopes, to the tile of the second layer.
-void add_second(uint lane, uint row) {
-    uint block = column() % BLOCKS, first = column() / BLOCKS * TILE_ROWS;
-    vec4 hidden = shared_neurons[lane * PITCH + block];
-    EACH(q, TILE_ROWS / 4u) {
-        vec4 g = shared_slopes[row * PITCH + first / 4u + q];
-        EACH(j, 4u) by_second[4u * q + j] = fma(vec4(g[j]), hidden, by_second[4u * q + j]);
-    }
-}
-
-// The same for the first layer's direction and distance.
-void add_pair(uint lane) {
-    vec4 g = shared_neurons[lane * PITCH + column() % BLOCKS];
-    EACH(h, HELD) by_pair[h] = fma(g, vec4(shared_ways[lane * 4u + column() / BLOCKS * HELD + h]), by_pair[h]);
-}
-
-// Each side takes its share of the pairs, TOGETHER in a round: enough loads to hide their latency.
-const uint TOGETHER = 4u;
-#define EACH_PAIR(i, count)                                                                                    \
-    [[dont_unroll]] for (uint i##_ = side; i##_ < count; i##_ += TOGETHER * SIDES)                             \
-        [[unroll]] for (uint i = i##_; i < i##_ + TOGETHER * SIDES; i += SIDES)
-
-// Backward pass of a pair, from the derivative of the loss by its logit.
-void back(float slope) {
-    uint lane = gl_SubgroupInvocationID, side = lane / ACROSS;
-    EACH(n, WIDTH) slopes[n] = slopes[n] > 0.0 ? slope : 0.0;
-    turn = vec4(0.0);
-    [[dont_unroll]] for (uint writer = 0u; writer < SIDES; writer++) {
-        if (side == writer) {
-            EACH(b, BLOCKS) {
-                uint n = 4u * b;
-                shared_slopes[column() * PITCH + b] = vec4(slopes[n], slopes[n + 1u], slopes[n + 2u], slopes[n + 3u]);
-            }
-        }
-        exchange();
-        EACH_PAIR(i, ACROSS) add_second(writer * ACROSS + i, i);
-        exchange();
-    }
-    EACH(b, BLOCKS) {
-        vec4 w = last_from(b);
-        EACH(j, 4u) slopes[4u * b + j] *= w[j];
-    }
-    [[dont_unroll]] for (uint b = 0u; b < BLOCKS; b++) {
-        vec4 g = vec4(0.0);
-        EACH(n, WIDTH) g = fma(second_from(n * BLOCKS + b), vec4(slopes[n]), g);
-        EACH(j, 4u) {
-            uint k = 4u * b + j;
-            g[j] = (alive >> k & 1u) != 0u ? g[j] : 0.0;
-            turn = fma(vec4(g[j]), pair_from(k), turn);
-        }
-        shared_neurons[lane * PITCH + b] = g;
-    }
-    // Constants index sums of the pixel, so that they stay in registers.
-    EACH(b, BLOCKS) by_row[b] += shared_neurons[lane * PITCH + b];
-    EACH(k, 4u) shared_ways[lane * 4u + k] = way[k];
-    exchange();
-    EACH_PAIR(i, SUBGROUP) add_pair(i);
-    exchange();
-}
+// The layers of a pair. Define:
+//     LAYER_SUMS  declares sums that main() keeps, and clears all sums
+//     void layers_begin()
+//     float evaluate(FieldStep field, vec3 moved_point, vec3 point, uint light, vec3 place)  sets `way`, `alive` and
+//         `logit` of the pair, and returns the logit of the jittered one
+//     BACK(slope)  from the derivative of the loss by the logit to `turn`, `by_row` and sums
+//     WRITE_SUMS  of the workgroup to sums_of
+#ifdef MATRIX_UNITS
+#include "visibility_bwd_matrices.glsl"
+#else
+#include "visibility_bwd_pairs.glsl"
+#endif
 
 // 1 for each pair that counts; with SAMPLE above 1 these are so many times fewer, and count for as much more.
 bool sampled(uint pixel, uint light) {
@@ -201,30 +108,9 @@ vec3 place_gradient(FieldStep field, vec3 place) {
     return mix(vec3(0.0), -gradient * field.box_inverse, bvec3(inside * uint(way.w > 1e-12)));
 }
 
-// The last layer's gradients are sums over the first layer's outputs, too, by the second layer's weights.
-void write_sums() {
-    uint to = gl_WorkGroupID.x * SUMS, block = column() % BLOCKS, part = column() / BLOCKS;
-    bool writes = gl_SubgroupInvocationID < ACROSS;
-    EACH(j, TILE_ROWS) {
-        uint n = part * TILE_ROWS + j;
-        vec4 sum = sum_from(ACROSS, by_second[j]);
-        float by_last = dot(sum, second_from(n * BLOCKS + block));
-        [[unroll]] for (uint reach = 1u; reach < BLOCKS; reach *= 2u) by_last += subgroupShuffleXor(by_last, reach);
-        sum *= last_from(n / 4u)[j % 4u];
-        if (writes) {
-            EACH(k, 4u) sums_of[to + n * WIDTH + 4u * block + k] = sum[k];
-            if (block == 0u) sums_of[to + WIDTH * (WIDTH + 4u) + n] = by_last;
-        }
-    }
-    EACH(h, HELD) {
-        vec4 sum = sum_from(ACROSS, by_pair[h]);
-        if (writes) EACH(k, 4u) sums_of[to + WIDTH * (WIDTH + part * HELD + h) + 4u * block + k] = sum[k];
-    }
-}
-
 void main() {
-    EACH(j, TILE_ROWS) by_second[j] = vec4(0.0);
-    EACH(h, HELD) by_pair[h] = vec4(0.0);
+    LAYER_SUMS
+    layers_begin();
     FieldStep field = field_params.field;
     uint lights = light_count();
     float largest = 0.0, jitter = 0.0;
@@ -260,15 +146,8 @@ void main() {
             if (!subgroupAny(found)) break;
             bool counts = found && lane_shaded && sampled(pixel, light);
             vec3 place = light_place(light);
-            float by_visibility = pair_gradient(light), moved_logit = 0.0;
-            // First the jittered point, then the point itself, whose state the backward pass uses.
-            [[dont_unroll]] for (uint pass = REGULARIZED ? 0u : 1u; pass < 2u; pass++) {
-                moving = pass == 0u;
-                vec3 to = moving ? place + jitter_of(field, LIGHTS, light) : place;
-                way = field_way(field, moving ? moved_point : point, field_inside(field, to));
-                moved_logit = logit;
-                layers();
-            }
+            float by_visibility = pair_gradient(light);
+            float moved_logit = evaluate(field, moved_point, point, light, place);
             // The squashing function's order is that of the logits.
             if (REGULARIZED) {
                 by_visibility += field.regularizer * sign(logit - moved_logit);
@@ -278,7 +157,7 @@ void main() {
             float e = exp(-abs(logit)), d = 1.0 / (1.0 + e);
             float slope = counts ? float(max(SAMPLE, 1u)) * by_visibility * (e * d * d) : 0.0;
             if (!finite_bits(slope)) slope = 0.0;
-            back(slope);
+            BACK(slope)
             if (PLACES) {
                 float sum = group_sum(place_gradient(field, place));
                 uint place_row = gl_WorkGroupID.x * GROUPS + gl_SubgroupInvocationID / GROUP;
@@ -305,5 +184,5 @@ void main() {
         uint at = gl_NumWorkGroups.x + gl_WorkGroupID.x;
         jitter_sums[at] = max(jitter_sums[at], largest);
     }
-    write_sums();
+    WRITE_SUMS
 }

@@ -3,16 +3,15 @@
 // Part of visibility_field.glsl where MATRIX_UNITS is defined. The first and last layers stay in 32 bits. A workgroup is a
 // subgroup.
 
-layout(constant_id = 12) const uint ROWS = 16;    // of a piece of the layer and of the sums
-layout(constant_id = 13) const uint COLUMNS = 16; // pixels of a piece
-layout(constant_id = 14) const uint DEPTH = 16;   // columns of a piece of the layer
-
+#define MATRIX_LAYERS 1u
+#define MATRIX_ROWS WIDTH
 #include "matrix_tiles.glsl"
 
 void matrices_weights() {
     matrix_begin();
-    [[dont_unroll]] for (uint i = gl_LocalInvocationID.x; i < WIDTH * WIDTH; i += WORKGROUP) {
-        matrix_layer[i] = half_of(mlp[FIELD_SECOND + i]);
+    [[dont_unroll]] for (uint i = gl_LocalInvocationID.x; i < WIDTH / 2u * WIDTH; i += WORKGROUP) {
+        uint pair = i / WIDTH, k = i % WIDTH, at = FIELD_SECOND + 2u * pair * WIDTH + k;
+        matrix_put(layer_at(0u), LAYER_PITCH, pair, k, vec2(mlp[at], mlp[at + WIDTH]));
     }
     // What comes next waits for the others.
     barrier();
@@ -20,15 +19,19 @@ void matrices_weights() {
 
 float matrices_logit(vec4 way) {
     uint lane = gl_LocalInvocationID.x;
-    FIELD_EACH(n, WIDTH) {
-        float hidden = first_layer(first_from(n, FIELD_FEATURES), way, field_point[n]);
-        matrix_columns[n * BREADTH + lane] = half_of(hidden);
+    FIELD_EACH(i, WIDTH / 2u) {
+        uint n = 2u * i;
+        float even = first_layer(first_from(n, FIELD_FEATURES), way, field_point[n]);
+        float odd = first_layer(first_from(n + 1u, FIELD_FEATURES), way, field_point[n + 1u]);
+        matrix_put(rows_at(0u), PITCH, i, lane, vec2(even, odd));
     }
-    matrix_product();
+    barrier();
+    matrix_product(layer_at(0u), rows_at(0u));
+    barrier();
     float logit = 0.0;
     FIELD_EACH(b, FIELD_BLOCKS) {
         vec4 w = mlp_vectors[FIELD_LAST / 4u + b];
-        FIELD_EACH(j, 4u) logit = fma(w[j], rectified(matrix_sums[(4u * b + j) * BREADTH + lane]), logit);
+        FIELD_EACH(j, 4u) logit = fma(w[j], rectified(matrix_sums[(4u * b + j) * SUM_PITCH + lane]), logit);
     }
     return logit;
 }

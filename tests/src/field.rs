@@ -1,13 +1,14 @@
 //! Visibility field with an image and lights, for the device and the reference.
 
 use crate::{Gpu, Tolerance, assert_close};
+use sgs_engine::MatrixShape;
 use sgs_engine::graph::{Buffer, Graph};
-use sgs_passes::Tuning;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::visibility as reference;
 use sgs_passes::shade::visibility::{
     BackwardOptions, Constant, Field, FieldConfig, Gradients, View, packed_tables, visibility, visibility_bwd,
 };
+use sgs_passes::{Accuracy, Matrices, Tuning};
 use sgs_shaders::structs::FieldStep;
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -41,6 +42,13 @@ pub struct Case {
     pub cpu: Option<bool>,
     /// Compute units of the device, instead of its own. They decide how the backward pass splits its work.
     pub units: Option<u32>,
+    /// Tiling of layers with 16-bit operands; `None` for kernels in 32 bits.
+    pub matrices: Option<Matrices>,
+}
+
+/// Returns tiles of rows, columns and depth for ordinary instructions.
+pub fn tiles([rows, columns, depth]: [u32; 3]) -> Matrices {
+    Matrices { shape: MatrixShape { rows, columns, depth }, units: false }
 }
 
 /// Configuration with sixteen small levels, most of them hashed.
@@ -83,13 +91,16 @@ impl Case {
             table_bits: 32,
             cpu: None,
             units: None,
+            matrices: None,
         }
     }
 
     /// Returns the kernel sizes.
     pub fn tuning(&self, gpu: &Gpu) -> Tuning {
         let own = gpu.tuning();
-        Tuning { cpu: self.cpu.unwrap_or(own.cpu), units: self.units.unwrap_or(own.units), ..own }
+        let own = Tuning { cpu: self.cpu.unwrap_or(own.cpu), units: self.units.unwrap_or(own.units), ..own };
+        let Some(matrices) = self.matrices else { return own };
+        Tuning { matrices: Some(matrices), accuracy: Accuracy { visibility_bits: 16, ..own.accuracy }, ..own }
     }
 
     /// Returns the field of the reference.

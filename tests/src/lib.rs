@@ -14,6 +14,7 @@ pub mod emulated;
 pub mod environment;
 pub mod feature_view;
 pub mod field;
+pub mod field_half;
 pub mod foreign;
 pub mod gbuffer;
 pub mod gpu;

@@ -48,6 +48,7 @@ const TESTS: &[&str] = &[
     "visibility_bwd::",
     "visibility_lights::",
     "visibility_matrices::",
+    "visibility_matrices_bwd::",
     "visible_bits::",
 ];
 

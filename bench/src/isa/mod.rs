@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     /// Kernels that no pipeline runs at 32 lanes without matrix units.
-    const ABSENT: [&str; 16] = [
+    const ABSENT: [&str; 18] = [
         // Measured by benchmarks only.
         "copy_probe",
         "fill",
@@ -76,7 +76,9 @@ mod tests {
         "lights_field_halves",
         "lights_split_field_halves",
         "lights_train_field_halves",
+        "visibility_bwd_halves",
         "visibility_halves",
+        "visibility_lights_bwd_halves",
     ];
 
     #[test]

@@ -54,6 +54,24 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
     let mlp_gradient = g.external("mlp_gradient", 4 * config.weights() as u64);
     let gradients = Gradients { mlp: mlp_gradient, ..gradients };
     visibility_bwd(&mut g, c.tuning, &f, &view, model.lights, &constant, &BackwardOptions::default(), &gradients)?;
+    // The same on units. The pass adds to tables, which only the optimizer's step clears.
+    let on_units = match on_units {
+        None => None,
+        Some(seen) => {
+            let entries = u64::from(config.entries());
+            let into = Gradients {
+                mlp: g.external("units.mlp_gradient", 4 * config.weights() as u64),
+                lights: g.external("units.light_gradients", 12 * u64::from(model.lights)),
+                tables: g.external("units.table_gradients", 16 * entries),
+                touched: g.external("units.touched", 4 * entries.div_ceil(32)),
+                scale: g.external("units.scale", 8),
+            };
+            g.fill("units.clear_tables", into.tables, 0)?;
+            g.fill("units.clear_touched", into.touched, 0)?;
+            visibility_bwd(&mut g, halves, &f, &view, model.lights, &constant, &BackwardOptions::default(), &into)?;
+            Some((seen, into.mlp))
+        }
+    };
     // Counts the touched entries before the step clears the bits.
     let touched = g.external("touched", 4 * u64::from(config.entries().div_ceil(32)));
     g.copy("out.touched", gradients.touched, touched)?;
@@ -109,8 +127,13 @@ pub fn all(c: &Context<'_>, report: &mut Report) -> anyhow::Result<()> {
             anyhow::ensure!(right, "Pixel {i} sees {value} of the lights, but should see {expected}.");
         }
     }
-    if let Some(into) = on_units {
-        let found = rig.get::<f32>(into)?;
+    if let Some((seen, mlp)) = on_units {
+        let norm = |v: &mut dyn Iterator<Item = f32>| v.map(|x| f64::from(x) * f64::from(x)).sum::<f64>().sqrt();
+        let (single, half) = (rig.get::<f32>(mlp_gradient)?, rig.get::<f32>(mlp)?);
+        let off = norm(&mut single.iter().zip(&half).map(|(a, b)| a - b)) / norm(&mut single.iter().copied());
+        anyhow::ensure!(off < 1e-2, "Gradients of layers on matrix units differ by {off} of their norm.");
+        report.check(format!("visibility: gradients of layers on matrix units are within {off:.1e} of their norm"));
+        let found = rig.get::<f32>(seen)?;
         for &i in &sample {
             let one = |l: &[f32; 3]| reference.visibility_half(lit.points[i].map(f64::from), l.map(f64::from));
             let expected = lit.positions.iter().map(one).sum::<f64>() / lights;

@@ -34,6 +34,7 @@ pub mod transport;
 pub mod transport_reflect;
 pub mod transport_shade;
 pub mod visibility;
+pub mod visibility_half;
 
 pub use crate::rng;
 

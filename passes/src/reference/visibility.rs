@@ -28,6 +28,12 @@ pub struct Field {
     pub slip: [f32; 3],
 }
 
+/// Rounds to a 16-bit operand.
+pub(super) fn operand(x: f64) -> f64 {
+    let most = half::f16::MAX.to_f64();
+    half::f16::from_f64(x.clamp(-most, most)).to_f64()
+}
+
 /// Gradients of a field and of the lights.
 #[derive(Clone, Debug)]
 pub struct Gradients {
@@ -40,16 +46,17 @@ pub struct Gradients {
 }
 
 /// Intermediate values of a pair's evaluation, for the backward pass.
-struct Trace {
+pub(super) struct Trace {
     /// Entry and weight by level and corner.
     corners: Vec<(usize, f64)>,
-    inputs: Vec<f64>,
-    first: Vec<f64>,
-    second: Vec<f64>,
+    pub(super) inputs: Vec<f64>,
+    pub(super) first: Vec<f64>,
+    pub(super) second: Vec<f64>,
     reach: f64,
+    pub(super) logit: f64,
     value: f64,
     /// Derivative of the value by the logit.
-    slope: f64,
+    pub(super) slope: f64,
 }
 
 fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
@@ -124,7 +131,7 @@ impl Field {
     }
 
     /// Evaluates a pair, with `operand` applied to the operands of the second layer.
-    fn trace_with(&self, point: [f64; 3], light: [f64; 3], operand: impl Fn(f64) -> f64) -> Trace {
+    pub(super) fn trace_with(&self, point: [f64; 3], light: [f64; 3], operand: impl Fn(f64) -> f64) -> Trace {
         let corners = self.corners(point);
         let mut inputs = vec![0.0; self.inputs()];
         for (c, (entry, weight)) in corners.iter().enumerate() {
@@ -152,7 +159,25 @@ impl Field {
         let logit = layer(three, &second)[0];
         let e = (-logit.abs()).exp();
         let slope = e / (1.0 + e).powi(2);
-        Trace { corners, inputs, first, second, reach, value: 1.0 / (1.0 + (-logit).exp()), slope }
+        Trace { corners, inputs, first, second, reach, logit, value: 1.0 / (1.0 + (-logit).exp()), slope }
+    }
+
+    /// Adds bounds of the errors of the gradients of tables and of a light's position.
+    ///
+    /// `by_input` bounds the errors of the gradients of a pair's inputs.
+    pub(super) fn add_input_bounds(&self, t: &Trace, by_input: &[f64], light: usize, into: &mut Gradients) {
+        let inputs = t.inputs.len();
+        for (c, (entry, weight)) in t.corners.iter().enumerate() {
+            for f in 0..FIELD_FEATURES {
+                into.tables[entry * FIELD_FEATURES + f] += weight * by_input[c / 8 * FIELD_FEATURES + f];
+            }
+        }
+        let way = [0, 1, 2].map(|k| t.inputs[inputs - 4 + k].abs());
+        let across = [0, 1, 2].map(|k| by_input[inputs - 4 + k]);
+        for k in 0..3 {
+            let turned = (across[k] + way[k] * dot(way, across)) / t.reach.max(1e-12);
+            into.lights[light][k] += (turned + way[k] * by_input[inputs - 1]) * f64::from(self.inverse[k]);
+        }
     }
 
     /// Returns how visible a light is from a point; both are in world space.
@@ -186,8 +211,7 @@ impl Field {
     /// Returns [`Field::visibility`] with 16-bit operands of the second layer. This matches cooperative matrices; sums
     /// are exact.
     pub fn visibility_half(&self, point: [f64; 3], light: [f64; 3]) -> f64 {
-        let most = half::f16::MAX.to_f64();
-        self.trace_with(point, light, |x| half::f16::from_f64(x.clamp(-most, most)).to_f64()).value
+        self.trace_with(point, light, operand).value
     }
 
     /// Returns zero gradients.
@@ -229,6 +253,21 @@ impl Field {
                 by_input[k] += g * self.mlp[n * inputs + k];
             }
         }
+        self.add_inputs(&t, &by_input, lights, light, into);
+    }
+
+    /// Adds the gradients of tables and of a light's position.
+    ///
+    /// `by_input`: gradients of a pair's inputs.
+    pub(super) fn add_inputs(
+        &self,
+        t: &Trace,
+        by_input: &[f64],
+        lights: &[[f64; 3]],
+        light: usize,
+        into: &mut Gradients,
+    ) {
+        let inputs = t.inputs.len();
         for (c, (entry, weight)) in t.corners.iter().enumerate() {
             for f in 0..FIELD_FEATURES {
                 into.tables[entry * FIELD_FEATURES + f] += weight * by_input[c / 8 * FIELD_FEATURES + f];
@@ -236,7 +275,7 @@ impl Field {
         }
         // A light that is clamped to the box, or coincides with the point, has no gradient.
         let axis = |v: &[f64]| [v[inputs - 4], v[inputs - 3], v[inputs - 2]];
-        let (way, across) = (axis(&t.inputs), axis(&by_input));
+        let (way, across) = (axis(&t.inputs), axis(by_input));
         for k in 0..3 {
             let (low, high) = (f64::from(self.low[k]), f64::from(self.high[k]));
             if t.reach > 1e-12 && lights[light][k] > low && lights[light][k] < high {

@@ -4,6 +4,7 @@
 //! the block that they reach; the lowest block with waiting lanes runs next. With the order that structured control
 //! flow gives, lanes that diverge at a header therefore meet again at its merge block.
 
+use crate::module::Tile;
 use crate::scalar::{Bin, Tri, Un};
 
 /// Index of a register of all lanes.
@@ -85,6 +86,19 @@ pub(crate) enum Atomic {
     Combine(Bin),
 }
 
+/// Access to a cooperative matrix in memory.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Access {
+    /// First register.
+    pub first: Slot,
+    pub tile: Tile,
+    pub place: Place,
+    /// Distance of rows, or of columns.
+    pub stride: Slot,
+    /// Whether a column is contiguous.
+    pub by_columns: bool,
+}
+
 /// Operation.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Step {
@@ -106,6 +120,10 @@ pub(crate) enum Step {
     Group(Group, Slot, Slot, Slot),
     /// Result, the four words of the ballot, and a lane.
     Vote(Vote, Slot, [Slot; 4], Slot),
+    LoadTile(Access),
+    StoreTile(Access),
+    /// First registers and sizes of result, operands and addend.
+    MulAdd([(Slot, Tile); 4]),
     /// Scope of execution and memory semantics.
     Barrier(u32, u32),
     /// Memory semantics.
@@ -228,7 +246,15 @@ impl Step {
             | Step::Texel(d, ..)
             | Step::Group(_, d, ..)
             | Step::Vote(_, d, ..) => Some(d).filter(|d| **d != NONE),
-            Step::Index(..) | Step::Store(..) | Step::SetTexel(..) | Step::Barrier(..) | Step::MemoryBarrier(_) => None,
+            Step::Index(..)
+            | Step::Store(..)
+            | Step::SetTexel(..)
+            // All lanes are active, so that no lane keeps its value.
+            | Step::LoadTile(_)
+            | Step::StoreTile(_)
+            | Step::MulAdd(_)
+            | Step::Barrier(..)
+            | Step::MemoryBarrier(_) => None,
         }
     }
 
@@ -243,6 +269,11 @@ impl Step {
             Step::Texel(_, _, [x, y], _) => vec![x, y],
             Step::SetTexel(_, [x, y], [a, b, c, d]) => vec![x, y, a, b, c, d],
             Step::Vote(_, _, [a, b, c, d], e) => vec![a, b, c, d, e],
+            Step::LoadTile(a) => vec![a.place.at, a.stride],
+            Step::StoreTile(a) => [vec![a.place.at, a.stride], (a.first..a.first + a.tile.share).collect()].concat(),
+            Step::MulAdd([_, operands @ ..]) => {
+                operands.iter().flat_map(|(first, tile)| *first..first + tile.share).collect()
+            }
             Step::Length(..) | Step::Barrier(..) | Step::MemoryBarrier(_) => Vec::new(),
         }
     }

@@ -75,7 +75,19 @@ impl Kernel {
     /// # Errors
     /// If the module is damaged, or uses what the emulator lacks.
     pub fn new(words: &[u32], specs: &[(u32, u32)]) -> Result<Kernel, Fault> {
-        let module = module::Module::decode(words, specs)?;
+        Kernel::translate(words, specs, None)
+    }
+
+    /// Translates a module for subgroups of a size. Cooperative matrices require it.
+    ///
+    /// # Errors
+    /// If the module is damaged, or uses what the emulator lacks.
+    pub fn for_lanes(words: &[u32], specs: &[(u32, u32)], lanes: u32) -> Result<Kernel, Fault> {
+        Kernel::translate(words, specs, Some(lanes))
+    }
+
+    fn translate(words: &[u32], specs: &[(u32, u32)], lanes: Option<u32>) -> Result<Kernel, Fault> {
+        let module = module::Module::decode(words, specs, lanes)?;
         Ok(Kernel { code: lower::lower(&module)? })
     }
 

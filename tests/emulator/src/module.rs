@@ -1,9 +1,11 @@
 //! Module in SPIR-V: types, constants with their specialization, decorations and functions.
 //!
-//! Every scalar has 32 bits. Values are flat lists of scalars, so that a matrix of 3 × 3 has nine.
+//! Every scalar has 32 bits, floats of 16 bits included. Values are flat lists of scalars, so that a matrix of 3 × 3 has
+//! nine, and a cooperative matrix those of one lane.
 
 use crate::fault::Fault;
 use crate::scalar::{self, Bin, Tri, Un};
+use half::f16;
 use spirv::{Decoration, Op};
 use std::collections::HashMap;
 
@@ -26,6 +28,10 @@ pub(crate) enum Type {
     Int,
     /// Float of 32 bits.
     Float,
+    /// Float of 16 bits, stored as one of 32 in a variable or in shared memory.
+    Half,
+    /// Cooperative matrix.
+    Tile(Tile),
     /// Element and number of elements.
     Vector(u32, u32),
     /// Column and number of columns.
@@ -40,6 +46,29 @@ pub(crate) enum Type {
     Pointer(u32),
     /// Anything that the emulator cannot load.
     Opaque(Op),
+}
+
+/// Cooperative matrix: its size, and its elements in a lane.
+///
+/// Which elements a lane has differs by the use, as it may on devices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Tile {
+    pub rows: u32,
+    pub columns: u32,
+    /// Left operand, right operand or sum: 0, 1 or 2.
+    pub role: u32,
+    pub share: u32,
+}
+
+impl Tile {
+    /// Returns row and column of an element of a lane.
+    ///
+    /// The factor is odd and the number of elements a power of two, so that each element has one place.
+    pub fn place(&self, lane: u32, index: u32) -> (u32, u32) {
+        let count = self.rows * self.columns;
+        let element = ((lane * self.share + index) * (2 * self.role + 5) + self.role) % count;
+        (element / self.columns, element % self.columns)
+    }
 }
 
 /// Basic block: its label and its instructions, the terminator last.
@@ -77,6 +106,8 @@ pub(crate) struct Module<'w> {
     pub labels: HashMap<u32, (u32, usize)>,
     pub entry: u32,
     pub local_size: [u32; 3],
+    /// Lanes of a subgroup, if known.
+    lanes: Option<u32>,
     /// Id of the instruction set of `GLSL.std.450`.
     pub glsl: u32,
 }
@@ -103,9 +134,9 @@ fn text(words: &[u32]) -> String {
 }
 
 impl<'w> Module<'w> {
-    /// Decodes a module. `specs` holds constant ids and bits.
-    pub fn decode(words: &'w [u32], specs: &[(u32, u32)]) -> Result<Module<'w>, Fault> {
-        let mut module = Module { local_size: [1; 3], ..Module::default() };
+    /// Decodes a module. `specs` holds constant ids and bits. Cooperative matrices need the number of lanes.
+    pub fn decode(words: &'w [u32], specs: &[(u32, u32)], lanes: Option<u32>) -> Result<Module<'w>, Fault> {
+        let mut module = Module { local_size: [1; 3], lanes, ..Module::default() };
         let mut function: Option<(u32, Function<'w>)> = None;
         for inst in instructions(words)? {
             let args = inst.args;
@@ -193,6 +224,8 @@ impl<'w> Module<'w> {
             Op::TypeBool => Type::Bool,
             Op::TypeInt if args[1] == 32 => Type::Int,
             Op::TypeFloat if args[1] == 32 => Type::Float,
+            Op::TypeFloat if args[1] == 16 => Type::Half,
+            Op::TypeCooperativeMatrixKHR => Type::Tile(self.tile(args)?),
             Op::TypeVector => Type::Vector(args[1], args[2]),
             Op::TypeMatrix => Type::Matrix(args[1], args[2]),
             Op::TypeArray => Type::Array(args[1], self.scalar(args[2])?, stride),
@@ -205,11 +238,27 @@ impl<'w> Module<'w> {
         Ok(())
     }
 
+    /// Reads a type of cooperative matrices.
+    fn tile(&self, args: &[u32]) -> Result<Tile, Fault> {
+        let [rows, columns, role] = [args[3], args[4], args[5]].map(|id| self.scalar(id));
+        let (rows, columns, role) = (rows?, columns?, role?);
+        let lanes =
+            self.lanes.ok_or_else(|| Fault::missing("cooperative matrices without a number of lanes".to_owned()))?;
+        let count = rows * columns;
+        if !count.is_power_of_two() || count % lanes != 0 || self.scalar(args[2])? != 3 {
+            return Err(Fault::missing(format!("cooperative matrices of {rows} x {columns} in {lanes} lanes")));
+        }
+        Ok(Tile { rows, columns, role, share: count / lanes })
+    }
+
     fn constant(&mut self, inst: Inst<'w>, specs: &[(u32, u32)]) -> Result<(), Fault> {
         let (ty, id, rest) = (inst.args[0], inst.args[1], &inst.args[2..]);
         let specialized = self.decoration(id, Decoration::SpecId);
         let specialized = specialized.and_then(|s| specs.iter().find(|(other, _)| *other == s)).map(|(_, bits)| *bits);
         let bits = match inst.op {
+            Op::Constant if matches!(self.ty(ty)?, Type::Half) => {
+                vec![f16::from_bits(rest[0] as u16).to_f32().to_bits()]
+            }
             Op::Constant => vec![rest[0]],
             Op::SpecConstant => vec![specialized.unwrap_or(rest[0])],
             Op::ConstantTrue => vec![1],
@@ -219,6 +268,7 @@ impl<'w> Module<'w> {
             Op::ConstantNull => vec![0; self.flat(ty)? as usize],
             Op::Undef => vec![u32::MAX; self.flat(ty)? as usize],
             Op::SpecConstantOp => self.specialize(ty, rest)?,
+            _ if matches!(self.ty(ty)?, Type::Tile(_)) => vec![self.scalar(rest[0])?; self.flat(ty)? as usize],
             _ => rest.iter().map(|id| self.bits(*id).cloned()).collect::<Result<Vec<_>, _>>()?.concat(),
         };
         if self.decoration(id, Decoration::BuiltIn) == Some(25) {
@@ -269,6 +319,14 @@ impl<'w> Module<'w> {
         self.types.get(&id).ok_or(Fault::Damaged("a type is unknown"))
     }
 
+    /// Returns a type's cooperative matrix, if it is one.
+    pub fn tile_of(&self, id: u32) -> Option<Tile> {
+        match self.types.get(&id) {
+            Some(Type::Tile(tile)) => Some(*tile),
+            _ => None,
+        }
+    }
+
     /// Returns the flat bits of a constant.
     pub fn bits(&self, id: u32) -> Result<&Vec<u32>, Fault> {
         self.constants.get(&id).ok_or(Fault::Damaged("a constant is unknown"))
@@ -283,7 +341,8 @@ impl<'w> Module<'w> {
     pub fn flat(&self, id: u32) -> Result<u32, Fault> {
         Ok(match self.ty(id)? {
             Type::Void => 0,
-            Type::Bool | Type::Int | Type::Float => 1,
+            Type::Bool | Type::Int | Type::Float | Type::Half => 1,
+            Type::Tile(tile) => tile.share,
             Type::Vector(element, n) | Type::Matrix(element, n) | Type::Array(element, n, _) => {
                 self.flat(*element)? * n
             }

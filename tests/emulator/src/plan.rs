@@ -11,8 +11,8 @@ use sgs_engine::shader::Shader;
 use std::collections::{BTreeSet, HashMap};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Kernel and specialization constants.
-type Key = (Arc<Shader>, Vec<(u32, u32)>);
+/// Kernel, specialization constants and lanes.
+type Key = (Arc<Shader>, Vec<(u32, u32)>, u32);
 
 /// Device that runs compiled graphs on byte arrays.
 #[derive(Default)]
@@ -137,7 +137,7 @@ impl Emulator {
                         [words[0], words[1], words[2]]
                     }
                 };
-                let kernel = self.kernel(shader, specs).map_err(|f| f.within(&shader.name))?;
+                let kernel = self.kernel(shader, specs, lanes).map_err(|f| f.within(&shader.name))?;
                 let bindings: Vec<Binding> = bindings.iter().map(|(n, slice)| memory.binding(*n, slice)).collect();
                 let tolerated: Vec<&str> =
                     run.tolerated.iter().filter(|(kernel, _)| *kernel == shader.name).map(|(_, b)| *b).collect();
@@ -171,13 +171,13 @@ impl Emulator {
     }
 
     /// Returns the translated kernel.
-    fn kernel(&self, shader: &Arc<Shader>, specs: &[(u32, u32)]) -> Result<Arc<Kernel>, Fault> {
+    fn kernel(&self, shader: &Arc<Shader>, specs: &[(u32, u32)], lanes: u32) -> Result<Arc<Kernel>, Fault> {
         let mut kernels = self.kernels.lock().unwrap_or_else(PoisonError::into_inner);
-        let key = (shader.clone(), specs.to_vec());
+        let key = (shader.clone(), specs.to_vec(), lanes);
         if let Some(kernel) = kernels.get(&key) {
             return Ok(kernel.clone());
         }
-        let kernel = Arc::new(Kernel::new(&shader.spirv, specs)?);
+        let kernel = Arc::new(Kernel::for_lanes(&shader.spirv, specs, lanes)?);
         kernels.insert(key, kernel.clone());
         Ok(kernel)
     }

@@ -35,7 +35,7 @@ operations! {
     Log2 = [] [Log2], Sin = [] [Sin], Cos = [] [Cos], Tan = [] [Tan], Asin = [] [Asin], Acos = [] [Acos],
     Atan = [] [Atan], Sinh = [] [Sinh], Cosh = [] [Cosh], Tanh = [] [Tanh],
     FindILsb = [] [FindILsb], FindUMsb = [] [FindUMsb],
-    HalfLow = [] [], HalfHigh = [] [], FrexpMantissa = [] [], FrexpExponent = [] [],
+    HalfLow = [] [], HalfHigh = [] [], RoundHalf = [] [], FrexpMantissa = [] [], FrexpExponent = [] [],
 }
 
 operations! {
@@ -159,6 +159,7 @@ pub(crate) fn un<const N: usize>(op: Un, a: &Lanes<N>) -> Lanes<N> {
         Un::Tanh => float(a, f32::tanh),
         Un::FindILsb => each(a, |x| if x == 0 { u32::MAX } else { x.trailing_zeros() }),
         Un::FindUMsb => each(a, |x| if x == 0 { u32::MAX } else { 31 - x.leading_zeros() }),
+        Un::RoundHalf => float(a, |x| f16::from_f32(x).to_f32()),
         Un::HalfLow => each(a, |x| f16::from_bits(x as u16).to_f32().to_bits()),
         Un::HalfHigh => each(a, |x| f16::from_bits((x >> 16) as u16).to_f32().to_bits()),
         Un::FrexpMantissa => float(a, |x| frexp(x).0),

@@ -64,4 +64,5 @@ mod visibility;
 mod visibility_bwd;
 mod visibility_lights;
 mod visibility_matrices;
+mod visibility_matrices_bwd;
 mod visible_bits;

@@ -16,7 +16,7 @@ use sgs_passes::shade::{PixelMaterials, Pixels, Surfaces};
 use sgs_passes::splat::Screen;
 use sgs_passes::{Accuracy, Matrices, Tuning};
 use sgs_shaders::structs::Step;
-use sgs_tests::field::{Case, Found, SMALL, whole};
+use sgs_tests::field::{Case, Found, SMALL, tiles, whole};
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
 const SIZE: [u32; 2] = [13, 7];
@@ -222,8 +222,12 @@ fn field_gradients_under_lights_match_reference() {
     let kernels = [(false, 0.0, 32, None), (true, 2e-3, 32, None), (true, 0.0, 16, None)];
     // Those of GPUs and CPUs, whichever the device has.
     let others = [(true, 2e-3, 32, Some(false)), (true, 2e-3, 32, Some(true))];
-    for (metallic, regularizer, table_bits, cpu) in kernels.into_iter().chain(others) {
+    let kernels = kernels.into_iter().chain(others).map(|kernel| (kernel, None));
+    // Products of 16-bit operands.
+    let halves = [[16, 8, 16], [8, 8, 8]].map(|shape| ((true, 2e-3, 32, Some(false)), Some(tiles(shape))));
+    for ((metallic, regularizer, table_bits, cpu), matrices) in kernels.chain(halves) {
         scene.case.cpu = cpu;
+        scene.case.matrices = matrices;
         scene.case.step.regularizer = regularizer;
         scene.case.table_bits = table_bits;
         let alone = scene.unshadowed(&gpu, metallic);
@@ -248,7 +252,8 @@ fn field_gradients_under_lights_match_reference() {
         inputs.push((into.tables, vec![0; 16 * entries]));
         inputs.push((into.touched, vec![0; 4 * entries.div_ceil(32)]));
         // The pass adds to the lights' own gradients.
-        inputs.push((into.lights, bytes(&[[100.0_f32; 3]; LIGHTS])));
+        let before = if matrices.is_some() { 0.0 } else { 100.0_f32 };
+        inputs.push((into.lights, bytes(&[[before; 3]; LIGHTS])));
         let options = BackwardOptions { add_places: true, ..options };
         let tuning = scene.case.tuning(&gpu);
         visibility_lights_bwd(&mut g, tuning, &what, &field, gradient, &options, &into).unwrap();
@@ -256,12 +261,16 @@ fn field_gradients_under_lights_match_reference() {
         let (words, scale) = (out.get::<u32>(into.tables), out.get::<f32>(into.scale));
         let found = Found {
             mlp: out.get(into.mlp),
-            lights: out.get::<f32>(into.lights).iter().map(|x| x - 100.0).collect(),
+            lights: out.get::<f32>(into.lights).iter().map(|x| x - before).collect(),
             tables: words.chunks(2).map(|w| whole(w, scale[1])).collect(),
             words,
             touched: out.get(into.touched),
             scale: scale[0],
         };
+        if matrices.is_some() {
+            scene.case.rounded_gradients(options.regularized, requested).check(&found, 2e-5);
+            continue;
+        }
         // A value added to 100 keeps 17 bits after the binary point.
         found.check(&expected, false, 2e-5);
         let lights = expected.lights.as_flattened();

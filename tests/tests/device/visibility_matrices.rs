@@ -172,8 +172,13 @@ fn matrix_units_match_ordinary_instructions() {
 /// units.
 #[test]
 fn matrix_unit_kernels_have_the_expected_interface_and_types() {
-    let names = ["visibility", "lights_field", "lights_split_field", "lights_train_field"];
-    for name in names {
+    let forward = ["visibility", "lights_field", "lights_split_field", "lights_train_field"];
+    // One product, with two loads and a store. Backward it is called three times, beside two products of other operands
+    // whose sums are stored at the end.
+    let forward = forward.map(|name| (name, [1, 2, 1]));
+    let backward = ["visibility_bwd", "visibility_lights_bwd"].map(|name| (name, [3, 6, 3]));
+    let names: Vec<_> = forward.into_iter().chain(backward).collect();
+    for (name, operations) in names.iter().copied() {
         let listed = sgs_shaders::OPTIONAL.iter().find(|o| o.name == format!("{name}_cooperative")).unwrap();
         assert_eq!(listed.extension, "GL_KHR_cooperative_matrix");
         let halves = sgs_shaders::ALL.iter().find(|k| k.name == format!("{name}_halves")).unwrap();
@@ -184,7 +189,7 @@ fn matrix_unit_kernels_have_the_expected_interface_and_types() {
         assert_eq!(format!("{:?}", units.bindings), format!("{:?}", halves.bindings), "{name}");
         assert_eq!(format!("{:?}", units.specs), format!("{:?}", halves.specs), "{name}");
         assert_eq!(units.push_bytes, halves.push_bytes);
-        check_units(name, units.spirv.words());
+        check_units(name, units.spirv.words(), operations);
     }
     assert_eq!(sgs_shaders::OPTIONAL.len(), names.len());
 }
@@ -202,7 +207,7 @@ fn instructions(words: &[u32]) -> Vec<(u32, &[u32])> {
 
 /// Fails unless a module multiplies cooperative matrices of the expected types. Operands have 16 bits and sums 32 bits;
 /// sizes are specialization constants.
-fn check_units(name: &str, words: &[u32]) {
+fn check_units(name: &str, words: &[u32], operations: [usize; 3]) {
     let all = instructions(words);
     let of = |opcode: u32| all.iter().filter(move |(o, _)| *o == opcode).map(|(_, i)| *i);
     // OpCapability Float16, CooperativeMatrixKHR.
@@ -215,13 +220,13 @@ fn check_units(name: &str, words: &[u32]) {
     // OpTypeCooperativeMatrixKHR: component, scope, rows, columns, use.
     let mut types: Vec<_> = of(4456).map(|i| (value(i[5]), bits(i[1]), value(i[2]), spec(i[3]), spec(i[4]))).collect();
     types.sort();
-    let [rows, columns, depth, subgroup] = [12, 13, 14, 3].map(Some);
+    let [rows, columns, depth, subgroup] = [35, 36, 37, 3].map(Some);
     let expected = [
         (Some(0), Some(16), subgroup, rows, depth),
         (Some(1), Some(16), subgroup, depth, columns),
         (Some(2), Some(32), subgroup, rows, columns),
     ];
     assert_eq!(types, expected, "{name}");
-    // OpCooperativeMatrixMulAddKHR with two loads and a store.
-    assert_eq!([4459, 4457, 4458].map(|o| of(o).count()), [1, 2, 1], "{name}");
+    // OpCooperativeMatrixMulAddKHR, loads and stores.
+    assert_eq!([4459, 4457, 4458].map(|o| of(o).count()), operations, "{name}");
 }

@@ -28,6 +28,9 @@
 //! | loads of rows, neighboring addresses | 2 | 0 |
 //! | accesses of shared memory, four numbers each | 6 | 0 |
 //!
+//! With matrix units and 16 bits, the products with the second layer and the sums of weights run on units; see ADR 0019. CPUs
+//! keep the kernel whose lanes share a pair.
+//!
 //! Cost per pair: 3 x 1024 multiply-adds for value and gradient, 1024 more with the smoothness term, and about 500 for
 //! the rest. Per pixel: 384 gathers of 8 bytes (4 with 16-bit tables), 5 x 1024 multiply-adds, 256 to 512 atomics.
 //! Memory: 128 bytes per pixel, and 256 for each pixel of a chunk.
@@ -36,14 +39,14 @@
 //! 128 bytes per pixel: in all less than 32 KiB for each subgroup of 32 lanes that runs at once. The parts of a row are
 //! added in order.
 
-use super::{Field, View, field_batched, visibility_encode};
+use super::{Field, View, field_batched, forward, visibility_encode};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::shade::visibility::FIELD_WIDTH;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::{
-    semantic_reduce, visibility_bwd as pairs, visibility_bwd_lanes as lanes, visibility_encode_bwd as points,
-    visibility_reduce as reduce, visibility_scale as scale,
+    Kernel, semantic_reduce, visibility_bwd as pairs, visibility_bwd_halves as halves, visibility_bwd_lanes as lanes,
+    visibility_encode_bwd as points, visibility_reduce as reduce, visibility_scale as scale,
 };
 
 /// Maximum number of pixels of a chunk, whose rows are in memory together. Gradients of rows are in memory for all
@@ -153,7 +156,7 @@ pub fn visibility_bwd(
         let [rows, moved] = plan.rows(g, field, view, [first, count])?;
         let chunk = plan.chunk(first, count);
         macro_rules! of_pairs {
-            ($kernel:ident, $weights:ident) => {{
+            ($kernel:ident, $weights:ident, $chosen:expr) => {{
                 let bindings = $kernel::Bindings {
                     field_params: field.step.into(),
                     $weights: field.mlp.into(),
@@ -178,18 +181,23 @@ pub fn visibility_bwd(
                     parts: plan.parts,
                 };
                 let push = $kernel::Push { first, count, most, normalizer: 1.0 };
-                let (kernel, bytes) = (&$kernel::KERNEL, bytemuck::bytes_of(&push));
-                stage(g, "visibility_bwd", kernel, bindings.entries(), specs.entries(), bytes)
+                let (kernel, specs) = $chosen(specs.entries());
+                stage(g, pass_name(kernel), kernel, bindings.entries(), specs, bytemuck::bytes_of(&push))
                     .subgroup_size(Some(tuning.subgroup_size))
                     .dispatch([chunk.groups, 1, 1])?;
             }};
         }
         match field_batched(tuning) {
-            true => of_pairs!(pairs, mlp_vectors),
-            false => of_pairs!(lanes, mlp),
+            true => of_pairs!(pairs, mlp_vectors, |specs| forward(tuning, [&pairs::KERNEL, &halves::KERNEL], specs)),
+            false => of_pairs!(lanes, mlp, |specs| (&lanes::KERNEL, specs)),
         }
     }
     plan.finish(g, field, view, into)
+}
+
+/// Returns the name of the pass that runs a kernel for pairs.
+pub(super) fn pass_name(kernel: &Kernel) -> &'static str {
+    kernel.name.trim_end_matches("_lanes")
 }
 
 /// Buffers that the passes of one backward pass exchange.
@@ -240,6 +248,10 @@ impl Plan {
         // Iterations per batch. Pairs: the loops over the lights, and those in them, share a counter. Points: levels,
         // features and corners.
         let by_light = if batched { 24 + lobes + u64::from(tuning.subgroup_size.min(32) / 2) } else { 4 + lobes };
+        // Without units, a lane computes its elements of the tiles of all products one after the other.
+        let elements =
+            tuning.field_matrices().filter(|m| batched && !m.units).map_or(0, |_| 8192 / tuning.subgroup_size);
+        let by_light = by_light + u64::from(elements);
         let batches = chunk.div_ceil(pixels_of_pairs);
         let parts = if batched { parts(tuning, pixels, lights) } else { 1 };
         let groups = [

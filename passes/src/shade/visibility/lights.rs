@@ -5,7 +5,7 @@
 //! its visibility. The gradient of visibility is the gradient of the pixel's radiance times the unoccluded light, which
 //! is recomputed where needed. Regularization covers the lights that are on.
 
-use super::bwd::Plan;
+use super::bwd::{Plan, pass_name};
 use super::{BackwardOptions, Field, Gradients, View, field_batched, field_spread, forward};
 use crate::Tuning;
 use crate::kernel::{groups, stage};
@@ -17,7 +17,7 @@ use sgs_shaders::{
     lights_bwd_field as lights_kernel, lights_field as render, lights_field_halves as render_halves,
     lights_normals_bwd_field as normals, lights_split_field as split, lights_split_field_halves as split_halves,
     lights_train_field as train, lights_train_field_halves as train_halves, visibility_lights_bwd as pairs,
-    visibility_lights_bwd_lanes as lanes,
+    visibility_lights_bwd_halves as halves, visibility_lights_bwd_lanes as lanes,
 };
 
 /// Writes `direct`, `[P * 3]` floats: linear radiance towards the camera. Ignores `per_lane` of `a.shape`.
@@ -236,7 +236,7 @@ pub fn visibility_lights_bwd(
         let [rows, moved] = plan.rows(g, field, &view, [first, count])?;
         let chunk = plan.chunk(first, count);
         macro_rules! of_pairs {
-            ($kernel:ident, $weights:ident) => {{
+            ($kernel:ident, $weights:ident, $chosen:expr) => {{
                 let bindings = of_lights!($kernel, a, {
                     field_params: field.step.into(),
                     $weights: field.mlp.into(),
@@ -261,15 +261,15 @@ pub fn visibility_lights_bwd(
                     parts: plan.parts,
                 };
                 let push = $kernel::Push { first, count, most, normalizer: a.normalizer };
-                let (kernel, bytes) = (&$kernel::KERNEL, bytemuck::bytes_of(&push));
-                stage(g, "visibility_lights_bwd", kernel, bindings.entries(), specs.entries(), bytes)
+                let (kernel, specs) = $chosen(specs.entries());
+                stage(g, pass_name(kernel), kernel, bindings.entries(), specs, bytemuck::bytes_of(&push))
                     .subgroup_size(Some(a.shape.subgroup))
                     .dispatch([chunk.groups, 1, 1])?;
             }};
         }
         match field_batched(tuning) {
-            true => of_pairs!(pairs, mlp_vectors),
-            false => of_pairs!(lanes, mlp),
+            true => of_pairs!(pairs, mlp_vectors, |specs| forward(tuning, [&pairs::KERNEL, &halves::KERNEL], specs)),
+            false => of_pairs!(lanes, mlp, |specs| (&lanes::KERNEL, specs)),
         }
     }
     plan.finish(g, field, &view, into)?;

@@ -3,6 +3,7 @@
 mod group;
 mod image;
 mod subgroup;
+mod tiles;
 
 pub(crate) use image::encode;
 

@@ -46,7 +46,7 @@ pub(super) fn lanes(mask: u64) -> impl Iterator<Item = usize> {
 }
 
 impl<const N: usize> Subgroup<N> {
-    const FULL: u64 = if N == 64 { u64::MAX } else { (1 << N) - 1 };
+    pub(super) const FULL: u64 = if N == 64 { u64::MAX } else { (1 << N) - 1 };
 
     pub fn new(number: u32, lanes: u32, registers: Vec<Lanes<N>>) -> Self {
         let all = if lanes == 64 { u64::MAX } else { (1 << lanes) - 1 };
@@ -222,6 +222,9 @@ impl Machine<'_> {
             Step::SetTexel(binding, at, values) => self.set_texel(s, binding, at, values)?,
             Step::Group(op, d, a, b) => super::group::group(s, op, d, a, b)?,
             Step::Vote(op, d, ballot, lane) => super::group::vote(s, op, d, ballot, lane),
+            Step::LoadTile(access) => self.tile(s, &access, Kind::Read)?,
+            Step::StoreTile(access) => self.tile(s, &access, Kind::Write)?,
+            Step::MulAdd(all) => super::tiles::multiply(s, all)?,
             Step::MemoryBarrier(semantics) => s.fences |= semantics,
             Step::Barrier(..) => {}
         }

@@ -2,6 +2,7 @@
 
 mod flow;
 mod memory;
+mod tiles;
 mod values;
 
 use crate::code::{Block, BuiltIn, Code, Edge, End, Slot, Space, Step};

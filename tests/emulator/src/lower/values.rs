@@ -63,6 +63,9 @@ impl Lower<'_, '_> {
                 }
                 scope.values.insert(args[1], Value::Registers(texel));
             }
+            Op::CooperativeMatrixLoadKHR | Op::CooperativeMatrixStoreKHR | Op::CooperativeMatrixMulAddKHR => {
+                self.tiles(scope, inst)?;
+            }
             Op::ArrayLength => self.length(scope, args)?,
             Op::AtomicLoad
             | Op::AtomicStore
@@ -117,6 +120,16 @@ impl Lower<'_, '_> {
                 (0..self.module.flat(args[0])?).map(|_| undefined).collect()
             }
             Op::CopyLogical | Op::CopyObject => self.value(scope, args[2])?,
+            // A cooperative matrix has the same number in each element.
+            Op::CompositeConstruct if self.module.tile_of(args[0]).is_some() => {
+                let value = self.one(scope, args[2])?;
+                (0..self.module.flat(args[0])?).map(|_| value).collect()
+            }
+            Op::FConvert => {
+                let a = self.value(scope, args[2])?;
+                let op = if matches!(self.module.ty(args[0])?, Type::Half) { Un::RoundHalf } else { Un::Copy };
+                a.iter().map(|a| self.un(op, *a)).collect()
+            }
             Op::CompositeConstruct => {
                 let mut all = Vec::new();
                 for id in &args[2..] {
@@ -231,7 +244,7 @@ impl Lower<'_, '_> {
     }
 
     /// Returns the type of an id of the open function or of a constant.
-    fn type_of(&self, scope: &Scope, id: u32) -> Result<u32, Fault> {
+    pub(super) fn type_of(&self, scope: &Scope, id: u32) -> Result<u32, Fault> {
         let (function, _) = self.module.labels.get(&scope.block).ok_or(Fault::Damaged("a block is unknown"))?;
         let constant = self.module.constant_types.get(&id).copied();
         let insts = self.module.functions[function].result_types.get(&id).copied();
