@@ -40,6 +40,16 @@ float part(uint first, uint k, uint parts, bool cameras) {
     return sum;
 }
 
+const float LOG_BETA1 = -0.10536051565782628; // of 0.9
+const float LOG_BETA2 = -0.0010005003335835335; // of 0.999
+
+// 1 - beta^t, by a series where the difference would lose digits.
+float share_of(float t, float log_beta) {
+    float x = t * log_beta;
+    float series = 1.0 + x / 2.0 * (1.0 + x / 3.0 * (1.0 + x / 4.0 * (1.0 + x / 5.0 * (1.0 + x / 6.0))));
+    return x > -0.3 ? -x * series : 1.0 - exp(x);
+}
+
 void main() {
     if (by_workgroup(flags[0]) != 0u) return;
     uint lane = gl_LocalInvocationID.x, k = lane % 16u, row = lane / 16u;
@@ -65,8 +75,7 @@ void main() {
             float t = float(views[at].steps + 1u);
             float value = views[at].values[lane];
             vec2 moments = views[at].moments[lane];
-            adam(value, moments, gradient, rate, 1.0 / (1.0 - pow(1.0 - ADAM_RATE1, t)),
-                 1.0 / (1.0 - pow(1.0 - ADAM_RATE2, t)));
+            adam(value, moments, gradient, rate, 1.0 / share_of(t, LOG_BETA1), 1.0 / share_of(t, LOG_BETA2));
             views[at].values[lane] = value;
             views[at].moments[lane] = moments;
         }
