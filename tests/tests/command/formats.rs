@@ -57,11 +57,11 @@ const BOUNDS: &[(&str, &str, f64)] = &[
     ("3dgs", "p.ply", 100.0),
     ("gltf", "o.gltf", 100.0),
     ("glb", "o.glb", 100.0),
-    ("spz", "o.spz", 40.0),
-    ("spz3", "o3.spz", 40.0),
-    ("spz2", "o2.spz", 30.0),
-    ("sog", "o.sog", 40.0),
-    ("sog", "folder/meta.json", 40.0),
+    ("spz", "o.spz", 46.0),
+    ("spz3", "o3.spz", 46.0),
+    ("spz2", "o2.spz", 45.0),
+    ("sog", "o.sog", 56.0),
+    ("sog", "folder/meta.json", 56.0),
 ];
 
 #[test]
@@ -88,7 +88,7 @@ fn splat_files_render_like_band_zero_of_their_source() {
     export(&place, "a.ply", "o.splat", &[]).ok();
     let found = psnr(&image(&place, "o.splat"), &image(&place, "flat.ply"));
     println!("splat: {found:.1} dB");
-    assert!(found >= 38.0, "{found} dB");
+    assert!(found >= 53.0, "{found} dB");
 }
 
 #[test]
@@ -117,8 +117,7 @@ fn recorded_transforms_are_undone() {
         }
         let found = psnr(&image(&place, file), &original);
         println!("{format} turned: {found:.1} dB");
-        // Rounding of turned numbers costs formats of 32 bits a little.
-        assert!(found >= bound.min(80.0), "{format}: {found} dB");
+        assert!(found >= bound.min(100.0), "{format}: {found} dB");
     }
     // The lights of a glTF return, too.
     let lights = read_exchange(&place.path("o.glb")).unwrap().lights.unwrap().published().unwrap();
@@ -175,7 +174,7 @@ fn formats_name_what_they_do_not_hold() {
     let text = std::fs::read_to_string(place.path("a.ply").with_file_name("o.usda")).unwrap();
     assert!(text.contains("primvars:albedo") && text.contains("SphereLight"));
     let header = std::fs::read(place.path("a.ply")).unwrap();
-    assert!(header.windows(35).any(|w| w == b"comment SplatRenderMode: default\nele"));
+    assert!(header.windows(36).any(|w| w == b"comment SplatRenderMode: default\nele"));
 }
 
 #[test]
