@@ -66,7 +66,7 @@ fn compare(name: &str, found: &Splats, turn: [f32; 3], signs: [f32; 3], q: [f32;
         let j = (0..24).min_by(|a, b| away(*a).total_cmp(&away(*b))).unwrap();
         assert!(away(j).sqrt() < 1e-3, "{name}: {mean:?} {:?}", found.means[j]);
         (0..3).for_each(|k| near(found.log_scales[j][k], expected.log_scales[i][k], 0.04));
-        near(opacity(found.opacity_logits[j]), opacity(expected.opacity_logits[i]), 0.003);
+        near(opacity(found.opacity_logits[j]), opacity(expected.opacity_logits[i]), 0.004);
         (0..3).for_each(|k| near(found.sh[0][3 * j + k], expected.sh[0][3 * i + k], 0.02));
         // Palettes and few bits make harmonics coarse.
         (0..9).for_each(|k| near(found.sh[1][9 * j + k], signs[k / 3] * expected.sh[1][9 * i + k], 0.05));
@@ -78,8 +78,11 @@ fn compare(name: &str, found: &Splats, turn: [f32; 3], signs: [f32; 3], q: [f32;
             a * y - b * z + c * w + d * x,
             a * z + b * y - c * x + d * w,
         ];
-        let dot: f32 = turned.iter().zip(found.rotations[j]).map(|(a, b)| a * b).sum();
-        assert!(dot.abs() > 0.9999, "{name}: {turned:?} {:?}", found.rotations[j]);
+        // Half a turn about a local axis leaves the ellipsoid as it is.
+        let [w, x, y, z] = turned;
+        let same = [[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]];
+        let dot = |q: &[f32; 4]| q.iter().zip(found.rotations[j]).map(|(a, b)| a * b).sum::<f32>().abs();
+        assert!(same.iter().any(|q| dot(q) > 0.9999), "{name}: {turned:?} {:?}", found.rotations[j]);
     }
 }
 

@@ -7,6 +7,9 @@ use crate::splats::{ALBEDO_RANGE, ROUGHNESS_RANGE, Splats};
 use glam::{DQuat, DVec3};
 use std::io::{self, Write};
 
+/// Metadata of a primvar with a value for every splat.
+const VERTEX: &str = " (\n            interpolation = \"vertex\"\n        )";
+
 /// Content of a file.
 pub(super) struct Stage<'a> {
     pub(super) splats: &'a Splats,
@@ -60,72 +63,67 @@ fn splats(out: &mut dyn Write, s: &Splats) -> io::Result<()> {
         });
     }
     if n > 0 {
-        rows(out, "float3[] extent", 2, |i| Ok(if i == 0 { low } else { high }))?;
+        rows(out, "float3[] extent", 2, "", |i| if i == 0 { low } else { high })?;
     }
-    rows(out, "point3f[] positions", n, |i| Ok(s.means[i]))?;
-    rows(out, "quatf[] orientations", n, |i| Ok(unit(s.rotations[i]).map(|v| v as f32)))?;
-    rows(out, "float3[] scales", n, |i| Ok(s.log_scales[i].map(|v| f64::from(v).exp() as f32)))?;
-    numbers(out, "float[] opacities", n, |i| logistic(s.opacity_logits[i]) as f32)?;
+    rows(out, "point3f[] positions", n, "", |i| s.means[i])?;
+    rows(out, "quatf[] orientations", n, "", |i| unit(s.rotations[i]).map(|v| v as f32))?;
+    rows(out, "float3[] scales", n, "", |i| s.log_scales[i].map(|v| f64::from(v).exp() as f32))?;
+    numbers(out, "float[] opacities", n, "", |i| logistic(s.opacity_logits[i]) as f32)?;
     let degree = s.sh_degree();
     writeln!(out, "        uniform int radiance:sphericalHarmonicsDegree = {degree}")?;
     let wide = (degree + 1) * (degree + 1);
-    rows(out, "float3[] radiance:sphericalHarmonicsCoefficients", n * wide, |at| {
+    rows(out, "float3[] radiance:sphericalHarmonicsCoefficients", n * wide, "", |at| {
         let (i, coefficient) = (at / wide, at % wide);
         let band = coefficient.isqrt();
         let first = 3 * (i * (2 * band + 1) + coefficient - band * band);
-        Ok([s.sh[band][first], s.sh[band][first + 1], s.sh[band][first + 2]])
+        [s.sh[band][first], s.sh[band][first + 1], s.sh[band][first + 2]]
     })?;
     writeln!(out, "        uniform token projectionModeHint = \"perspective\"")?;
     writeln!(out, "        uniform token sortingModeHint = \"zDepth\"")?;
     if let Some(normals) = &s.normals {
-        rows(out, "normal3f[] primvars:normal", n, |i| Ok(normals[i]))?;
-        vertex(out)?;
+        rows(out, "normal3f[] primvars:normal", n, VERTEX, |i| normals[i])?;
     }
     if let Some(albedo) = &s.albedo {
-        rows(out, "color3f[] primvars:albedo", n, |i| Ok(albedo[i].map(|v| material(v, ALBEDO_RANGE) as f32)))?;
-        vertex(out)?;
+        let value = |i: usize| albedo[i].map(|v| material(v, ALBEDO_RANGE) as f32);
+        rows(out, "color3f[] primvars:albedo", n, VERTEX, value)?;
     }
     let scalars = [("roughness", &s.roughness, ROUGHNESS_RANGE), ("metallic", &s.metallic, METALLIC_RANGE)];
     for (name, values, range) in scalars {
         if let Some(values) = values {
-            numbers(out, &format!("float[] primvars:{name}"), n, |i| material(values[i], range) as f32)?;
-            vertex(out)?;
+            let value = |i: usize| material(values[i], range) as f32;
+            numbers(out, &format!("float[] primvars:{name}"), n, VERTEX, value)?;
         }
     }
     writeln!(out, "    }}")
 }
 
-/// Writes the interpolation of the primvar before.
-fn vertex(out: &mut dyn Write) -> io::Result<()> {
-    writeln!(out, "        (\n            interpolation = \"vertex\"\n        )")
-}
-
-/// Writes an array of tuples.
+/// Writes an array of tuples, and `end` after it.
 fn rows<const N: usize>(
     out: &mut dyn Write,
     name: &str,
     count: usize,
-    row: impl Fn(usize) -> io::Result<[f32; N]>,
+    end: &str,
+    row: impl Fn(usize) -> [f32; N],
 ) -> io::Result<()> {
     write!(out, "        {name} = [")?;
     for i in 0..count {
         let separator = if i == 0 { "(" } else { ", (" };
         out.write_all(separator.as_bytes())?;
-        for (k, v) in row(i)?.into_iter().enumerate() {
+        for (k, v) in row(i).into_iter().enumerate() {
             let separator = if k == 0 { "" } else { ", " };
             write!(out, "{separator}{v:?}")?;
         }
         out.write_all(b")")?;
     }
-    writeln!(out, "]")
+    writeln!(out, "]{end}")
 }
 
-/// Writes an array of numbers.
-fn numbers(out: &mut dyn Write, name: &str, count: usize, number: impl Fn(usize) -> f32) -> io::Result<()> {
+/// Writes an array of numbers, and `end` after it.
+fn numbers(out: &mut dyn Write, name: &str, count: usize, end: &str, number: impl Fn(usize) -> f32) -> io::Result<()> {
     write!(out, "        {name} = [")?;
     for i in 0..count {
         let separator = if i == 0 { "" } else { ", " };
         write!(out, "{separator}{:?}", number(i))?;
     }
-    writeln!(out, "]")
+    writeln!(out, "]{end}")
 }
