@@ -42,6 +42,9 @@ pub fn write_sog(path: &Path, splats: &Splats, transform: Option<&Placement>) ->
 const NAMES: [&str; 7] =
     ["means_l.webp", "means_u.webp", "scales.webp", "quats.webp", "sh0.webp", "shN_centroids.webp", "shN_labels.webp"];
 
+/// Function that returns the pixel of the splat with the given index.
+type Pixel<'a> = &'a dyn Fn(usize) -> [u8; 4];
+
 enum Problem {
     Data(String),
     Io(std::io::Error),
@@ -76,7 +79,7 @@ fn files(s: &Splats, transform: Option<Placement>) -> std::result::Result<Vec<(&
     };
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by_cached_key(|i| (morton(whole(*i)), *i));
-    let texture = |pixel: &dyn Fn(usize) -> [u8; 4]| -> std::io::Result<Vec<u8>> {
+    let texture = |pixel: Pixel<'_>| -> std::io::Result<Vec<u8>> {
         let mut data: Vec<[u8; 4]> = order.iter().map(|i| pixel(*i)).collect();
         data.resize(width * height, [0, 0, 0, 255]);
         Texture { width, height, data }.encode()
@@ -131,7 +134,7 @@ fn files(s: &Splats, transform: Option<Placement>) -> std::result::Result<Vec<(&
 /// Adds the images of the harmonics above band 0.
 fn harmonics(
     s: &Splats,
-    texture: &dyn Fn(&dyn Fn(usize) -> [u8; 4]) -> std::io::Result<Vec<u8>>,
+    texture: &dyn Fn(Pixel<'_>) -> std::io::Result<Vec<u8>>,
     files: &mut Vec<(&'static str, Vec<u8>)>,
 ) -> std::io::Result<Harmonics> {
     let bands = s.sh_degree();

@@ -165,7 +165,7 @@ fn transform(records: &[u8]) -> Found<Option<Placement>> {
         let end = (at + 8).checked_add(length);
         let payload = end.and_then(|end| records.get(at + 8..end)).ok_or("an extension record is cut off")?;
         if kind == TRANSFORM {
-            let [words @ ..] = payload.as_chunks::<8>().0;
+            let words = payload.as_chunks::<8>().0;
             let numbers: Vec<f64> = words.iter().map(|b| f64::from_le_bytes(*b)).collect();
             let [scale, w, x, y, z, a, b, c] = numbers[..] else {
                 return Err(format!("its recorded transform has {length} bytes instead of 64"));
