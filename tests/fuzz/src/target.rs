@@ -32,7 +32,8 @@ const fn fixed(name: &'static str, run: fn(&[u8]) -> String, words: &'static [Wo
 
 /// Creates a target of images.
 ///
-/// Deflate expands a byte to a thousand at most. Each of these becomes a 32-bit number, several times.
+/// Deflate expands a byte to a thousand at most. Each of these becomes a 32-bit number, several times. Files of compressed
+/// splats have the same limit.
 const fn image(name: &'static str, run: fn(&[u8]) -> String, words: &'static [Words], fix: Option<Fix>) -> Target {
     Target { name, run, words, fix, per_byte: 1 << 15 }
 }
@@ -49,6 +50,7 @@ pub const TARGETS: &[Target] = &[
     target("colmap_images_txt", scenes::colmap_images_txt, &[Numbers, Cameras]),
     target("colmap_points_bin", scenes::colmap_points_bin, &[Cameras]),
     target("colmap_points_txt", scenes::colmap_points_txt, &[Numbers, Cameras]),
+    target("dot_splat", splats::dot_splat, &[]),
     target("edit", light::edit, &[Numbers, Json, Light]),
     target("emitters", light::emitters, &[Numbers, Json, Light]),
     image("environment", light::environment, &[Exr], None),
@@ -59,6 +61,7 @@ pub const TARGETS: &[Target] = &[
     fixed("head", tensors::head, &[Numbers, Json, Tensors], fix::safetensors),
     target("interiorverse", scenes::interiorverse, &[Numbers, Json, Cameras]),
     fixed("intrinsic_checkpoint", tensors::intrinsic_checkpoint, &[Numbers, Json, Tensors], fix::safetensors),
+    target("ksplat", splats::ksplat, &[]),
     target("labels", scenes::labels, &[Numbers, Json, Cameras]),
     target("lights", light::lights, &[Numbers, Json, Light]),
     target("lights_beside", light::lights_beside, &[Numbers, Json, Light]),
@@ -80,8 +83,11 @@ pub const TARGETS: &[Target] = &[
     target("run_log", runs::log, &[Numbers, Json, Run]),
     target("run_settings", runs::settings_of_run, &[Numbers, Toml]),
     target("settings", runs::settings, &[Numbers, Toml]),
+    image("sog", splats::sog, &[Numbers, Json], None),
+    target("sog_meta", splats::sog_meta, &[Numbers, Json]),
     target("splats_ply", splats::splats, &[Numbers, Ply]),
     target("split", scenes::split, &[Numbers, Json, Cameras]),
+    image("spz", splats::spz, &[], None),
     target("training", runs::training, &[Numbers, Json, Run]),
     target("transforms", scenes::transforms, &[Numbers, Json, Cameras]),
     target("transforms_held_out", scenes::transforms_held_out, &[Numbers, Json, Cameras]),

@@ -65,6 +65,17 @@ fn every_target_has_files_that_it_reads() {
     let outcome = |name: &str, file: &str| (of(name).run)(&corpus(of(name))[file]);
     assert!(outcome("splats_ply", "own.ply").starts_with("ply 2 of degree 1"));
     assert!(outcome("gltf", "own.glb").contains("true gltf"));
+    for (target, file, start) in [
+        ("spz", "v4.spz", "spz 3 of degree 0"),
+        ("spz", "own.spz", "spz 2 of degree 1"),
+        ("dot_splat", "own.splat", "splat 2 of degree 0"),
+        ("ksplat", "minimal.ksplat", "ksplat 3 of degree 0"),
+        ("sog", "own.sog", "sog 2 of degree 1"),
+        ("splats_ply", "turned.ply", "ply 2 of degree 1"),
+    ] {
+        assert!(outcome(target, file).starts_with(start), "{target}: {}", outcome(target, file));
+    }
+    assert!(outcome("sog_meta", "meta.json").contains("means_l.webp"));
     assert!(outcome("transforms", "two.json").starts_with("Transforms"));
     assert!(outcome("colmap_images_bin", "two.bin").starts_with("Colmap"));
     assert!(outcome("blender", "two.json").starts_with("Blender"));

@@ -343,7 +343,7 @@ fn invalid_gltf_is_refused_with_one_sentence() {
     std::fs::write(place.path("f.gltf"), "{").unwrap();
     export(&place, "f.gltf", "g.ply", &[]).refused(&["f.gltf", "no glTF"]);
 
-    export(&place, "a.ply", "g.spz", &[]).refused(&["g.spz", ".glb"]);
+    export(&place, "a.ply", "g.xyz", &[]).refused(&["g.xyz", ".glb"]);
     export(&place, "a.ply", "g.ply", &["--format", "glb"]).refused(&["does not end in .glb"]);
     let bare = Splats { albedo: None, ..sample(2) };
     bare.write_ply(&place.path("bare.ply")).unwrap();
@@ -352,10 +352,10 @@ fn invalid_gltf_is_refused_with_one_sentence() {
     export(&place, "none.ply", "g.glb", &[]).refused(&["no way to say so"]);
     std::fs::write(place.path("a.lights.json"), "{}").unwrap();
     export(&place, "a.ply", "g.ply", &[]).refused(&["a.lights.json"]);
-    for file in ["g.ply", "g.glb", "g.spz"] {
+    for file in ["g.ply", "g.glb", "g.xyz"] {
         assert!(!place.path(file).exists(), "{file}");
     }
-    assert_eq!(export(&place, "a.ply", "g.ply", &["--format", "spz"]).status, Some(2));
+    assert_eq!(export(&place, "a.ply", "g.ply", &["--format", "xyz"]).status, Some(2));
 }
 
 #[test]

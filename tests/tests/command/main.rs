@@ -4,6 +4,7 @@ mod classes;
 mod cli;
 mod emitters;
 mod exchange;
+mod formats;
 mod layouts;
 mod lpips;
 mod memory_of_training;

@@ -8,7 +8,7 @@ use sgs_run::{RunDirectory, gaussian_data, read_splats};
 use sgs_scene::Splats;
 use std::path::Path;
 
-/// Reads the Gaussians of a run directory, PLY or glTF file; for a run also its settings.
+/// Reads the Gaussians of a run or of a splat file; for a run also its settings.
 pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
     if source.is_dir() {
         let run = RunDirectory::open(source)?;
@@ -19,7 +19,7 @@ pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
         return Ok((Splats::read_ply(&ply)?, Some(run.settings()?)));
     }
     if !source.exists() {
-        bail!("\"{}\" does not exist; give a run directory, a PLY or a glTF file.", source.display());
+        bail!("\"{}\" does not exist; give a run directory or a file of splats.", source.display());
     }
     Ok((read_splats(source)?, None))
 }

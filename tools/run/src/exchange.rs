@@ -1,19 +1,19 @@
-//! Exchange of Gaussians and light with other programs: PLY dialects and glTF.
+//! Files of Gaussians and light of this or another program, in any known format.
 //!
 //! Gaussians are in the file itself. glTF contains its lights; a PLY has them beside it in `NAME.lights.json`. The
 //! environment map is always beside the file in `NAME.environment.exr`. docs/reference/exchange.md lists what each
-//! format keeps and loses.
+//! format keeps and loses. A transform that a file records is undone, so Gaussians and lights are in the coordinates of
+//! their scene.
 
 use crate::error::{Result, RunError};
-use crate::gltf_lights::{lights_of, punctual};
-use crate::light_list::{LightList, ListedLight, read_light_list, write_light_list};
-use crate::placement::{join, placed};
+use crate::gltf_lights::lights_of;
+use crate::light_list::{LightList, ListedLight, read_light_list};
+use crate::placement::{join, placed, transformed};
 use crate::published::read_lights;
 use crate::shaded::{RunLight, Texels, Visibility};
 use crate::shadows::Rays;
 use sgs_passes::transport::LightShape;
-use sgs_scene::{GltfScene, Placement, PlyDialect, Splats, write_gltf};
-use std::io::Read;
+use sgs_scene::{GltfScene, Placement, SplatFile, SplatKind, Splats};
 use std::path::{Path, PathBuf};
 
 /// Contents of an exchange file.
@@ -25,12 +25,12 @@ pub struct Exchange {
     pub lights: Option<LightList>,
     /// Path of the environment map beside the file, a latitude-longitude image.
     pub environment: Option<PathBuf>,
-    /// Kind of the file: a name of [`PlyDialect`], or `gltf`.
+    /// Kind of the file: a name of a [`PlyDialect`](sgs_scene::PlyDialect) or of a [`SplatKind`].
     pub format: &'static str,
 }
 
 /// Returns `NAME.WHAT` beside `NAME.ply` or another file.
-fn beside(path: &Path, what: &str) -> PathBuf {
+pub(crate) fn beside(path: &Path, what: &str) -> PathBuf {
     path.with_extension(what)
 }
 
@@ -39,32 +39,40 @@ fn beside(path: &Path, what: &str) -> PathBuf {
 /// # Errors
 /// If the file cannot be read.
 pub fn is_gltf(path: &Path) -> Result<bool> {
-    let fail = |e: std::io::Error| RunError::File { path: path.to_owned(), reason: e.to_string() };
-    let mut first = [0; 4];
-    let mut file = std::fs::File::open(path).map_err(fail)?;
-    let have = file.read(&mut first).map_err(fail)?;
-    let text = first[..have].trim_ascii_start();
-    Ok(&first[..have] == b"glTF" || text.first() == Some(&b'{'))
+    Ok(SplatKind::of(path)? == SplatKind::Gltf)
 }
 
 /// Reads Gaussians from a file of any known kind, recognized by its content.
 ///
-/// Logs a warning for each element of a glTF file that is left out.
+/// Logs a warning for each element of a file that is left out.
 ///
 /// # Errors
 /// If the file is of no known kind or damaged.
 pub fn read_splats(path: &Path) -> Result<Splats> {
-    if !is_gltf(path)? {
-        return Ok(Splats::read_ply(path)?);
+    match SplatKind::of(path)? {
+        SplatKind::Gltf => Ok(joined(gltf(path)?.parts)),
+        kind => Ok(in_scene(path, SplatFile::read(path, kind)?.0)),
     }
-    Ok(joined(gltf(path)?.parts))
+}
+
+fn warn(path: &Path, left_out: &[String]) {
+    for what in left_out {
+        tracing::warn!("{}: left out: {what}", path.display());
+    }
+}
+
+/// Undoes the transform that the file records, and logs what is left out.
+fn in_scene(path: &Path, file: SplatFile) -> Splats {
+    warn(path, &file.left_out);
+    match &file.transform {
+        Some(transform) => transformed(file.splats, &transform.inverse()),
+        None => file.splats,
+    }
 }
 
 fn gltf(path: &Path) -> Result<GltfScene> {
     let scene = GltfScene::read(path)?;
-    for what in &scene.left_out {
-        tracing::warn!("{}: left out: {what}", path.display());
-    }
+    warn(path, &scene.left_out);
     Ok(scene)
 }
 
@@ -74,15 +82,16 @@ fn gltf(path: &Path) -> Result<GltfScene> {
 /// If the file or its lights are of no known kind or damaged.
 pub fn read_exchange(path: &Path) -> Result<Exchange> {
     let environment = Some(beside(path, "environment.exr")).filter(|file| file.is_file());
-    if is_gltf(path)? {
+    let kind = SplatKind::of(path)?;
+    if kind == SplatKind::Gltf {
         let scene = gltf(path)?;
         let lights = lights_of(path, &scene)?;
-        return Ok(Exchange { splats: joined(scene.parts), lights, environment, format: "gltf" });
+        return Ok(Exchange { splats: joined(scene.parts), lights, environment, format: kind.name() });
     }
-    let (splats, dialect) = Splats::read_ply_dialect(path)?;
+    let (file, format) = SplatFile::read(path, kind)?;
     let lights = beside(path, "lights.json");
     let lights = if lights.is_file() { Some(read_light_list(&lights)?) } else { None };
-    Ok(Exchange { splats, lights, environment, format: dialect.name() })
+    Ok(Exchange { splats: in_scene(path, file), lights, environment, format })
 }
 
 /// Leaves out directional lights, which the published model does not shade. Logs their number.
@@ -118,46 +127,6 @@ pub fn read_light(path: &Path, size: u32) -> Result<RunLight> {
     let environment = if environment_map.is_file() { Some(Texels::read(&environment_map, size)?) } else { None };
     let visibility = if lights.is_some() { Visibility::Traced(Rays::default()) } else { Visibility::None };
     Ok(RunLight { lights, environment, visibility })
-}
-
-/// Writes Gaussians and light as PLY or glTF. Returns all files written.
-///
-/// Writes glTF if `dialect` is `None`.
-///
-/// # Errors
-/// If the dialect cannot represent the Gaussians, or a file cannot be written.
-pub fn write_exchange(
-    path: &Path,
-    splats: &Splats,
-    dialect: Option<PlyDialect>,
-    lights: Option<&LightList>,
-    environment: Option<&Path>,
-) -> Result<Vec<PathBuf>> {
-    let mut written = vec![path.to_owned()];
-    match (dialect, lights) {
-        (Some(dialect), _) => splats.write_ply_as(path, dialect)?,
-        (None, Some(list)) => {
-            let (lights, extras) = punctual(list);
-            write_gltf(path, splats, &lights, Some(&extras))?;
-        }
-        (None, None) => write_gltf(path, splats, &[], None)?,
-    }
-    if dialect.is_none() && path.extension().is_some_and(|e| e.eq_ignore_ascii_case("gltf")) {
-        written.push(beside(path, "bin"));
-    }
-    if let (Some(_), Some(lights)) = (dialect, lights) {
-        let file = beside(path, "lights.json");
-        write_light_list(&file, lights)?;
-        written.push(file);
-    }
-    if let Some(from) = environment {
-        let file = beside(path, "environment.exr");
-        let fail = |e: std::io::Error| RunError::File { path: from.to_owned(), reason: e.to_string() };
-        let bytes = std::fs::read(from).map_err(fail)?;
-        sgs_scene::atomic_write(&file, |out| std::io::Write::write_all(out, &bytes))?;
-        written.push(file);
-    }
-    Ok(written)
 }
 
 /// Transforms and joins all sets of Gaussians.

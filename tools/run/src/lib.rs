@@ -9,6 +9,7 @@ mod directory;
 mod emitters;
 mod error;
 mod exchange;
+mod export;
 pub mod floats;
 mod gltf_lights;
 pub mod harmonics;
@@ -26,6 +27,7 @@ mod rollback;
 mod shaded;
 mod shadows;
 mod stage;
+mod usd_lights;
 mod visibility;
 
 pub use classify::{Classes, Classifier, NO_RELEVANCE};
@@ -37,7 +39,8 @@ pub use emitters::{
     write_emitters,
 };
 pub use error::{Result, RunError, io_error, remove};
-pub use exchange::{Exchange, is_gltf, read_exchange, read_light, read_splats, write_exchange};
+pub use exchange::{Exchange, is_gltf, read_exchange, read_light, read_splats};
+pub use export::{Export, ExportFormat, write_exchange, write_export};
 pub use gltf_lights::{gltf_leaves_out, read_light_source};
 pub use head::SemanticHead;
 pub use known::{KnownEmitters, MOST_KNOWN};

@@ -10,11 +10,16 @@ const ROUGHNESS: f32 = 0.5;
 
 /// Scales, rotates and translates splats. Emitters and light gains belong to another scene and are dropped.
 pub fn placed(mut guest: Splats, how: &Placement) -> Splats {
+    (guest.emitters, guest.light_gains) = (None, None);
+    transformed(guest, how)
+}
+
+/// Scales, rotates and translates splats.
+pub(crate) fn transformed(mut guest: Splats, how: &Placement) -> Splats {
     let [w, x, y, z] = how.rotation;
     let q = DQuat::from_xyzw(x, y, z, w).normalize();
     let (scale, to) = (how.scale, DVec3::from(how.translation));
     let turn = |v: [f32; 3]| q * DVec3::from(v.map(f64::from));
-    (guest.emitters, guest.light_gains) = (None, None);
     guest.means.iter_mut().for_each(|m| *m = (turn(*m) * scale + to).as_vec3().to_array());
     guest.log_scales.iter_mut().flatten().for_each(|s| *s += (how.scale as f32).ln());
     for r in &mut guest.rotations {

@@ -8,37 +8,46 @@
 //! Invalid files cause a [`SceneError`], whose message is one sentence for the author of the file. Input never causes a
 //! panic. The crate depends on neither graphics devices nor training.
 
+mod activation;
 mod atomic;
 mod beside;
 mod camera;
 mod depth;
+mod dot_splat;
 mod error;
 mod exposure;
 mod gltf;
 mod ground_truth;
 mod image;
 mod json;
+mod ksplat;
 mod map_file;
 mod maps;
 mod noise;
+mod placement;
 mod ply;
 mod points;
 mod prior_settings;
 mod priors;
 mod reader;
 mod scene;
+mod sog;
+mod splat_kind;
 mod splats;
 mod split;
 mod split_rule;
+mod spz;
 mod unit;
+mod usd;
 mod view;
 
 pub use atomic::atomic_write;
 pub use beside::GroundTruthKind;
 pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR};
 pub use depth::DepthDefinition;
+pub use dot_splat::{read_splat, write_splat};
 pub use error::{Result, SceneError, is_storage_error};
-pub use gltf::{GltfScene, Placement, PunctualKind, PunctualLight, write_gltf};
+pub use gltf::{GltfScene, PunctualKind, PunctualLight, write_gltf};
 pub use ground_truth::GroundTruth;
 pub use image::{
     ExrImage, Image, NpyArray, encode_jpeg, encode_png, linear_to_srgb, names_exr_layer, read_environment, read_exr,
@@ -46,15 +55,21 @@ pub use image::{
     write_exr_layers, write_ids, write_npy_f16, write_npy_f32, write_png,
 };
 pub use json::read_json;
+pub use ksplat::read_ksplat;
 pub use map_file::NormalFrame;
 pub use maps::{FeatureMap, MaskedMap, RegionMap};
 pub use noise::Noise;
+pub use placement::Placement;
 pub use points::{Pcg, PointCloud, RandomBox};
 pub use priors::{TextEmbeddings, UnknownClass};
 pub use reader::Layout;
 pub use scene::{Scene, SceneOptions};
-pub use splats::{ALBEDO_RANGE, MOST_EMITTERS, PlyDialect, ROUGHNESS_RANGE, SH_C0, Splats};
+pub use sog::{is_sog_meta, read_sog, write_sog};
+pub use splat_kind::SplatKind;
+pub use splats::{ALBEDO_RANGE, MOST_EMITTERS, PlyDialect, ROUGHNESS_RANGE, SH_C0, SplatFile, Splats};
 pub use split::Split;
 pub use split_rule::SplitRule;
+pub use spz::{SpzVersion, read_spz, write_spz};
 pub use unit::Unit;
+pub use usd::{UsdLight, UsdShape, usd_leaves_out, write_usd};
 pub use view::{LoadOptions, Photograph, View};

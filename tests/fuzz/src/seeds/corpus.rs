@@ -9,8 +9,10 @@ use exr::prelude::{Blocks, Compression, Encoding, LineOrder, Vec2};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 use sgs_provider::{Array, Kind, Message};
-use sgs_run::{LightFile, SemanticHead, VisibilityFile, read_light_list, write_exchange};
-use sgs_scene::Splats;
+use sgs_run::{
+    Export, ExportFormat, LightFile, SemanticHead, VisibilityFile, read_light_list, write_exchange, write_export,
+};
+use sgs_scene::{Placement, PlyDialect, Splats, SpzVersion};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -176,7 +178,37 @@ fn models() -> Files {
     let gltf = folder.path("scene.gltf");
     write_exchange(&gltf, &read, None, None, None).expect("glTF is written");
     files.push(("gltf", "beside.gltf", std::fs::read(&gltf).expect("it is there")));
+    files.extend(packed(&read, &folder));
     files
+}
+
+/// Returns compressed splats that this and another program wrote.
+fn packed(splats: &Splats, folder: &crate::Place) -> Files {
+    let turned = Placement { scale: 2.0, rotation: [0.5, 0.5, 0.5, 0.5], translation: [1.0, 0.0, 0.0] };
+    let formats = [
+        ("spz", "own.spz", ExportFormat::Spz(SpzVersion::V4)),
+        ("spz", "own2.spz", ExportFormat::Spz(SpzVersion::V2)),
+        ("dot_splat", "own.splat", ExportFormat::Splat),
+        ("sog", "own.sog", ExportFormat::Sog),
+        ("sog_meta", "meta.json", ExportFormat::Sog),
+        ("splats_ply", "turned.ply", ExportFormat::Ply(PlyDialect::Own)),
+        ("gltf", "turned.glb", ExportFormat::Gltf),
+    ];
+    let own = formats.map(|(target, name, format)| {
+        let path = folder.path(name);
+        let export = Export { splats, format, lights: None, environment: None, transform: Some(&turned) };
+        write_export(&path, &export).expect("splats are written");
+        (target, name, std::fs::read(&path).expect("it is there"))
+    });
+    let foreign: [(&str, &str, &[u8]); 6] = [
+        ("spz", "raw.spz", include_bytes!("../../../../tools/scene/tests/foreign/minimal-raw.spz")),
+        ("spz", "v2.spz", include_bytes!("../../../../tools/scene/tests/foreign/minimal-v2.spz")),
+        ("spz", "v3.spz", include_bytes!("../../../../tools/scene/tests/foreign/minimal-v3.spz")),
+        ("spz", "v4.spz", include_bytes!("../../../../tools/scene/tests/foreign/minimal-v4.spz")),
+        ("dot_splat", "minimal.splat", include_bytes!("../../../../tools/scene/tests/foreign/minimal.splat")),
+        ("ksplat", "minimal.ksplat", include_bytes!("../../../../tools/scene/tests/foreign/minimal.ksplat")),
+    ];
+    own.into_iter().chain(foreign.map(|(target, name, bytes)| (target, name, bytes.to_vec()))).collect()
 }
 
 /// Returns a safetensors file of constant floats and 32-bit words.

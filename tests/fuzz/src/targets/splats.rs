@@ -61,3 +61,36 @@ pub(crate) fn gltf(bytes: &[u8]) -> String {
     });
     format!("{splats} {alone} {light} {all}")
 }
+
+/// Reads a file by its content, writes its splats as PLY, and reads them again.
+fn any(target: &'static str, name: &str, bytes: &[u8]) -> String {
+    let place = Place::of(target, |_| ());
+    let path = place.put(name, bytes);
+    text_of(read_exchange(&path), |exchange| {
+        let splats = sound(&exchange.splats);
+        let again = place.path("again.ply");
+        let back = exchange.splats.write_ply(&again).and_then(|()| Splats::read_ply(&again));
+        assert_eq!(back.map(|s| s.len()).ok(), Some(exchange.splats.len()), "splats come back");
+        format!("{} {splats}", exchange.format)
+    })
+}
+
+pub(crate) fn spz(bytes: &[u8]) -> String {
+    any("spz", "scene.spz", bytes)
+}
+
+pub(crate) fn dot_splat(bytes: &[u8]) -> String {
+    any("dot_splat", "scene.splat", bytes)
+}
+
+pub(crate) fn ksplat(bytes: &[u8]) -> String {
+    any("ksplat", "scene.ksplat", bytes)
+}
+
+pub(crate) fn sog(bytes: &[u8]) -> String {
+    any("sog", "scene.sog", bytes)
+}
+
+pub(crate) fn sog_meta(bytes: &[u8]) -> String {
+    any("sog_meta", "meta.json", bytes)
+}

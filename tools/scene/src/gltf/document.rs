@@ -101,6 +101,7 @@ pub(super) struct Node {
     pub(super) name: String,
     #[serde(default)]
     pub(super) extensions: BTreeMap<String, Value>,
+    pub(super) extras: Option<Value>,
 }
 
 /// The splat extension of a primitive.

@@ -14,6 +14,8 @@ mod nodes;
 mod read;
 mod write;
 
+use crate::activation::{METALLIC_RANGE, logistic, material, unit, unlogistic, unmaterial};
+use crate::placement::Placement;
 use crate::splats::Splats;
 
 pub use write::write_gltf;
@@ -34,22 +36,9 @@ pub struct GltfScene {
     pub light_extras: Option<serde_json::Value>,
     /// Descriptions of content that was skipped.
     pub left_out: Vec<String>,
-}
-
-/// Transform of a glTF node: scale, then rotation, then translation.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placement {
-    /// Scale factor of all lengths.
-    pub scale: f64,
-    /// Unit quaternion (w, x, y, z).
-    pub rotation: [f64; 4],
-    /// Position of the node's origin.
-    pub translation: [f64; 3],
-}
-
-impl Placement {
-    /// Identity transform.
-    pub const NONE: Placement = Placement { scale: 1.0, rotation: [1.0, 0.0, 0.0, 0.0], translation: [0.0; 3] };
+    /// Transform from the scene to the file, if the file records one.
+    /// Splats and lights are in the coordinates of the scene.
+    pub transform: Option<Placement>,
 }
 
 /// Kind of a punctual light. Angles are in radians, from the axis.
@@ -87,6 +76,13 @@ pub struct PunctualLight {
     pub extras: Option<serde_json::Value>,
 }
 
+impl PunctualLight {
+    /// Returns whether the intensity grows with the square of lengths.
+    fn has_intensity(&self) -> bool {
+        self.kind != PunctualKind::Directional
+    }
+}
+
 /// Returns the attribute name of a spherical-harmonics coefficient.
 fn sh_name(band: usize, coefficient: usize) -> String {
     format!("{SPLATTING}:SH_DEGREE_{band}_COEF_{coefficient}")
@@ -96,33 +92,4 @@ fn sh_name(band: usize, coefficient: usize) -> String {
 /// standard attribute.
 fn agrees(shown: f32, value: f64) -> bool {
     (f64::from(shown) - value).abs() <= 2e-7 * value.abs() + 1e-12
-}
-
-fn logistic(stored: f32) -> f64 {
-    1.0 / (1.0 + (-f64::from(stored)).exp())
-}
-
-/// Maps a stored value to a material in `range` (see [`crate::ALBEDO_RANGE`]).
-fn material(stored: f32, range: [f32; 2]) -> f64 {
-    f64::from(range[0]) + f64::from(range[1]) * logistic(stored)
-}
-
-/// Inverts [`logistic`], with finite results.
-fn unlogistic(value: f64) -> f32 {
-    let p = value.clamp(1e-6, 1.0 - 1e-6);
-    (p / (1.0 - p)).ln() as f32
-}
-
-fn unmaterial(value: f32, range: [f32; 2]) -> f32 {
-    unlogistic((f64::from(value) - f64::from(range[0])) / f64::from(range[1]))
-}
-
-/// Offset and span of metallic.
-const METALLIC_RANGE: [f32; 2] = [0.0, 1.0];
-
-/// Normalizes a quaternion (w, x, y, z); returns the identity if that is impossible.
-fn unit(q: [f32; 4]) -> [f64; 4] {
-    let q = q.map(f64::from);
-    let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
-    if length > 0.0 && length.is_finite() { q.map(|v| v / length) } else { [1.0, 0.0, 0.0, 0.0] }
 }

@@ -1,14 +1,22 @@
 //! Transforms of the nodes of a glTF file.
 
-use super::Placement;
 use super::document::{Document, Node};
+use crate::placement::Placement;
 use glam::{DMat4, DQuat, DVec3};
 
 /// Result whose error is a description of the problem.
 type Found<T> = std::result::Result<T, String>;
 
-/// Returns every node of the scene once, with its world matrix.
-pub(super) fn all(document: &Document) -> Found<Vec<(usize, DMat4)>> {
+/// Nodes of a scene with their matrices.
+pub(super) struct Nodes {
+    /// Every node once, in the coordinates of the scene that was exported.
+    pub(super) placed: Vec<(usize, DMat4)>,
+    /// Transform from that scene to the file, if a node records one.
+    pub(super) transform: Option<Placement>,
+}
+
+/// Returns every node of the scene once, with its world matrix. The transform that a node records is undone.
+pub(super) fn all(document: &Document) -> Found<Nodes> {
     let mut open: Vec<(usize, DMat4)> = match document.scenes.get(document.scene.unwrap_or(0)) {
         Some(scene) => scene.nodes.iter().map(|n| (*n, DMat4::IDENTITY)).collect(),
         // A document without scenes: start from all nodes that have no parent.
@@ -21,17 +29,36 @@ pub(super) fn all(document: &Document) -> Found<Vec<(usize, DMat4)>> {
     };
     let mut seen = vec![false; document.nodes.len()];
     let mut placed = Vec::new();
+    let mut transform = None;
     while let Some((index, above)) = open.pop() {
         let Some(node) = document.nodes.get(index) else { return Err(format!("there is no node {index}")) };
         if std::mem::replace(&mut seen[index], true) {
             return Err(format!("node {index} is reached twice"));
         }
-        let here = above * local(node);
+        let mut here = above * local(node);
+        if let Some(recorded) = recorded(node).map_err(|e| format!("node {index}: {e}"))? {
+            // An unchanged node leaves its children where the scene has them, to the last bit.
+            let same = above == DMat4::IDENTITY && here.abs_diff_eq(recorded.matrix(), 1e-9 * recorded.scale.max(1.0));
+            here = if same { DMat4::IDENTITY } else { recorded.inverse().matrix() * here };
+            transform = Some(recorded);
+        }
         open.extend(node.children.iter().map(|c| (*c, here)));
         placed.push((index, here));
     }
     placed.sort_by_key(|(index, _)| *index);
-    Ok(placed)
+    Ok(Nodes { placed, transform })
+}
+
+/// Returns the transform from the scene to the file that a node records.
+///
+/// It is in `extras.sgs.transform`.
+fn recorded(node: &Node) -> Found<Option<Placement>> {
+    let Some(value) = node.extras.as_ref().and_then(|extras| extras.get("sgs")?.get("transform")) else {
+        return Ok(None);
+    };
+    let wrong = |e: serde_json::Error| format!("its recorded transform is not as it must be: {e}");
+    let placement: Placement = serde_json::from_value(value.clone()).map_err(wrong)?;
+    placement.check().map(|()| Some(placement))
 }
 
 fn local(node: &Node) -> DMat4 {

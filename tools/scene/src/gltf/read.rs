@@ -37,7 +37,9 @@ impl GltfScene {
         let read = || -> Found<GltfScene> {
             let document = document(buffer::chunks(&bytes)?.0)?;
             let mut scene = GltfScene::default();
-            lights(&document, &nodes::all(&document)?, &mut scene)?;
+            let nodes = nodes::all(&document)?;
+            scene.transform = nodes.transform;
+            lights(&document, &nodes.placed, &mut scene)?;
             Ok(scene)
         };
         read().map_err(|problem| SceneError::points(path, "", problem))
@@ -60,8 +62,8 @@ fn read(path: &Path, bytes: &[u8]) -> Found<GltfScene> {
     }
     let buffers = buffer::buffers(path, &document, binary)?;
     let total: usize = buffers.iter().map(Vec::len).sum();
-    let placed = nodes::all(&document)?;
-    let mut scene = GltfScene::default();
+    let nodes::Nodes { placed, transform } = nodes::all(&document)?;
+    let mut scene = GltfScene { transform, ..GltfScene::default() };
     let mut meshes = 0_usize;
     let mut splats = 0_usize;
     for (index, matrix) in &placed {
@@ -260,7 +262,11 @@ fn lights(document: &Document, placed: &[(usize, DMat4)], scene: &mut GltfScene)
             }
         };
         let name = if light.name.is_empty() { &document.nodes[*index].name } else { &light.name };
-        scene.lights.push(punctual(light, kind, name, matrix).map_err(|e| format!("node {index}: {e}"))?);
+        let mut light = punctual(light, kind, name, matrix).map_err(|e| format!("node {index}: {e}"))?;
+        if let (Some(transform), true) = (&scene.transform, light.has_intensity()) {
+            light.intensity /= (transform.scale * transform.scale) as f32;
+        }
+        scene.lights.push(light);
     }
     if others > 0 {
         scene.left_out.push(format!("{others} lights of unknown kinds"));

@@ -4,6 +4,7 @@ use super::{LIGHTS, METALLIC_RANGE, PunctualKind, PunctualLight, SPLATTING, logi
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
 use crate::image::srgb_to_linear;
+use crate::placement::Placement;
 use crate::splats::{ALBEDO_RANGE, ROUGHNESS_RANGE, SH_C0, Splats};
 use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
@@ -25,9 +26,17 @@ struct Attribute<'a> {
 /// Writes splats and lights as `.glb`, or as `.gltf` with a `.bin` file. The `.bin` file has the same stem and
 /// directory.
 ///
+/// Splats and lights are in the coordinates of the scene. A node above them holds the transform from the scene to the file.
+///
 /// # Errors
 /// Fails if there are no splats, which glTF cannot express, if a `.glb` would exceed 4 GiB, or if writing fails.
-pub fn write_gltf(path: &Path, splats: &Splats, lights: &[PunctualLight], light_extras: Option<&Value>) -> Result<()> {
+pub fn write_gltf(
+    path: &Path,
+    splats: &Splats,
+    lights: &[PunctualLight],
+    light_extras: Option<&Value>,
+    transform: Option<&Placement>,
+) -> Result<()> {
     splats.check()?;
     if splats.is_empty() {
         let problem = "there are none, and glTF has no way to say so; write a PLY".into();
@@ -39,7 +48,11 @@ pub fn write_gltf(path: &Path, splats: &Splats, lights: &[PunctualLight], light_
     let binary = path.extension().is_none_or(|e| !e.eq_ignore_ascii_case("gltf"));
     let beside = path.with_extension("bin");
     let uri = (!binary).then(|| beside.file_name().unwrap_or_default().to_string_lossy().replace(' ', "%20"));
-    let document = document(splats, &attributes, total, uri, lights, light_extras);
+    let lights: Vec<PunctualLight> = lights.iter().map(|light| scaled(light, transform)).collect();
+    let mut document = document(splats, &attributes, total, uri, &lights, light_extras);
+    if let Some(transform) = transform {
+        place(&mut document, transform);
+    }
     let fill = |out: &mut dyn Write| -> io::Result<()> {
         let (mut row, mut bytes) = (Vec::new(), Vec::new());
         for attribute in &attributes {
@@ -152,6 +165,25 @@ fn punctual(light: &PunctualLight) -> (Value, Value) {
         PunctualKind::Directional => json!("directional"),
     };
     (node, object)
+}
+
+/// Returns a light whose intensity fits the lengths of the file.
+fn scaled(light: &PunctualLight, transform: Option<&Placement>) -> PunctualLight {
+    let by = transform.filter(|_| light.has_intensity()).map_or(1.0, |t| t.scale * t.scale);
+    PunctualLight { intensity: light.intensity * by as f32, ..light.clone() }
+}
+
+/// Adds a node with the transform above all others.
+fn place(document: &mut Value, transform: &Placement) {
+    let Placement { scale, rotation: [w, x, y, z], translation } = *transform;
+    let Some(nodes) = document["nodes"].as_array_mut() else { return };
+    let children: Vec<usize> = (0..nodes.len()).collect();
+    let root = children.len();
+    nodes.push(json!({
+        "name": "scene", "scale": [scale, scale, scale], "rotation": [x, y, z, w], "translation": translation,
+        "children": children, "extras": {"sgs": {"transform": transform}},
+    }));
+    document["scenes"] = json!([{"nodes": [root]}]);
 }
 
 fn document(

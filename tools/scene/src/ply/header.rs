@@ -75,6 +75,8 @@ pub(crate) struct Header {
     pub(crate) skip_lines: u64,
     /// Offset of the end of the header in bytes.
     pub(crate) end: u64,
+    /// Texts of the comments.
+    pub(crate) comments: Vec<String>,
 }
 
 #[derive(Default)]
@@ -93,6 +95,7 @@ pub(crate) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
     let mut end = 0;
     let mut line_number = 0_u64;
     let mut raw = Vec::new();
+    let mut comments = Vec::new();
     loop {
         raw.clear();
         let mut limited = std::io::Read::take(&mut *reader, MAX_HEADER - end.min(MAX_HEADER));
@@ -139,7 +142,8 @@ pub(crate) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
                 element.properties.push(Property { name: name.into(), scalar });
             }
             ["end_header"] => break,
-            ["ply"] | ["comment" | "obj_info", ..] | [] => {}
+            ["comment", ref text @ ..] => comments.push(text.join(" ")),
+            ["ply"] | ["obj_info", ..] | [] => {}
             _ => {
                 return Err(fail(format!("\"{}\" is no line of a PLY header", line.trim())));
             }
@@ -148,7 +152,7 @@ pub(crate) fn read(path: &Path, reader: &mut impl BufRead) -> Result<Header> {
     let format = format.ok_or_else(|| {
         SceneError::points(path, "", "the header names no format; the file is damaged or not a PLY file")
     })?;
-    resolve(path, format, elements, end, line_number)
+    Ok(Header { comments, ..resolve(path, format, elements, end, line_number)? })
 }
 
 /// Finds the vertex element and the sizes of the elements before it.
@@ -161,7 +165,7 @@ fn resolve(path: &Path, format: Format, elements: Vec<Element>, end: u64, lines:
                 return Err(fail(format!("the vertices have the list property \"{list}\"; export them without it")));
             }
             let Element { count, properties, .. } = element;
-            return Ok(Header { format, count, properties, skip_bytes, skip_lines, end });
+            return Ok(Header { format, count, properties, skip_bytes, skip_lines, end, comments: Vec::new() });
         }
         if element.list.is_some() && format != Format::Ascii {
             let problem =

@@ -65,6 +65,11 @@ impl VertexTable {
         self.header.count as usize
     }
 
+    /// Returns the texts of the header's comments.
+    pub(crate) fn comments(&self) -> &[String] {
+        &self.header.comments
+    }
+
     /// Returns the index of a property.
     pub(crate) fn find(&self, name: &str) -> Option<usize> {
         self.places.get(name).copied()

@@ -4,13 +4,17 @@
 //! splats ([`Splats::read_ply`], [`Splats::write_ply`]) and creates initial ones from points ([`Splats::from_points`]).
 //! Rendering is not part of this crate.
 
+mod comments;
 mod dialect;
+mod file;
 mod initial;
 mod layout;
 mod read;
 mod write;
 
 pub use dialect::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE};
+pub(crate) use file::ANTIALIASED;
+pub use file::SplatFile;
 
 use crate::error::{Result, SceneError};
 

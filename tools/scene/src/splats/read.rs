@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::dialect::{LIGHT_GAIN, Names, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, albedo_of_color};
 use super::layout::{degree_of_rest, place_of_rest};
-use super::{MOST_EMITTERS, PlyDialect, Splats};
+use super::{MOST_EMITTERS, PlyDialect, SplatFile, Splats, comments};
 use crate::error::Result;
 use crate::ply::{Scalar, VertexTable};
 
@@ -35,7 +35,19 @@ impl Splats {
     /// Reads a PLY file as [`Splats::read_ply`] and returns its dialect. Materials are converted to this project's
     /// encoding.
     pub fn read_ply_dialect(path: &Path) -> Result<(Self, PlyDialect)> {
+        Self::read_table(VertexTable::open(path)?)
+    }
+
+    /// Reads a PLY file as [`Splats::read_ply_dialect`], with its comments.
+    pub fn read_ply_file(path: &Path) -> Result<(SplatFile, PlyDialect)> {
         let table = VertexTable::open(path)?;
+        let transform = comments::transform(table.comments()).map_err(|problem| table.fail("", problem))?;
+        let left_out = comments::left_out(table.comments());
+        let (splats, dialect) = Self::read_table(table)?;
+        Ok((SplatFile { splats, transform, left_out }, dialect))
+    }
+
+    fn read_table(table: VertexTable) -> Result<(Self, PlyDialect)> {
         let mut wanted = table.need(&["x", "y", "z", "scale_0", "scale_1", "scale_2"], PURPOSE)?;
         wanted.extend(table.need(&["rot_0", "rot_1", "rot_2", "rot_3", "opacity"], PURPOSE)?);
         wanted.extend(table.need(&["f_dc_0", "f_dc_1", "f_dc_2"], PURPOSE)?);

@@ -5,9 +5,10 @@ use std::path::Path;
 
 use super::dialect::{Code, LIGHT_GAIN, OWN_ALBEDO, OWN_METALLIC, OWN_ROUGHNESS, color_of_albedo};
 use super::layout::{REST, place_of_rest};
-use super::{PlyDialect, Splats};
+use super::{PlyDialect, Splats, comments};
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
+use crate::placement::Placement;
 
 /// Source of the values of a property.
 enum Source {
@@ -65,13 +66,25 @@ impl Splats {
     /// # Errors
     /// Fails if the dialect requires materials and these splats have none.
     pub fn write_ply_as(&self, path: &Path, dialect: PlyDialect) -> Result<()> {
+        self.write_ply_placed(path, dialect, None)
+    }
+
+    /// Writes a PLY file as [`Splats::write_ply_as`], with a transform.
+    ///
+    /// A comment records the transform from the scene to the file.
+    ///
+    /// # Errors
+    /// Fails if the dialect requires materials and these splats have none.
+    pub fn write_ply_placed(&self, path: &Path, dialect: PlyDialect, transform: Option<&Placement>) -> Result<()> {
         self.check()?;
         if dialect.needs_materials() && (self.albedo.is_none() || self.roughness.is_none()) {
             let problem = format!("they have no materials, which {} files hold; write 3dgs instead", dialect.name());
             return Err(SceneError::Data { what: "the splats", problem });
         }
         let columns = self.columns(dialect);
-        let mut header = format!("ply\nformat binary_little_endian 1.0\nelement vertex {}\n", self.len());
+        let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
+        header.push_str(&comments::lines(transform));
+        header.push_str(&format!("element vertex {}\n", self.len()));
         columns.iter().for_each(|(name, _)| header.push_str(&format!("property float {name}\n")));
         header.push_str("end_header\n");
         atomic_write(path, |out| {

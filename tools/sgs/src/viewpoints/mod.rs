@@ -116,7 +116,7 @@ impl ViewpointArgs {
 /// The direction is perpendicular to the cameras' horizontal axes and close to the mean of the cameras' up
 /// directions. The mean alone is tilted if all cameras look down in similar directions. If the horizontal axes are
 /// parallel, the component of the mean perpendicular to them remains.
-fn up_of(cameras: &[Camera]) -> DVec3 {
+pub(crate) fn up_of(cameras: &[Camera]) -> DVec3 {
     let count = cameras.len().max(1) as f64;
     let (mut level, mut mean) = (DMat3::IDENTITY * 1e-3, DVec3::ZERO);
     for camera in cameras {
