@@ -25,6 +25,9 @@ use std::ops::Range;
 /// Bits of the widest digit.
 const MAX_DIGIT_BITS: u32 = 8;
 
+/// Elements of a block that leave 1 KiB of 16 KiB for the places of 256 digits.
+const SHARED_ELEMENTS: u32 = 3840;
+
 /// Largest number of subgroups whose counters fit in shared memory.
 const MAX_SUBGROUPS: u32 = 32;
 
@@ -80,7 +83,8 @@ impl From<Tuning> for SortShape {
             }
         } else {
             let workgroup = workgroup.min(MAX_SUBGROUPS * subgroup_size);
-            let items = (4096 / workgroup).max(1);
+            // Elements and the places of digits then take 16 KiB of shared memory.
+            let items = (SHARED_ELEMENTS / workgroup).max(1);
             let copies = (workgroup / subgroup_size).min(8);
             SortShape { subgroup_size, workgroup, items, digit_bits, copies, direct: false }
         }
