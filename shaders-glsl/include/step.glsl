@@ -52,4 +52,5 @@ struct Step {
     uint gather_statistics;
     // the region that this step is about, as region maps number it: 1 to 65535, 0 is none
     uint region;
+    uint region_offset; // first pixel of this view in the buffer of region maps
 };
