@@ -9,7 +9,7 @@
 //!   the first pass reads 4; the last pass writes 4 if the caller does not need the keys. On devices with subgroups of
 //!   at most 8 (CPUs) `radix_scatter_direct` does the same without shared memory for whole blocks.
 //!
-//! The total is 20 bytes per element and digit, and 16 per value of the digit and *block*: 1 byte per element at 8
+//! The total is 20 bytes per element and digit, and 16 per value of the digit and *block*: about 1 byte per element at 8
 //! bits.
 //!
 //! The range is split into as few digits as possible, of nearly equal width: 9 bits become 5 + 4, not 8 + 1.
