@@ -52,6 +52,7 @@ struct Step {
     uint gather_statistics;
     // the region that this step is about, as region maps number it: 1 to 65535, 0 is none
     uint region;
+    uint region_offset; // first pixel of this view in the buffer of region maps
     // learned cameras and colors: the view's place among them, and their learning rates
     uint view;
     float lr_turn;           // radians

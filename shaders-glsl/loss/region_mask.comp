@@ -22,7 +22,7 @@ void main() {
     // Id 0 is no region, and ids have at most 16 bits.
     if (region - 1u < 0xffffu && first < pixels) {
         uint count = min(pixels - first, 32u);
-        uint at = params.step.target_offset + first, odd = at & 1u;
+        uint at = params.step.region_offset + first, odd = at & 1u;
         for (uint i = 0u; 2u * i < count + odd; i++) {
             uint pair = ids[at / 2u + i] ^ region * 0x10001u;
             uint equal = uint((pair & 0xffffu) == 0u) | uint(pair >> 16u == 0u) << 1u;

@@ -2,7 +2,7 @@
 //
 // Each subgroup has a run of SUBGROUP * ITEMS elements and its own digit counters, so the order within a run, between runs
 // and between blocks is preserved. Elements are ordered in shared memory first, so that stores are contiguous for each
-// digit.
+// digit. Shared memory is used twice: for counters and their sums, then for the elements.
 #version 460
 #include "common.glsl"
 #include "work.glsl"
@@ -18,7 +18,6 @@ layout(local_size_x_id = 0) in;
 layout(push_constant, scalar) uniform Push { uint limit; uint shift; uint stride; } push;
 
 #include "../prim/count.glsl"
-#include "../prim/group_scan.glsl"
 #include "../prim/radix.glsl"
 IN(uint, totals); // by digit
 IN(uint, counts); // by digit, `stride` words each, then by block: in all blocks before it
@@ -30,13 +29,24 @@ OUT(uint, values_sorted);
 // Two counters a word: 16 bits are enough for a block.
 const uint PAIRS = (BINS + 1u) / 2u;
 const uint BLOCK = WORKGROUP * ITEMS;
-const uint COUNTERS = SUBGROUPS * PAIRS;
-const uint POOL = COUNTERS > BLOCK ? COUNTERS : BLOCK;
+const uint COUNTERS = WORKGROUP / SUBGROUP * PAIRS;
+const uint STARTS = COUNTERS;
+const uint SUMS = STARTS + 2u * PAIRS;
+const uint COUNTED = SUMS + 2u * (WORKGROUP / SUBGROUP);
+const uint POOL = COUNTED > BLOCK ? COUNTED : BLOCK;
 
-shared uint pool[POOL];   // counters by subgroup and digit, then the elements in their new order
-shared uint pairs[PAIRS]; // of the block by digit, two a word
-shared uint starts[BINS]; // first position of a digit in the block
-shared uint shifts[BINS]; // from a position in the block to one in the output
+// First the counters by subgroup and digit; from STARTS the number of each digit in the block, then its first position in
+// the block; from SUMS the sums of the scan. Then the elements in their new order.
+shared uint pool[POOL];
+shared uint shifts[BINS]; // by digit: from a position in the block to one in the output
+
+#define GROUP_SCAN_STORAGE
+void store_group_sum(uint subgroup, uvec2 sum) {
+    pool[SUMS + 2u * subgroup] = sum.x;
+    pool[SUMS + 2u * subgroup + 1u] = sum.y;
+}
+uvec2 load_group_sum(uint subgroup) { return uvec2(pool[SUMS + 2u * subgroup], pool[SUMS + 2u * subgroup + 1u]); }
+#include "../prim/group_scan.glsl"
 
 uint half_of(uint word, uint digit) { return word >> (digit % 2u * 16u) & 0xFFFFu; }
 
@@ -80,19 +90,20 @@ void main() {
             pool[s * PAIRS + pair] = sum;
             sum += added;
         }
-        pairs[pair] = sum;
+        pool[STARTS + 2u * pair] = sum & 0xFFFFu;
+        pool[STARTS + 2u * pair + 1u] = sum >> 16u;
     }
     barrier();
     uvec2 carry = uvec2(0u);
     for (uint start = 0u; start < BINS; start += WORKGROUP) {
         uint digit = start + group_rank();
         uvec2 here = uvec2(0u); // everywhere, in this block
-        if (digit < BINS) here = uvec2(totals[digit], half_of(pairs[digit / 2u], digit));
+        if (digit < BINS) here = uvec2(totals[digit], pool[STARTS + digit]);
         uvec2 all;
         uvec2 before = carry + group_exclusive_sum(here, all);
         carry += all;
         if (digit < BINS) {
-            starts[digit] = before.y;
+            pool[STARTS + digit] = before.y;
             shifts[digit] = before.x + counts[digit * push.stride + block] - before.y;
         }
     }
@@ -100,7 +111,7 @@ void main() {
 
     [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {
         uint digit = digit_of(own[k]);
-        places[k] += half_of(pool[gl_SubgroupID * PAIRS + digit / 2u], digit) + starts[digit];
+        places[k] += half_of(pool[gl_SubgroupID * PAIRS + digit / 2u], digit) + pool[STARTS + digit];
     }
     barrier();
     [[unroll]] for (uint k = 0u; k < ITEMS; ++k) {

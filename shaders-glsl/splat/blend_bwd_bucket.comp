@@ -127,6 +127,8 @@ void main() {
             float T = -1.0, R = 0.0, statistic_R = 0.0;
             uint previous = (lane + SUBGROUP - 1u) % SUBGROUP;
             for (uint r = 0u; r < pixels + SUBGROUP - 1u; ++r) {
+                // The last lane writes a pixel's state SUBGROUP - 1 rounds after the first lane has read it.
+                if (BUCKET > BATCH && r % (SUBGROUP / 2u) == 0u) subgroupBarrier();
                 T = subgroupShuffle(T, previous);
                 R = subgroupShuffle(R, previous);
                 if (STATISTIC_FLOATS > 0u) statistic_R = subgroupShuffle(statistic_R, previous);

@@ -60,9 +60,6 @@ const SKIPPED: &[&str] = &[
     "learned_views::moved_cameras_and_exposures_are_found",
     // A few blocks of narrow subgroups are its subject.
     "traced_lights::results_are_independent_of_stretches",
-    // Lanes of `blend_bwd_bucket` hand pixels on by shuffles. Only this orders a read of their shared state before the write for
-    // the next entries of a large bucket, which the emulator does not know.
-    "tile_parts::parts_keep_the_bits_of_large_buckets",
     // They take long.
     "correspondence::correspondence_at_extremes",
     "loss_properties::material_losses_match_reference",
@@ -89,8 +86,6 @@ const SKIPPED: &[&str] = &[
     "transport_shade::many_lights_and_no_lights_match_reference",
     "transport_shade::radiance_and_gradients_match_reference",
     "visibility_bwd::sampled_pairs_are_unbiased",
-    // Values of ten amplify the rounding of sums of products, whose order is the compiler's.
-    "loss::photometric_at_extremes",
 ];
 
 /// Kernels with subgroup operations that do not run here, and the reason.

@@ -9,7 +9,7 @@ use super::instance::Instance;
 use super::objects::{ObjectKind, Objects};
 use super::pipeline::{Compiler, Pipelines};
 use super::statistics::{self, KernelStatistics};
-use super::{DeviceInfo, Feature, FeatureStructs, Requirements, select};
+use super::{DeviceInfo, Feature, FeatureStructs, Requirements, describe, select};
 use crate::error::{Error, Result};
 use crate::shader::Shader;
 use ash::khr::pipeline_executable_properties::Device as StatisticsApi;
@@ -42,7 +42,7 @@ impl CompileOnlyDevice {
     pub fn open(requested: Option<&str>, objects: Objects) -> Result<CompileOnlyDevice> {
         let gate = Gate::new(Default::default(), objects);
         let instance = Instance::new(false, &[], &gate)?;
-        let mut candidates = select::candidates(&instance, &gate)?;
+        let mut candidates = describe::candidates(&instance, &gate)?;
         for candidate in &mut candidates {
             let of_execution = |name: &String| OF_EXECUTION.iter().any(|f| f.name() == name);
             candidate.info.missing.retain(|name| !of_execution(name));
@@ -63,7 +63,7 @@ impl CompileOnlyDevice {
         CompileOnlyDevice::create(instance, selected, gate)
     }
 
-    fn create(instance: Arc<Instance>, selected: select::Candidate, gate: Gate) -> Result<CompileOnlyDevice> {
+    fn create(instance: Arc<Instance>, selected: describe::Candidate, gate: Gate) -> Result<CompileOnlyDevice> {
         let info = selected.info;
         let needs = Requirements::new(info.clone(), selected.queue_family);
         // What execution needs changes no kernel, and the device may lack it.

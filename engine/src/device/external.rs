@@ -8,7 +8,7 @@ use super::fault::{Faults, Gate};
 use super::instance::Instance;
 use super::objects::Objects;
 use super::requirements::{API_VERSION, Feature, Requirements};
-use super::{Device, DeviceOptions, RawDevice, select};
+use super::{Device, DeviceOptions, RawDevice, describe};
 use crate::error::{Error, Result};
 use ash::vk;
 use std::ffi::CStr;
@@ -118,7 +118,7 @@ pub unsafe fn requirements(host: &HostInstance) -> Result<Requirements> {
 ///
 /// # Safety
 /// As for [`requirements`].
-unsafe fn find_candidate(host: &HostInstance, gate: &Gate) -> Result<(Arc<Instance>, select::Candidate)> {
+unsafe fn find_candidate(host: &HostInstance, gate: &Gate) -> Result<(Arc<Instance>, describe::Candidate)> {
     let refuse = |reason: &str| Err(Error::Host(reason.to_owned()));
     if host.instance == vk::Instance::null() {
         return refuse("the instance is null");
@@ -134,7 +134,7 @@ unsafe fn find_candidate(host: &HostInstance, gate: &Gate) -> Result<(Arc<Instan
     }
     // SAFETY: as the caller promises; the functions that matter were found above.
     let instance = unsafe { Instance::borrow(host.get_instance_proc_addr, host.instance, host.debug_utils) };
-    let candidate = select::candidates(&instance, gate)?.into_iter().find(|c| c.physical == host.physical_device);
+    let candidate = describe::candidates(&instance, gate)?.into_iter().find(|c| c.physical == host.physical_device);
     match candidate {
         Some(candidate) => Ok((instance, candidate)),
         None => refuse("the physical device does not belong to the instance"),
@@ -167,7 +167,7 @@ impl Device {
         info.missing.extend(not_enabled.map(|f| format!("{} (not enabled by the host)", f.name())));
         let control = host.features.contains(&Feature::SubgroupSizeControl);
         if info.optional.subgroup_size_control {
-            info.missing.extend(select::missing_size_control(control, info.subgroup_sizes));
+            info.missing.extend(describe::missing_size_control(control, info.subgroup_sizes));
         }
         if !info.missing.is_empty() {
             return Err(Error::MissingFeatures { device: info.name, missing: info.missing });

@@ -2,8 +2,9 @@
 
 use super::Environment;
 use super::fault::Gate;
+use super::info::DeviceInfo;
 use super::instance::Instance;
-use super::select::{self, DeviceInfo};
+use super::{describe, select};
 use crate::allocator::available;
 use crate::error::Result;
 
@@ -23,7 +24,7 @@ pub struct FoundDevice {
 pub fn devices() -> Result<Vec<DeviceInfo>> {
     let gate = Gate::default();
     let instance = Instance::new(false, &[], &gate)?;
-    Ok(select::candidates(&instance, &gate)?.into_iter().map(|c| c.info).collect())
+    Ok(describe::candidates(&instance, &gate)?.into_iter().map(|c| c.info).collect())
 }
 
 /// Finds the device that a request names, without opening it.
@@ -35,7 +36,7 @@ pub fn devices() -> Result<Vec<DeviceInfo>> {
 pub fn find_device(select: Option<&str>) -> Result<FoundDevice> {
     let gate = Gate::default();
     let instance = Instance::new(false, &[], &gate)?;
-    let chosen = select::choose(select::candidates(&instance, &gate)?, select, &Environment::current())?;
+    let chosen = select::choose(describe::candidates(&instance, &gate)?, select, &Environment::current())?;
     let (info, raw) = (chosen.info, &instance.raw);
     let available_bytes = available(raw, chosen.physical, info.memory_bytes, info.optional.memory_budget);
     Ok(FoundDevice { info, available_bytes })

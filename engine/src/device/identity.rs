@@ -4,7 +4,7 @@
 //! Vulkan devices: UUIDs as they are, indices by the UUIDs of `nvidia-smi` or by PCI address. It guesses nothing. If a
 //! variable could mean several devices, the choice is refused.
 
-use super::select::DeviceInfo;
+use super::info::DeviceInfo;
 use crate::error::{Error, Result};
 use serde::Serialize;
 
@@ -247,7 +247,7 @@ pub(super) fn uuid_text(bytes: &[u8; 16]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::device::select::tests::device;
+    use crate::device::info::tests::device;
 
     /// Returns two NVIDIA devices, one of AMD and a processor. The loader lists NVIDIA's in the reverse order of their addresses.
     fn machine() -> Vec<DeviceInfo> {

@@ -7,11 +7,13 @@ mod allocation;
 mod cache;
 mod compile_only;
 mod deferred;
+mod describe;
 mod driver_files;
 pub mod external;
 pub mod fault;
 mod find;
 mod identity;
+mod info;
 mod instance;
 mod limits;
 mod local_size;
@@ -32,6 +34,7 @@ pub use external::{HostDevice, HostInstance, HostQueue, QueueLock, requirements}
 pub use fault::{Fault, FaultKind, Faults};
 pub use find::{FoundDevice, devices, find_device};
 pub use identity::{Environment, Selection, select_auto};
+pub use info::{DeviceInfo, MatrixShape, OptionalFeatures};
 pub(crate) use instance::Instance;
 pub use instance::Messages;
 pub use limits::Limits;
@@ -42,7 +45,6 @@ pub use planning::PlannedGpu;
 use queue::Queue;
 pub(crate) use queue::semaphore;
 pub use requirements::{API_VERSION, Feature, FeatureStructs, OPTIONAL_EXTENSIONS, Requirements};
-pub use select::{DeviceInfo, MatrixShape, OptionalFeatures};
 pub use statistics::{KernelStatistics, Statistic};
 pub use surface::{Surface, Window};
 pub(crate) use transfer_queue::{TransferQueue, TransferTicket};
@@ -161,7 +163,7 @@ impl Device {
     pub fn open(options: &DeviceOptions) -> Result<Device> {
         let gate = Gate::new(options.faults.clone(), options.objects.clone());
         let instance = Instance::new(options.validation, &[], &gate)?;
-        let candidates = select::candidates(&instance, &gate)?;
+        let candidates = describe::candidates(&instance, &gate)?;
         let selected = select::choose(candidates, options.select.as_deref(), &Environment::current())?;
         Device::make(instance, selected, &[], gate, options)
     }
@@ -169,7 +171,7 @@ impl Device {
     /// Opens a selected device with extra extensions.
     fn make(
         instance: Arc<Instance>,
-        selected: select::Candidate,
+        selected: describe::Candidate,
         extra_extensions: &[&'static CStr],
         gate: Gate,
         options: &DeviceOptions,

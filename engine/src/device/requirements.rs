@@ -4,7 +4,7 @@
 //! [`Device::open`](super::Device::open) and [`Device::adopt`](super::Device::adopt) check against the same list. The
 //! caller creates the device.
 
-use super::select::{DeviceInfo, OptionalFeatures};
+use super::info::{DeviceInfo, OptionalFeatures};
 use ash::{ext, khr, vk};
 use std::ffi::CStr;
 

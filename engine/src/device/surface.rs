@@ -7,7 +7,7 @@ use super::fault::Gate;
 use super::identity::Environment;
 use super::instance::Instance;
 use super::objects::ObjectKind;
-use super::{Device, DeviceOptions, select};
+use super::{Device, DeviceOptions, describe, select};
 use crate::error::{Error, Result};
 use ash::{khr, vk};
 use raw_window_handle::{HasDisplayHandle, HasWindowHandle};
@@ -57,7 +57,7 @@ impl Surface {
     }
 
     /// Selects a queue family of the candidate that can present. Records a missing feature if none can.
-    fn select_queue_family(&self, candidate: &mut select::Candidate, gate: &Gate) -> Result<()> {
+    fn select_queue_family(&self, candidate: &mut describe::Candidate, gate: &Gate) -> Result<()> {
         let api = &self.instance.raw;
         // SAFETY: the physical device comes from this instance.
         let families = unsafe { api.get_physical_device_queue_family_properties(candidate.physical) };
@@ -96,7 +96,7 @@ impl Device {
         let gate = Gate::new(options.faults.clone(), options.objects.clone());
         let instance = Instance::new(options.validation, &extensions(&*window)?, &gate)?;
         let surface = Surface::new(&instance, &gate, window)?;
-        let mut candidates = select::candidates(&instance, &gate)?;
+        let mut candidates = describe::candidates(&instance, &gate)?;
         for candidate in &mut candidates {
             surface.select_queue_family(candidate, &gate)?;
         }

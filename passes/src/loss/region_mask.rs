@@ -47,14 +47,14 @@ impl Default for CarryOptions {
     }
 }
 
-/// Packs region ids, two per word, the lower half first. Views follow each other by pixels, as their photographs do; a
-/// view may begin in the middle of a word.
+/// Packs region ids, two per word, the lower half first. Views follow each other by pixels; a view may begin in the
+/// middle of a word.
 pub fn pack_regions(ids: &[u16]) -> Vec<u32> {
     ids.chunks(2).map(|pair| u32::from(pair[0]) | u32::from(pair.get(1).copied().unwrap_or(0)) << 16).collect()
 }
 
 /// Adds the pass that marks the step's region in the training view. Pixel p belongs to the region if the id at
-/// `target_offset` + p of `ids` ([`pack_regions`]) is the step's `region`, which is not 0. `into`: [`wanted_words`] of
+/// `region_offset` + p of `ids` ([`pack_regions`]) is the step's `region`, which is not 0. `into`: [`wanted_words`] of
 /// the largest view.
 ///
 /// # Errors

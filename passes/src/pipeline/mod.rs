@@ -28,7 +28,7 @@ pub use geometry::{
 pub use intrinsic::{
     COPIES, EnvironmentMemory, EnvironmentRefresh, IntrinsicInputs, IntrinsicOptions, IntrinsicParameters,
     IntrinsicRates, IntrinsicSizes, IntrinsicStatus, IntrinsicStep, IntrinsicStepValues, LightTrainables, RelitOptions,
-    RelitView, StoredEnvironment, TransportTrainables, TransportTraining,
+    RelitView, StoredEnvironment, TransportTrainables, TransportTraining, ViewImages,
 };
 pub use labeler::{FeatureImage, LabelMap, Labeler, Query};
 pub use lit::{Lighting, LitEnvironment, LitFrame, LitLayer, LitOptions, LitScene, LitView};

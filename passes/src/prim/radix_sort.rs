@@ -9,7 +9,7 @@
 //!   the first pass reads 4; the last pass writes 4 if the caller does not need the keys. On devices with subgroups of
 //!   at most 8 (CPUs) `radix_scatter_direct` does the same without shared memory for whole blocks.
 //!
-//! The total is 20 bytes per element and digit, and 16 per value of the digit and *block*: 1 byte per element at 8
+//! The total is 20 bytes per element and digit, and 16 per value of the digit and *block*: about 1 byte per element at 8
 //! bits.
 //!
 //! The range is split into as few digits as possible, of nearly equal width: 9 bits become 5 + 4, not 8 + 1.
@@ -24,6 +24,9 @@ use std::ops::Range;
 
 /// Bits of the widest digit.
 const MAX_DIGIT_BITS: u32 = 8;
+
+/// Elements of a block that leave 1 KiB of 16 KiB for the places of 256 digits.
+const SHARED_ELEMENTS: u32 = 3840;
 
 /// Largest number of subgroups whose counters fit in shared memory.
 const MAX_SUBGROUPS: u32 = 32;
@@ -80,7 +83,8 @@ impl From<Tuning> for SortShape {
             }
         } else {
             let workgroup = workgroup.min(MAX_SUBGROUPS * subgroup_size);
-            let items = (4096 / workgroup).max(1);
+            // Elements and the places of digits then take 16 KiB of shared memory.
+            let items = (SHARED_ELEMENTS / workgroup).max(1);
             let copies = (workgroup / subgroup_size).min(8);
             SortShape { subgroup_size, workgroup, items, digit_bits, copies, direct: false }
         }

@@ -7,13 +7,16 @@ use sgs_engine::device::Limits;
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::Graph;
 use sgs_engine::{Device, DeviceOptions, Error, Location};
+use sgs_passes::pipeline::IntrinsicReport;
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_shaders::BindingKind;
 use sgs_tests::kernels::kernel;
+use sgs_tests::meaning::Meaning;
 use sgs_tests::place::Place;
+use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
 use sgs_tests::turn;
-use sgs_train::{Geometry, Intrinsic, TrainError};
+use sgs_train::{Geometry, Intrinsic, Progress, TrainError};
 use std::sync::Arc;
 
 fn open(limits: Limits) -> Device {
@@ -121,9 +124,9 @@ fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
         assert_untouched(&device);
     }
     let splats = Splats::from_points(&scene.points, 0).unwrap();
-    let device = open(Limits { buffer: photographs - 1, ..Default::default() });
+    let device = open(Limits { buffer: photograph - 1, ..Default::default() });
     let error = Intrinsic::new(&device, &scene, &s, &splats).err().unwrap();
-    assert!(error.to_string().starts_with("The photographs need 18432 bytes in one buffer"), "{error}");
+    assert!(error.to_string().starts_with("The pixels of a photograph need 3072 bytes in one buffer"), "{error}");
     assert_untouched(&device);
     // After the photographs, the intermediate buffers of a step are checked.
     let device = open(Limits { buffer: photographs, ..Default::default() });
@@ -133,25 +136,102 @@ fn trainings_beyond_a_limit_are_refused_before_they_allocate() {
     assert_untouched(&device);
 }
 
-/// Photographs beyond a binding take several buffers. Training has the same bits, and records each step once per buffer.
+/// Limit of a binding that only the photographs of [`many_views`] exceed.
+const SPLIT: Limits = Limits { storage_range: 1070 << 10, ..UNLIMITED };
+const UNLIMITED: Limits =
+    Limits { storage_range: u64::MAX, buffer: u64::MAX, allocation: u64::MAX, storage_buffers: u32::MAX };
+
+/// Room whose 90 training views have photographs of 1080 KiB.
+fn many_views() -> Room {
+    Room { views: 120, size: [64, 48], spacing: 8, priors: true, ..Room::default() }
+}
+
+/// Photographs beyond a binding take several buffers, and train the same bits.
+///
+/// Each step is recorded once per buffer. Regions of the views, which take one buffer, are still found.
 #[test]
 fn photographs_in_several_buffers_train_the_same_bits() {
     let _turn = turn();
-    let place = Place::new(Room { views: 120, size: [64, 48], spacing: 8, priors: true, ..Room::default() });
+    // Features and semantic targets take one buffer each: few Gaussians, and few samples of a view, keep within it.
+    let room = many_views();
+    let place = Place::new(room);
+    Meaning { masks: true, stride: 32, ..Meaning::default() }.write(&room, &place.path("scene"));
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = Settings::default();
     (s.geometry.steps, s.geometry.densify.until) = (40, 0.0);
     s.geometry.sh_degree = ShDegree::Fixed(0);
-    let train = |limits: Limits| {
+    (s.geometry.correspondence_from, s.geometry.pseudo.poses) = (21, 3);
+    s.geometry.entry_capacity = 5000;
+    let start = Splats::from_points(&scene.points, 0).unwrap().strongest(400);
+    let train = |limits: Limits, coarse: f64| {
         let device = open(limits);
-        let mut training = Geometry::new(&device, &scene, &s, None).unwrap();
-        training.train(40, |_| {}, || true).unwrap();
+        let s = Settings { geometry: sgs_config::GeometrySettings { coarse, ..s.geometry.clone() }, ..s.clone() };
+        let mut training = Geometry::new(&device, &scene, &s, Some(&start)).unwrap();
+        let mut pairs = Vec::new();
+        let on_progress = |p: &Progress| {
+            if let Progress::Step(r) = p {
+                pairs.push(r.losses.correspondence_pairs);
+            }
+        };
+        training.train(40, on_progress, || true).unwrap();
         let splats = training.splats().unwrap();
         drop(training);
         assert_eq!(device.messages().take(), Vec::<String>::new());
-        splats
+        (splats, pairs)
     };
-    // The photographs of all 90 training views take 1080 KiB.
-    let split = train(Limits { storage_range: 1000 << 10, ..Default::default() });
-    assert!(split == train(Limits::default()), "the parameters differ");
+    let whole = train(UNLIMITED, 0.0);
+    assert!(whole.1[20..].iter().filter(|pairs| **pairs > 0).count() > 10, "{:?}", whole.1);
+    let split = train(SPLIT, 0.0);
+    assert_eq!(split.1, whole.1);
+    assert!(split.0 == whole.0, "the parameters differ");
+    // Smaller photographs lie between those of full size. Without a step that uses them, they change nothing.
+    assert!(train(UNLIMITED, 1e-6) == whole, "smaller photographs change the regions");
+}
+
+/// Priors and estimates beyond a binding take several buffers, as photographs do.
+///
+/// Training of the intrinsic stage has the same bits, and so have checkpoints.
+#[test]
+fn materials_in_several_buffers_train_the_same_bits() {
+    let _turn = turn();
+    let (room, steps) = (many_views(), 24);
+    let place = Place::new(room);
+    room.write_materials(&place.path("scene"));
+    let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
+    let splats = Splats::from_points(&scene.points, 0).unwrap();
+    let mut s = sgs_tests::intrinsic::settings(steps);
+    s.intrinsic.relight_from = 1;
+    (s.intrinsic.relight.provider, s.intrinsic.relight.roughness) = (provider("misbehave=nothing"), 0.5);
+    let train = |limits: Limits, name: &str, from: Option<&str>| {
+        let device = open(limits);
+        let mut training = Intrinsic::new(&device, &scene, &s, &splats).unwrap();
+        // Two buffers of 46 views, or one of 90.
+        let views = if limits == SPLIT { 2 * 46 } else { 90 };
+        assert_eq!(training.needs().photographs, views * 4 * 64 * 48);
+        let mut reports = Vec::new();
+        match from {
+            Some(from) => training.restore(&place.path(from)).unwrap(),
+            None => {
+                training.train(steps / 2, |r| reports.push(*r), || true).unwrap();
+                training.save(&place.path(name)).unwrap();
+            }
+        }
+        training.train(steps, |r| reports.push(*r), || true).unwrap();
+        let splats = training.splats().unwrap();
+        // A probed step reads the images of its own view.
+        let probe = training.probe().unwrap();
+        drop(training);
+        assert_eq!(device.messages().take(), Vec::<String>::new());
+        (reports, splats, probe.image, probe.gradients)
+    };
+    let whole = train(UNLIMITED, "whole", None);
+    let compared = |of: fn(&IntrinsicReport) -> bool| whole.0.iter().filter(|r| of(r)).count();
+    assert!(compared(|r| r.materials.cross_pairs > 0) > 4 && compared(|r| r.materials.relight_count == 2) > 4);
+    let split = train(SPLIT, "split", None);
+    assert_eq!(split.0, whole.0);
+    assert!(split == whole, "the parameters differ");
+    assert!(place.read("split") == place.read("whole"), "the checkpoints differ");
+    // A checkpoint of one buffer continues in several.
+    let resumed = train(SPLIT, "resumed", Some("whole"));
+    assert!(resumed.0 == whole.0[steps as usize / 2..] && resumed.1 == whole.1, "the parameters differ after a resume");
 }

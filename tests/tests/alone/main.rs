@@ -4,6 +4,7 @@
 //! `sgs_tests::turn` says why they are not in the programs `device` and `training`.
 
 mod faults;
+mod intrinsic_memory;
 mod limits;
 mod memory;
 mod planning;

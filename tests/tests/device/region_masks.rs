@@ -44,7 +44,7 @@ fn screen(g: &mut Graph, name: &str, largest: [u32; 2], values: Step) -> (Screen
 /// Runs `region_mask` for a view whose ids start at `offset` in a shared buffer.
 fn regions(gpu: &Gpu, size: [u32; 2], ids: &[u16], offset: usize, region: u32) -> Vec<u32> {
     let mut g = Graph::new("region_mask");
-    let mut values = Step { target_offset: offset as u32, region, ..Default::default() };
+    let mut values = Step { region_offset: offset as u32, region, ..Default::default() };
     values.camera.size = size;
     let (screen, uniform) = screen(&mut g, "view", LARGEST, values);
     // Ids before and after those of the view equal the region.
@@ -335,7 +335,7 @@ impl Room {
         let mut views = Vec::new();
         for (i, (camera, rendered)) in self.cameras.iter().zip(&self.images).enumerate() {
             let camera = scenes::gpu_camera(camera);
-            let values = Step { camera, region, target_offset: 1, ..Default::default() };
+            let values = Step { camera, region, region_offset: 1, ..Default::default() };
             let (screen, uniform) = screen(&mut g, &format!("view{i}"), VIEW, values);
             let image = g.input(format!("image{i}"), 4 * rendered.image.len() as u64);
             let transmittance = g.input(format!("transmittance{i}"), 4 * rendered.transmittance.len() as u64);

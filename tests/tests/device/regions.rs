@@ -38,7 +38,7 @@ fn write_mask(place: &Place, name: &str, size: [u32; 2], id: impl Fn(u32, u32) -
 fn bits(gpu: &Gpu, ids: &[u8], first: u32, region: u32) -> Vec<u32> {
     let mut g = Graph::new("region");
     let step = g.uniform("step", size_of::<Step>() as u64);
-    let mut values = Step { target_offset: first, region, ..Default::default() };
+    let mut values = Step { region_offset: first, region, ..Default::default() };
     values.camera.size = SIZE;
     let screen = Screen { step, largest: SIZE, tile: [8, 8] };
     let id_buffer = g.input("ids", ids.len() as u64);

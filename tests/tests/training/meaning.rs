@@ -81,7 +81,7 @@ fn classes_are_learned_and_regions_correspond() {
     assert!(mean(&losses, 121..241, 3) < 1.0, "the regions' class: {losses:?}");
     let head = training.head().unwrap().unwrap();
     let views = &scene.split.test;
-    let options = EvaluateOptions { views, background: [0.0; 3], head: Some(&head), lpips: None };
+    let options = EvaluateOptions { views, background: [0.0; 3], head: Some(&head), lpips: None, align: None };
     let evaluation = evaluate_classes(&device, &scene, training.gaussians(), &options, |_, _| Ok(())).unwrap();
     // Nine in ten samples of the training views are labeled correctly.
     let accuracy = evaluation.mean.semantic.unwrap().accuracy;

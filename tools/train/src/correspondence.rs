@@ -86,9 +86,10 @@ impl Correspondence {
         match &mut self.regions {
             Regions::Numbered { maps, pseudo, .. } => {
                 values.region = maps.draw(view, seed, values.step);
+                values.region_offset = maps.first(view);
                 for (step, (which, index)) in steps.iter_mut().zip(drawn) {
                     step.region = values.region;
-                    step.target_offset = pseudo.as_ref().map_or(0, |(maps, _)| maps.first(view, which, index));
+                    step.region_offset = pseudo.as_ref().map_or(0, |(maps, _)| maps.first(view, which, index));
                 }
             }
             Regions::Provider(requested) => {

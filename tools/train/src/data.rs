@@ -141,7 +141,12 @@ impl Packed {
 
     /// Returns the number of parts.
     pub fn parts(&self) -> usize {
-        self.part_of.last().map_or(1, |last| last + 1)
+        parts_of(&self.part_of)
+    }
+
+    /// Returns the part of each view.
+    pub fn part_of(&self) -> &[usize] {
+        &self.part_of
     }
 
     /// Returns the normal priors, by training view.
@@ -188,24 +193,11 @@ impl Packed {
     /// Uploads photographs and priors to the device.
     pub fn upload(self, device: &Device) -> Result<TrainingData> {
         let size = self.image_bytes();
-        let part = |name: &str, images: &[Vec<u32>], part: usize| -> Result<DeviceBuffer> {
-            let buffer = device.buffer(name, size, Location::Device)?;
-            let mut offset = 0;
-            let mut pieces: Vec<Piece<'_>> = Vec::new();
-            for (image, _) in images.iter().zip(&self.part_of).filter(|(_, of)| **of == part) {
-                pieces.push((&buffer, offset, bytemuck::cast_slice(image)));
-                offset += 4 * image.len() as u64;
-            }
-            device.upload_all(&pieces)?;
-            drop(pieces);
-            Ok(buffer)
-        };
-        let mut parts = Vec::new();
-        for k in 0..self.parts() {
-            let targets = part("targets", &self.images, k)?;
-            let normals = self.normals.as_ref().map(|maps| part("normal_priors", maps, k)).transpose()?;
-            parts.push(Photographs { targets, normals });
-        }
+        let up = |name: &str, images: &[Vec<u32>]| upload(device, name, images, &self.part_of, size);
+        let targets = up("targets", &self.images)?;
+        let normals = self.normals.as_ref().map(|maps| up("normal_priors", maps)).transpose()?;
+        let mut normals = normals.into_iter().flatten();
+        let parts = targets.into_iter().map(|targets| Photographs { targets, normals: normals.next() }).collect();
         let Packed { views, part_of, largest, halvings, .. } = self;
         Ok(TrainingData { parts, views, part_of, largest, halvings })
     }
@@ -238,6 +230,33 @@ impl TrainingData {
     pub fn part(&self, view: usize) -> &Photographs {
         &self.parts[self.part_of[view]]
     }
+}
+
+/// Uploads maps of all views, packed like the photographs. Each part has a buffer of this size.
+pub(crate) fn upload(
+    device: &Device,
+    name: &str,
+    maps: &[Vec<u32>],
+    part_of: &[usize],
+    size: u64,
+) -> Result<Vec<DeviceBuffer>> {
+    let part = |part: usize| -> Result<DeviceBuffer> {
+        let buffer = device.buffer(name, size, Location::Device)?;
+        let mut offset = 0;
+        let mut pieces: Vec<Piece<'_>> = Vec::new();
+        for (map, _) in maps.iter().zip(part_of).filter(|(_, of)| **of == part) {
+            pieces.push((&buffer, offset, bytemuck::cast_slice(map)));
+            offset += 4 * map.len() as u64;
+        }
+        device.upload_all(&pieces)?;
+        drop(pieces);
+        Ok(buffer)
+    };
+    (0..parts_of(part_of)).map(part).collect()
+}
+
+fn parts_of(part_of: &[usize]) -> usize {
+    part_of.last().map_or(1, |last| last + 1)
 }
 
 fn pixels(size: [u32; 2]) -> usize {

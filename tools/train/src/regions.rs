@@ -179,6 +179,12 @@ impl RegionMaps {
         0
     }
 
+    /// Returns the first pixel of a training view.
+    /// This is the step's `region_offset` for the kernel `region_mask`.
+    pub fn first(&self, view: usize) -> u32 {
+        self.views[view].first
+    }
+
     /// Returns the region numbers of a view's pixels.
     pub fn ids(&self, view: usize) -> &[u16] {
         let first = self.views[view].first as usize;
@@ -234,7 +240,7 @@ impl PseudoMaps {
     }
 
     /// Returns the first pixel of a pseudo-view.
-    /// This is the step's `target_offset` for the kernel `region_mask`.
+    /// This is the step's `region_offset` for the kernel `region_mask`.
     pub fn first(&self, view: usize, which: usize, index: u32) -> u32 {
         let (first, pixels) = self.views[view];
         first + (which as u32 * self.poses + index) * pixels

@@ -26,7 +26,7 @@ pub const PSEUDO_VIEWS: usize = 2;
 pub enum Masks {
     /// Region ids of the training view; depth carries the mask to the pseudo-views.
     Carried,
-    /// Region ids of all views; those of pseudo-views start at their `target_offset`.
+    /// Region ids of all views; those of pseudo-views start at their `region_offset`.
     Numbered,
     /// Bit masks of all views, each from the view's `mask_offset`.
     Provided,

@@ -79,6 +79,19 @@ pub struct IntrinsicInputs<'a> {
     pub traced: Option<&'a TracedMemory>,
     /// Room of the physical lights.
     pub transport: Option<&'a TransportMemory>,
+    /// Photographs, and what is packed like them.
+    pub images: ViewImages<'a>,
+    /// Region ids of the training views ([`crate::loss::pack_regions`]).
+    ///
+    /// With [`crate::pipeline::Masks::Provided`], masks of the step's views.
+    pub regions: Option<&'a DeviceBuffer>,
+    /// Region ids of the pseudo-views, for [`crate::pipeline::Masks::Numbered`].
+    pub pseudo_regions: Option<&'a DeviceBuffer>,
+}
+
+/// Photographs of some training views, with their priors and estimates.
+#[derive(Clone, Copy, Debug)]
+pub struct ViewImages<'a> {
     /// Photographs, packed.
     pub targets: &'a DeviceBuffer,
     /// Albedo priors, packed like the photographs.
@@ -87,15 +100,9 @@ pub struct IntrinsicInputs<'a> {
     pub roughness: Option<&'a DeviceBuffer>,
     /// Metallic priors, packed likewise.
     pub metallic: Option<&'a DeviceBuffer>,
-    /// Region ids of the training views ([`crate::loss::pack_regions`]).
-    ///
-    /// With [`crate::pipeline::Masks::Provided`], masks of the step's views.
-    pub regions: Option<&'a DeviceBuffer>,
-    /// Region ids of the pseudo-views, for [`crate::pipeline::Masks::Numbered`].
-    pub pseudo_regions: Option<&'a DeviceBuffer>,
     /// Estimates of the materials under other lights, packed like the priors.
     ///
-    /// They cover the training views: albedo of each copy of the lights, then roughness of each copy.
+    /// Albedo of each copy of the lights, then roughness of each copy.
     pub estimates: [Option<&'a DeviceBuffer>; 2 * COPIES],
 }
 
@@ -166,13 +173,13 @@ impl IntrinsicInputs<'_> {
     /// Returns the sizes of the inputs.
     pub fn sizes(&self) -> IntrinsicSizes {
         IntrinsicSizes {
-            targets: self.targets.bytes(),
-            albedo: self.albedo.map(DeviceBuffer::bytes),
-            roughness: self.roughness.map(DeviceBuffer::bytes),
-            metallic: self.metallic.map(DeviceBuffer::bytes),
+            targets: self.images.targets.bytes(),
+            albedo: self.images.albedo.map(DeviceBuffer::bytes),
+            roughness: self.images.roughness.map(DeviceBuffer::bytes),
+            metallic: self.images.metallic.map(DeviceBuffer::bytes),
             regions: self.regions.map(DeviceBuffer::bytes),
             pseudo_regions: self.pseudo_regions.map(DeviceBuffer::bytes),
-            estimates: self.estimates.map(|e| e.map(DeviceBuffer::bytes)),
+            estimates: self.images.estimates.map(|e| e.map(DeviceBuffer::bytes)),
         }
     }
 
@@ -304,21 +311,36 @@ impl Declared {
             parameters.enclosure.bind(exec, &handles.enclosure)?;
             parameters.log_gains.bind(exec, &handles.log_gains)?;
         }
-        exec.bind(self.targets, inputs.targets)?;
-        for (handle, memory) in [
-            (self.albedo_priors, inputs.albedo),
-            (self.roughness_priors, inputs.roughness),
-            (self.metallic_priors, inputs.metallic),
-            (self.regions, inputs.regions),
-            (self.pseudo_regions, inputs.pseudo_regions),
-        ]
-        .into_iter()
-        .chain(self.estimates.into_iter().zip(inputs.estimates))
-        {
+        self.images().pairs(&inputs.images).try_for_each(|(handle, memory)| exec.bind(handle, memory))?;
+        for (handle, memory) in [(self.regions, inputs.regions), (self.pseudo_regions, inputs.pseudo_regions)] {
             if let (Some(handle), Some(memory)) = (handle, memory) {
                 exec.bind(handle, memory)?;
             }
         }
         Ok(())
+    }
+
+    /// Returns the handles of photographs, priors and estimates.
+    pub fn images(&self) -> ImageHandles {
+        let priors = [self.albedo_priors, self.roughness_priors, self.metallic_priors];
+        ImageHandles { targets: self.targets, priors, estimates: self.estimates }
+    }
+}
+
+/// Handles of photographs, and of what is packed like them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ImageHandles {
+    targets: Buffer,
+    priors: [Option<Buffer>; 3],
+    estimates: [Option<Buffer>; 2 * COPIES],
+}
+
+impl ImageHandles {
+    /// Returns the handles that the graph has, each with its memory.
+    pub fn pairs<'a>(&self, images: &ViewImages<'a>) -> impl Iterator<Item = (Buffer, &'a DeviceBuffer)> + use<'a> {
+        let priors = self.priors.into_iter().zip([images.albedo, images.roughness, images.metallic]);
+        let others = priors.chain(self.estimates.into_iter().zip(images.estimates));
+        let others = others.filter_map(|(handle, memory)| handle.zip(memory));
+        std::iter::once((self.targets, images.targets)).chain(others)
     }
 }

@@ -14,14 +14,14 @@ mod transport;
 
 pub use inputs::{
     COPIES, EnvironmentMemory, IntrinsicInputs, IntrinsicParameters, IntrinsicSizes, LightTrainables,
-    TransportTrainables,
+    TransportTrainables, ViewImages,
 };
 pub use refresh::{EnvironmentRefresh, StoredEnvironment};
 pub use relit::{RelitOptions, RelitView};
 pub use transport::TransportTraining;
 
 use self::build::{StepResources, Words, build};
-use self::inputs::Declared as Inputs;
+use self::inputs::{Declared as Inputs, ImageHandles};
 use super::status::RING;
 use super::{Masks, PSEUDO_VIEWS, Step, Surface, SurfaceHandles, SurfaceShape};
 use crate::Tuning;
@@ -164,6 +164,7 @@ pub struct IntrinsicStep {
     field: Option<Buffer>,
     /// Irradiance of the view from each physical light.
     view_light: Option<Buffer>,
+    images: ImageHandles,
     image: Option<DeviceBuffer>,
     tile: [u32; 2],
     options: IntrinsicOptions,
@@ -294,10 +295,21 @@ impl IntrinsicStep {
             pseudo: declared.pseudo,
             field,
             view_light,
+            images: declared.inputs.images(),
             image,
             tile: tuning.tile,
             options,
         })
+    }
+
+    /// Binds the images of the next steps, if a scene has several buffers of them.
+    ///
+    /// Buffers that were used before are not recorded again. They are those of the step's view.
+    ///
+    /// # Errors
+    /// If a buffer is smaller than the one that the step was built with.
+    pub fn use_images(&mut self, images: &ViewImages<'_>) -> Result<()> {
+        self.images.pairs(images).try_for_each(|(handle, memory)| self.exec.alternate(handle, memory))
     }
 
     /// Compiles the plan of a step without allocating it, to estimate its cost.

@@ -145,13 +145,14 @@ impl Consistency {
         let step = values.shaded.step;
         if let Regions::Numbered { maps, .. } = &self.regions {
             values.shaded.region = maps.draw(view, seed, step);
+            values.shaded.region_offset = maps.first(view);
         }
         let region = values.shaded.region;
-        values.pseudo = self.drawn(seed, view, step).map(|(c, target_offset)| Step {
+        values.pseudo = self.drawn(seed, view, step).map(|(c, region_offset)| Step {
             camera: camera(&c),
             step,
             region,
-            target_offset,
+            region_offset,
             ..Step::default()
         });
     }

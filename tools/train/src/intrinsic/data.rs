@@ -1,9 +1,10 @@
 //! Packed priors of materials for the GPU, and normals for splats without normals.
 
+use crate::data::{TrainingData, upload};
 use crate::error::Result;
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
-use sgs_engine::{Device, DeviceBuffer, Location, Piece};
+use sgs_engine::{Device, DeviceBuffer};
 use sgs_run::pack_image;
 use sgs_scene::{Camera, Image, MaskedMap, Scene, Splats, linear_to_srgb};
 
@@ -48,23 +49,9 @@ impl MaterialPriors {
         Ok(Some(MaterialPriors { packed }))
     }
 
-    /// Returns the number of bytes on the device.
-    pub fn bytes(&self) -> u64 {
-        4 * self.packed.iter().map(|p| p.len() as u64).sum::<u64>()
-    }
-
-    /// Uploads the priors to the device.
-    pub fn upload(&self, device: &Device, name: &str) -> Result<DeviceBuffer> {
-        let buffer = device.buffer(name, self.bytes().max(4), Location::Device)?;
-        let mut offset = 0;
-        let mut pieces: Vec<Piece<'_>> = Vec::new();
-        for part in &self.packed {
-            pieces.push((&buffer, offset, bytemuck::cast_slice(part)));
-            offset += 4 * part.len() as u64;
-        }
-        device.upload_all(&pieces)?;
-        drop(pieces);
-        Ok(buffer)
+    /// Uploads the priors to the device: a buffer per part of the photographs, as large as theirs.
+    pub fn upload(&self, device: &Device, name: &str, data: &TrainingData) -> Result<Vec<DeviceBuffer>> {
+        upload(device, name, &self.packed, &data.part_of, data.parts[0].targets.bytes())
     }
 }
 

@@ -1,12 +1,14 @@
 //! Graphs of the kinds of steps, built on first use, and their inputs.
 
-use super::Intrinsic;
 use super::consistency::{Consistency, StepKind};
 use super::environment_updates::EnvironmentUpdates;
 use super::relit::Relit;
+use super::{Intrinsic, Priors};
+use crate::data::TrainingData;
 use crate::error::{Result, TrainError};
 use crate::regions::Regions;
-use sgs_passes::pipeline::{COPIES, EnvironmentRefresh, IntrinsicInputs, IntrinsicStep, RelitView};
+use sgs_engine::DeviceBuffer;
+use sgs_passes::pipeline::{COPIES, EnvironmentRefresh, IntrinsicInputs, IntrinsicStep, RelitView, ViewImages};
 
 impl Intrinsic {
     /// Returns the kind of a step, given the scene's data.
@@ -51,7 +53,7 @@ impl Intrinsic {
         Ok(())
     }
 
-    /// Returns the inputs that a kind of step binds.
+    /// Returns the inputs that a kind of step binds, with the first part of the images.
     pub(super) fn inputs(&self, kind: StepKind) -> IntrinsicInputs<'_> {
         let regions = self.consistency.as_ref().filter(|_| kind != StepKind::Plain).map(Consistency::regions);
         IntrinsicInputs {
@@ -61,16 +63,9 @@ impl Intrinsic {
             stored: self.environment_updates.as_ref().map(EnvironmentUpdates::stored),
             traced: self.traced.as_ref(),
             transport: self.room.as_ref().map(|room| &room.memory).or(self.planned_room.as_ref()),
-            targets: &self.data.parts[0].targets,
-            albedo: self.priors.albedo.as_ref(),
-            roughness: self.priors.roughness.as_ref(),
-            metallic: self.priors.metallic.as_ref(),
+            images: images(&self.data, &self.priors, self.relit.as_ref(), kind, 0),
             regions: regions.map(Regions::ids),
             pseudo_regions: regions.and_then(Regions::pseudo_ids),
-            estimates: match (kind, &self.relit) {
-                (StepKind::Relight, Some(relit)) => relit.bound(),
-                _ => [None; 2 * COPIES],
-            },
         }
     }
 
@@ -86,6 +81,27 @@ impl Intrinsic {
             updates.finish()?;
         }
         self.execs.iter_mut().flatten().try_for_each(|e| Ok(e.finish()?))
+    }
+}
+
+/// Returns the photographs of a part, and what a step compares besides them.
+pub(super) fn images<'a>(
+    data: &'a TrainingData,
+    priors: &'a Priors,
+    relit: Option<&'a Relit>,
+    kind: StepKind,
+    part: usize,
+) -> ViewImages<'a> {
+    let of = |buffers: &'a Option<Vec<DeviceBuffer>>| buffers.as_ref().and_then(|parts| parts.get(part));
+    ViewImages {
+        targets: &data.parts[part].targets,
+        albedo: of(&priors.albedo),
+        roughness: of(&priors.roughness),
+        metallic: of(&priors.metallic),
+        estimates: match (kind, relit) {
+            (StepKind::Relight, Some(relit)) => relit.bound(part),
+            _ => [None; 2 * COPIES],
+        },
     }
 }
 

@@ -69,7 +69,10 @@ pub struct IntrinsicNeeds {
 
 /// Inputs of the sum.
 pub(super) struct Sizes<'a> {
+    /// Inputs of a step.
     pub inputs: IntrinsicSizes,
+    /// Number of buffers that photographs, priors and estimates each take.
+    pub parts: u64,
     pub environment: Option<&'a Environment>,
     pub options: &'a IntrinsicOptions,
     /// Other lights under which a provider is shown views, if any.
@@ -95,9 +98,10 @@ impl IntrinsicNeeds {
         let n = u64::from(o.shape.gaussians);
         let learned = |floats: u64| Trainable::bytes(floats, true);
         let mut needs = IntrinsicNeeds {
-            photographs: s.inputs.targets,
-            priors: [s.inputs.albedo, s.inputs.roughness, s.inputs.metallic].into_iter().flatten().sum(),
-            estimates: s.inputs.estimates.into_iter().flatten().sum(),
+            photographs: s.parts * s.inputs.targets,
+            priors: s.parts
+                * [s.inputs.albedo, s.inputs.roughness, s.inputs.metallic].into_iter().flatten().sum::<u64>(),
+            estimates: s.parts * s.inputs.estimates.into_iter().flatten().sum::<u64>(),
             regions: s.inputs.regions.unwrap_or(0) + s.inputs.pseudo_regions.unwrap_or(0),
             geometry: s.geometry,
             materials: learned(3 * n)

@@ -3,6 +3,7 @@
 
 use super::Intrinsic;
 use super::consistency::StepKind;
+use super::graphs::images;
 use crate::error::Result;
 use sgs_passes::pipeline::{Camera, IntrinsicOptions, IntrinsicStep};
 
@@ -50,7 +51,8 @@ impl Intrinsic {
         let gathered = self.environment_updates.as_ref().map(|s| s.stored().download(&self.device)).transpose()?;
 
         let options = IntrinsicOptions { image: true, ..StepKind::Plain.options(&self.options) };
-        let inputs = self.inputs(StepKind::Plain);
+        let (part, mut inputs) = (self.data.part_of[view], self.inputs(StepKind::Plain));
+        inputs.images = images(&self.data, &self.priors, None, StepKind::Plain, part);
         let mut exec = IntrinsicStep::new(&self.device, &self.tuning, &inputs, &self.status, options)?;
         let camera = self.data.views[view].0;
         self.surfaces.with(&self.gaussians, &camera, view, false, &mut exec, &values)?;

@@ -10,6 +10,7 @@ use super::Intrinsic;
 use super::consistency::StepKind;
 use super::data::{Material, pack};
 use super::frames::shaded;
+use crate::data::Packed;
 use crate::error::{Requirement, Result};
 use rayon::prelude::*;
 use sgs_config::Settings;
@@ -31,12 +32,12 @@ pub(super) struct Relit {
     roughness: bool,
     every: u32,
     background: [f32; 3],
-    /// Cameras of the training views; then masks of valid pixels, and first pixels.
+    /// Cameras of the training views; then masks of valid pixels, and parts and first pixels in them.
     cameras: Vec<Camera>,
     counts: Vec<Option<Image>>,
-    first: Vec<u32>,
-    /// Albedo of each copy, then roughness of each copy, packed like priors.
-    pub estimates: Vec<DeviceBuffer>,
+    places: Vec<(usize, u32)>,
+    /// Albedo of each copy, then roughness of each copy, packed like priors: a buffer per part.
+    estimates: Vec<Vec<DeviceBuffer>>,
     /// Step of the latest request for each view; 0 means none.
     pub requested_at: Vec<u32>,
     /// Images of the latest rendered step.
@@ -96,24 +97,25 @@ impl Relit {
         Ok(Some(helper))
     }
 
-    /// Allocates memory for the estimates. `pixels`: number of pixels of all training views.
+    /// Allocates memory for the estimates, in parts like the photographs.
     pub fn new(
         device: &Device,
         scene: &Scene,
         settings: &Settings,
         helper: Option<Helper>,
         bounds: &[[f32; 3]; 2],
-        first: Vec<u32>,
-        pixels: u64,
+        photographs: &Packed,
     ) -> Result<Relit> {
         let roughness = settings.intrinsic.relight.roughness > 0.0;
         let train = &scene.split.train;
         let counts = train.par_iter().map(|&i| Ok(scene.load_mask(i)?)).collect::<Result<Vec<_>>>()?;
         let make = |_| {
-            let buffer = device.buffer("relit_estimates", 4 * pixels.max(1), Location::Device)?;
+            let buffer = device.buffer("relit_estimates", photographs.image_bytes().max(4), Location::Device)?;
             device.fill(&buffer, 0)?;
             Ok(buffer)
         };
+        let of_all = |_| (0..photographs.parts()).map(make).collect::<Result<_>>();
+        let first = photographs.views().iter().map(|v| v.1);
         Ok(Relit {
             helper,
             view: None,
@@ -123,20 +125,59 @@ impl Relit {
             background: settings.geometry.background,
             cameras: train.iter().map(|&i| scene.views[i].camera.clone()).collect(),
             counts,
-            first,
-            estimates: (0..Relit::count(settings)).map(make).collect::<Result<_>>()?,
+            places: photographs.part_of().iter().copied().zip(first).collect(),
+            estimates: (0..Relit::count(settings)).map(of_all).collect::<Result<_>>()?,
             requested_at: vec![0; train.len()],
             rendered: None,
         })
     }
 
-    /// Returns the estimates in the order in which a step binds them.
-    pub fn bound(&self) -> [Option<&DeviceBuffer>; 2 * COPIES] {
+    /// Returns the estimates of a part in the order in which a step binds them.
+    pub fn bound(&self, part: usize) -> [Option<&DeviceBuffer>; 2 * COPIES] {
         let copies = self.options.copies as usize;
-        std::array::from_fn(|i| match (i < COPIES, i % COPIES) {
-            (true, copy) => self.estimates[..copies].get(copy),
-            (false, copy) => self.estimates[copies..].get(copy),
-        })
+        let of = |(first, copy): (bool, usize)| match first {
+            true => self.estimates[..copies].get(copy),
+            false => self.estimates[copies..].get(copy),
+        };
+        std::array::from_fn(|i| of((i < COPIES, i % COPIES)).and_then(|parts| parts.get(part)))
+    }
+
+    /// Returns the number of kinds of estimates: albedo and roughness of each copy.
+    pub fn kinds(&self) -> usize {
+        self.estimates.len()
+    }
+
+    /// Returns the number of pixels of each part.
+    fn pixels(&self) -> Vec<usize> {
+        let mut pixels = vec![0; self.estimates.first().map_or(0, Vec::len)];
+        for (camera, (part, _)) in self.cameras.iter().zip(&self.places) {
+            pixels[*part] += camera.width as usize * camera.height as usize;
+        }
+        pixels
+    }
+
+    /// Returns the number of pixels of all training views.
+    pub fn all_pixels(&self) -> usize {
+        self.pixels().iter().sum()
+    }
+
+    /// Returns the estimates of a kind, view after view. They do not depend on the number of parts.
+    pub fn download(&self, device: &Device, kind: usize) -> Result<Vec<u32>> {
+        let mut words = Vec::new();
+        for (buffer, pixels) in self.estimates[kind].iter().zip(self.pixels()) {
+            words.extend(device.download_as::<u32>(buffer, pixels)?);
+        }
+        Ok(words)
+    }
+
+    /// Uploads the estimates of a kind, as downloaded.
+    pub fn upload(&self, device: &Device, kind: usize, mut words: &[u32]) -> Result<()> {
+        for (buffer, pixels) in self.estimates[kind].iter().zip(self.pixels()) {
+            let (part, others) = words.split_at(pixels.min(words.len()));
+            device.upload(buffer, 0, bytemuck::cast_slice(part))?;
+            words = others;
+        }
+        Ok(())
     }
 
     /// Returns whether the estimates of a view must be requested before a step.
@@ -181,10 +222,14 @@ impl Relit {
             let Some(found) = helper.ask(|p| p.materials(&rendering, maps))? else { return Ok(false) };
             let Materials { albedo, albedo_is_linear, roughness, .. } = found;
             let counts = self.counts[view].as_ref();
-            let offset = 4 * u64::from(self.first[view]);
+            let (part, first) = self.places[view];
+            let offset = 4 * u64::from(first);
             let answers = [(albedo, Material::Albedo, copy), (roughness, Material::Roughness, copies + copy)];
             for (map, kind, into) in answers {
-                let (Some(map), Some(buffer)) = (map, self.estimates.get(into)) else { continue };
+                let (Some(map), Some(buffer)) = (map, self.estimates.get(into).and_then(|parts| parts.get(part)))
+                else {
+                    continue;
+                };
                 let encoded = kind == Material::Albedo && !albedo_is_linear;
                 let words = pack(&brought(map, encoded, camera), kind, counts);
                 device.upload(buffer, offset, bytemuck::cast_slice(&words))?;

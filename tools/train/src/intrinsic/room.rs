@@ -1,11 +1,12 @@
 //! Training in a room: its start, its rates, and the correction of albedo priors.
 
+use super::Intrinsic;
 use super::data::MaterialPriors;
 use super::decisions;
+use super::prepare::Purpose;
 use super::residue::{Pairs, SharedPriors, correct, equalize, linear, plain};
 use super::start::albedo_of_colors;
 use super::surfaces::Surfaces;
-use super::{Intrinsic, Purpose};
 use crate::data::TrainingData;
 use crate::decision::Decision;
 use crate::error::Result;

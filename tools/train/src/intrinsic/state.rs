@@ -11,7 +11,6 @@ use crate::divergence::RollBack;
 use crate::error::Result;
 use crate::error::error;
 use sgs_config::VisibilityKind;
-use sgs_engine::DeviceBuffer;
 use sgs_passes::pipeline::{IntrinsicStatus, LightTrainables};
 use sgs_passes::shade::ALBEDO_RANGE;
 use sgs_passes::shade::environment::latlong;
@@ -94,8 +93,8 @@ impl Intrinsic {
         // Stores the answers of the provider and their steps: a new request would see other parameters.
         let mut words = Vec::new();
         if let Some(relit) = &self.relit {
-            for (i, buffer) in relit.estimates.iter().enumerate() {
-                words.push((format!("{ESTIMATES}{i}"), self.device.download_as(buffer, buffer.bytes() as usize / 4)?));
+            for kind in 0..relit.kinds() {
+                words.push((format!("{ESTIMATES}{kind}"), relit.download(&self.device, kind)?));
             }
             words.push((REQUESTED_AT.to_owned(), relit.requested_at.clone()));
         }
@@ -234,9 +233,8 @@ impl Intrinsic {
         // A checkpoint of a run without a provider has no estimates; all are requested again.
         let estimates = match &self.relit {
             Some(relit) if saved.has(REQUESTED_AT) => {
-                let words =
-                    |(i, b): (usize, &DeviceBuffer)| saved.words(&format!("{ESTIMATES}{i}"), b.bytes() as usize / 4);
-                let all = relit.estimates.iter().enumerate().map(words).collect::<Result<Vec<_>>>()?;
+                let words = |kind| saved.words(&format!("{ESTIMATES}{kind}"), relit.all_pixels());
+                let all = (0..relit.kinds()).map(words).collect::<Result<Vec<_>>>()?;
                 Some((all, saved.requested_at(relit.requested_at.len())?))
             }
             _ => None,
@@ -261,8 +259,8 @@ impl Intrinsic {
         }
         self.device.upload(&self.gains, 0, bytemuck::cast_slice(&values.gains))?;
         if let (Some(relit), Some((all, requested_at))) = (&mut self.relit, values.estimates) {
-            for (buffer, words) in relit.estimates.iter().zip(&all) {
-                self.device.upload(buffer, 0, bytemuck::cast_slice(words))?;
+            for (kind, words) in all.iter().enumerate() {
+                relit.upload(&self.device, kind, words)?;
             }
             relit.requested_at = requested_at;
         }

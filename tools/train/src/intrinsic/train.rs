@@ -1,7 +1,7 @@
 //! Training loop of the intrinsic stage.
 
 use super::consistency::StepKind;
-use super::graphs::gone;
+use super::graphs::{gone, images};
 use super::{Intrinsic, POLL_INTERVAL};
 use crate::error::Result;
 use sgs_passes::pipeline::IntrinsicReport;
@@ -30,6 +30,10 @@ impl Intrinsic {
             let pseudo = kind == StepKind::CrossView;
             self.make(kind)?;
             let Some(exec) = &mut self.execs[kind as usize] else { return Err(gone()) };
+            if self.data.parts.len() > 1 {
+                let part = self.data.part_of[view];
+                exec.use_images(&images(&self.data, &self.priors, self.relit.as_ref(), kind, part))?;
+            }
             let camera = &self.data.views[view].0;
             let ticket = self.surfaces.with(&self.gaussians, camera, view, pseudo, exec, &values)?;
             let before = last_ticket.replace(ticket);
