@@ -15,6 +15,7 @@ mod evaluate;
 mod interruptions;
 mod intrinsic;
 mod intrinsic_log;
+mod learned_views;
 mod meaning;
 mod nan_priors;
 mod quality;

@@ -1,0 +1,80 @@
+//! Cameras and exposures that training learns: the same bits after interruptions, and poses better than they were given.
+
+use glam::{DMat3, DQuat};
+use sgs_run::{LearnedViewRow, RunDirectory};
+use sgs_scene::{Scene, SceneOptions};
+use sgs_tests::Place;
+use sgs_tests::cli::{sgs, signal, start, until, wait};
+use sgs_tests::rooms::Room;
+use std::path::Path;
+
+const LEARN: [&str; 2] = ["--set", "geometry.rates.views=[1e-3, 5e-3]"];
+
+#[test]
+fn killed_training_of_cameras_resumes_with_the_same_bits() {
+    let place = Place::new(Room::default());
+    let steps = 90;
+    sgs(&place.arguments("straight", steps, &LEARN)).ok();
+    let mut child = start(&place.arguments("killed", steps, &LEARN));
+    for step in [10, 50] {
+        let there = until(&mut child, || place.logged("killed").last() >= Some(&step));
+        assert!(there, "it ended before it was killed");
+        signal(&child, "KILL");
+        assert_eq!(wait(child).status, None);
+        child = start(&["train", &place.text("scene"), "-o", &place.text("killed"), "--resume"]);
+    }
+    wait(child).ok();
+    place.assert_same("straight", "killed");
+    assert!(place.read("straight/cameras.json") == place.read("killed/cameras.json"));
+    // A training without them removes the file of the one before.
+    let again = [&["--force"][..], &["--set", "geometry.rates.views=[0, 0]"]].concat();
+    sgs(&place.arguments("killed", 20, &again)).ok();
+    assert!(!place.path("killed/cameras.json").exists());
+}
+
+/// Returns the mean angle between poses of training views and the scene's, in radians.
+fn error(scene: &Scene, poses: &[LearnedViewRow]) -> f64 {
+    let angle = |row: &LearnedViewRow| {
+        let truth = &scene.views.iter().find(|v| v.camera.name == row.name).unwrap().camera;
+        let [x, y, z] = row.world_to_camera.map(|r| [r[0], r[1], r[2]]);
+        let turn = DMat3::from_cols_array_2d(&[x, y, z]).transpose() * truth.rotation.transpose();
+        2.0 * DQuat::from_mat3(&turn).xyz().length().min(1.0).asin()
+    };
+    poses.iter().map(angle).sum::<f64>() / poses.len() as f64
+}
+
+/// Tests that training corrects cameras that are off by half a degree, and that later stages and measures use them.
+#[test]
+fn noisy_cameras_are_corrected() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room");
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let text = root.display().to_string();
+    let lean = ["--set", "geometry.semantics=false", "--set", "noise.cameras=[0.5, 0.0]", "--no-densify", "-q"];
+    let mut psnr = Vec::new();
+    for (name, learn) in [("given", "geometry.rates.views=[0, 0]"), ("learned", "geometry.rates.views=[5e-4, 0]")] {
+        let run = path(name);
+        let options = ["--stage", "geometry", "--geometry-steps", "500", "--set", learn];
+        sgs(&[&["train", &text, "-o", &run], &options[..], &lean].concat()).ok();
+        sgs(&["eval", &run, "--align", "--json", &path("measures.json")]).ok();
+        let measures = std::fs::read_to_string(folder.path().join("measures.json")).unwrap();
+        let measures: serde_json::Value = serde_json::from_str(&measures).unwrap();
+        let number = |name: &str| measures.pointer(&format!("/mean/nvs/{name}")).unwrap().as_f64().unwrap();
+        psnr.push([number("psnr"), number("psnr_aligned")]);
+    }
+    let run = RunDirectory::open(&folder.path().join("learned")).unwrap();
+    let scene = Scene::open(&root, &SceneOptions::default()).unwrap();
+    let settings = run.settings().unwrap();
+    let noisy = settings.noise.on(&scene, settings.seed).unwrap();
+    let given: Vec<_> =
+        noisy.split.train.iter().map(|&i| LearnedViewRow::of(&noisy.views[i].camera, [1.0; 3])).collect();
+    let learned = run.learned_views().unwrap().unwrap();
+    assert_eq!(learned.len(), given.len());
+    println!("{psnr:?} {} -> {}", error(&scene, &given), error(&scene, &learned));
+    assert!(error(&scene, &learned) < 0.6 * error(&scene, &given));
+    assert!(psnr[1][1] > psnr[0][1] + 0.3, "{psnr:?}");
+    // Materials train with the learned cameras.
+    let more = ["train", &text, "-o", &path("learned"), "--stage", "intrinsic", "--intrinsic-steps", "2", "-q"];
+    sgs(&more).ok();
+    assert!(run.learned_views().unwrap().is_some());
+}
