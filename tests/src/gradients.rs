@@ -133,7 +133,7 @@ impl Case {
         }
     }
 
-    /// Tests the gradient by a turn about the camera's center and a shift of it against that by the pose's numbers.
+    /// Tests the gradient by turn and shift against that by the pose's numbers.
     ///
     /// Parts of workgroups without visible splats must stay unwritten.
     fn check_camera(&self, pose: &[f32], parts: &[f32]) {

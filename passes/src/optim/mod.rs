@@ -1,4 +1,4 @@
-//! Optimizer, densification and pruning, opacity reset, learned cameras and colors of views.
+//! Optimizer, densification, opacity reset, learned cameras and colors of views.
 
 pub mod adam;
 pub mod adam_unseen;

@@ -18,7 +18,7 @@ use sgs_shaders::{camera_bwd as bwd, view_gain, view_gain_bwd, view_place, view_
 pub struct ViewGradients {
     /// `[parts * 6]` by turn and shift, of workgroups of visible splats.
     pub cameras: Option<Buffer>,
-    /// `[parts * 3]` by the logarithms of the factors on colors, of workgroups of pixels.
+    /// `[parts * 3]` by the logarithms of color factors, of workgroups of pixels.
     pub gains: Option<(Buffer, u32)>,
 }
 

@@ -1,4 +1,4 @@
-//! Finds the camera and the exposure with which fixed Gaussians show a photograph best.
+//! Aligns a camera and an exposure with a photograph; the Gaussians stay fixed.
 //!
 //! Measures of novel views compare a render with a photograph. If poses are not exact, the difference shows the pose more than the
 //! Gaussians; views are aligned first, as in BARF (Lin et al. 2021).

@@ -248,8 +248,8 @@ fn invalid_renders_are_refused() {
     place.render(&ply, &[]).refused(&["transforms.json"]);
     std::fs::write(&cameras, text).unwrap();
 
-    let (out, run) = (place.text("out.splat"), place.text("scene"));
-    sgs(&["export", &ply, "-o", &out]).refused(&["out.splat", ".ply"]);
+    let (out, run) = (place.text("out.ksplat"), place.text("scene"));
+    sgs(&["export", &ply, "-o", &out]).refused(&["out.ksplat", ".ply"]);
     sgs(&["export", &run, "-o", &place.text("b.ply")]).refused(&["not a run directory"]);
     sgs(&["export", &ply, "-o", &place.text("none/b.ply")]).refused(&["none/b.ply"]);
     std::fs::write(place.path("out_is_a_file"), "").unwrap();

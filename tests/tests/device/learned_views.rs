@@ -206,7 +206,7 @@ fn views_follow_adam_with_a_mean_of_zero() {
     }
 }
 
-/// Tests that a view whose camera is off by a degree and whose exposure differs comes back.
+/// Tests a view whose camera is off by a degree and whose exposure differs.
 #[test]
 fn moved_cameras_and_exposures_are_found() {
     let gpu = Gpu::new();

@@ -32,7 +32,7 @@ fn killed_training_of_cameras_resumes_with_the_same_bits() {
     assert!(!place.path("killed/cameras.json").exists());
 }
 
-/// Returns the mean angle between poses of training views and the scene's, in radians.
+/// Returns the mean angle between poses and those of the scene, in radians.
 fn error(scene: &Scene, poses: &[LearnedViewRow]) -> f64 {
     let angle = |row: &LearnedViewRow| {
         let truth = &scene.views.iter().find(|v| v.camera.name == row.name).unwrap().camera;
@@ -43,7 +43,9 @@ fn error(scene: &Scene, poses: &[LearnedViewRow]) -> f64 {
     poses.iter().map(angle).sum::<f64>() / poses.len() as f64
 }
 
-/// Tests that training corrects cameras that are off by half a degree, and that later stages and measures use them.
+/// Tests that training corrects cameras that are off by half a degree.
+///
+/// Later stages and measures use the learned cameras.
 #[test]
 fn noisy_cameras_are_corrected() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room");

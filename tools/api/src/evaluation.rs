@@ -62,7 +62,7 @@ pub struct MeasureOptions<'a> {
     pub lpips: Option<&'a Lpips>,
     /// Receiver of images, if any.
     pub images: Option<&'a mut dyn EvaluatedImages>,
-    /// Aligns views before a second comparison also if training learned neither cameras nor exposures.
+    /// Aligns views before a second comparison. Runs with learned views always do.
     pub align: bool,
 }
 

@@ -44,7 +44,9 @@ pub struct Nvs {
     /// LPIPS, where weights are available ([`metrics::Lpips`]).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lpips: Option<f64>,
-    /// PSNR in dB after the camera, and the exposure if training learned it, were aligned with the photograph.
+    /// PSNR in dB after alignment with the photograph.
+    ///
+    /// Aligned are the camera, and the exposure if training learned exposures.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub psnr_aligned: Option<f64>,
     /// Structural similarity after the same alignment.

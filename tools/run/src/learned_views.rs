@@ -23,7 +23,7 @@ pub struct LearnedViewRow {
     pub name: String,
     /// World-to-camera pose in the scene's unit: three rows of rotation and translation.
     pub world_to_camera: [[f64; 4]; 3],
-    /// Factors on the display-referred red, green and blue of a render that give this photograph.
+    /// Factors on display-referred red, green and blue: photograph over render.
     pub gains: [f32; 3],
 }
 
@@ -92,7 +92,7 @@ impl RunDirectory {
     }
 }
 
-/// Gives a scene the learned cameras of its views, and photographs without the exposures that training learned.
+/// Gives a scene the learned cameras, and photographs without learned exposures.
 pub fn use_learned_views(scene: &mut Scene, learned: &[LearnedViewRow]) {
     for row in learned {
         if let Some(view) = scene.views.iter_mut().find(|view| view.camera.name == row.name) {

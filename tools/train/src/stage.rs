@@ -141,7 +141,7 @@ pub trait Stage: Send {
     /// If the device fails.
     fn splats(&self) -> Result<Splats>;
 
-    /// Returns the learned cameras and exposures of the training views, if the stage learns any.
+    /// Returns the learned cameras and exposures of the training views, if any.
     ///
     /// # Errors
     /// If the device fails.

@@ -60,6 +60,15 @@ pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
         (s.geometry.losses.depth_smooth, s.geometry.losses.depth_variance) = (0.0, 0.0);
     }));
     all.push(with(|s| s.geometry.densify.until = 0.0));
+    for colors_alone in [false, true] {
+        all.push(with(|s| {
+            s.geometry.rates.views = [1e-3, 1e-3];
+            if colors_alone {
+                (s.geometry.semantics, s.geometry.normals) = (false, false);
+                (s.geometry.losses.depth_smooth, s.geometry.losses.depth_variance) = (0.0, 0.0);
+            }
+        }));
+    }
     for s in &all {
         Geometry::new(device, scene, s, None)?.build_graphs()?;
     }

@@ -63,8 +63,9 @@ impl Camera {
         matrix
     }
 
-    /// Returns the camera after its center has moved by `shift` and the camera has turned about it by the rotation vector
-    /// `turn` in radians. Both are in world axes.
+    /// Returns the camera after a shift of its center and a turn about it.
+    ///
+    /// Both are in world axes; `turn` is a rotation vector in radians.
     #[must_use]
     pub fn moved(&self, turn: DVec3, shift: DVec3) -> Self {
         let rotation = self.rotation * DMat3::from_quat(DQuat::from_scaled_axis(-turn));

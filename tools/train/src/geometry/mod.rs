@@ -377,7 +377,9 @@ impl Geometry {
         Ok(splats.in_unit(self.unit.inverse()))
     }
 
-    /// Returns the learned cameras and exposures of the training views, if any are learned. Lengths are in the scene's unit.
+    /// Returns the learned cameras and exposures of the training views, if any.
+    ///
+    /// Lengths are in the scene's unit.
     ///
     /// # Errors
     /// If the device fails.

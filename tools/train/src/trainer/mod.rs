@@ -94,7 +94,7 @@ pub struct Trainer {
     settings: Settings,
     options: TrainerOptions,
     next: VecDeque<Next>,
-    /// Scene with the cameras and exposures that the geometry stage learned, for the stages after it.
+    /// Scene with learned cameras and exposures, for stages after the geometry stage.
     learned: Option<Arc<Scene>>,
     /// Gaussians that the active stage started from, if it did not create them.
     splats: Option<Splats>,

@@ -89,8 +89,9 @@ impl Trainer {
         Ok(true)
     }
 
-    /// Returns the scene with what the geometry stage has learned of its views, for a later stage. Gaussians from another file
-    /// were not trained with this scene's views.
+    /// Returns the scene with learned cameras and exposures, for a later stage.
+    ///
+    /// None for Gaussians from another file: these were not trained with this scene's views.
     fn learned_scene(&self, kind: StageKind) -> Result<Option<Arc<Scene>>> {
         if kind == StageKind::Geometry || self.options.start.is_some() || self.learned.is_some() {
             return Ok(self.learned.clone());
