@@ -1,6 +1,6 @@
 //! Temporary directory with a tiny room and its runs, deleted on drop.
 
-use crate::cli::{Finished, sgs};
+use crate::cli::{Finished, sgs, signal, start, until, wait};
 use crate::rooms::Room;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -59,6 +59,21 @@ impl Place {
         }
         all.extend(more.iter().map(|s| (*s).to_owned()));
         all
+    }
+
+    /// Trains into `run`, killed after each of these steps and resumed.
+    ///
+    /// # Panics
+    /// If the training ends before it is killed, or fails.
+    pub fn train_killed(&self, run: &str, steps: u32, more: &[&str], after: &[u64]) {
+        let mut child = start(&self.arguments(run, steps, more));
+        for step in after {
+            assert!(until(&mut child, || self.logged(run).last() >= Some(step)), "it ended before it was killed");
+            signal(&child, "KILL");
+            assert_eq!(wait(child).status, None);
+            child = start(&["train", &self.text("scene"), "-o", &self.text(run), "--resume"]);
+        }
+        wait(child).ok();
     }
 
     /// Resumes the training into `run`.

@@ -102,6 +102,14 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
             let summed = if spec("REDUCED") > 0.0 { v } else { e };
             (gradients * summed + gaussian * v, (6.0 + channels) * summed + arithmetic * v)
         }
+        "camera_bwd" => {
+            let gaussian = 16.0 * spec("COLUMNS") + 12.0 + 4.0 * words;
+            let arithmetic = PROJECT_BWD + harmonics(spec("SH_DEGREE")) + 50.0;
+            let summed = if spec("REDUCED") > 0.0 { v } else { e };
+            (gradients * summed + gaussian * v, (6.0 + channels) * summed + arithmetic * v)
+        }
+        "view_gain" => ((4.0 * channels + 12.0) * p, 3.0 * p),
+        "view_gain_bwd" => ((8.0 * channels + 12.0) * p, 9.0 * p),
         // Elements that a view does not see, counted as if no element was visible.
         "adam" => (28.0 * elements, ADAM * elements),
         // Only place, shape and opacity where zero gradients move nothing; gradients of other views are rows of 11.
@@ -115,7 +123,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         // One number of a column; memory moves in larger pieces.
         "opacity_reset" => ((32.0 + moments_of(1.0)) * n, 4.0 * n),
         // A single workgroup, which takes little time.
-        "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" => (64.0, 16.0),
+        "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" | "view_place"
+        | "view_step" => (64.0, 16.0),
         _ => {
             return primitive(s, elements)
                 .or_else(|| densify(s, c))

@@ -5,10 +5,10 @@
 //! reads, read once more. With colors, 24 bytes read and 12 written a pixel, and an image of gradients beside the image.
 
 use crate::Tuning;
-use crate::kernel::{groups, splat_specs, stage};
+use crate::kernel::{groups, stage};
 use crate::prim::Records;
-use crate::scene::{Group, Handles, ViewHandles};
-use crate::splat::{EntryGradients, Screen, Visible};
+use crate::scene::{Handles, ViewHandles};
+use crate::splat::{EntryGradients, Screen, Visible, backward_specs};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::structs::Step;
 use sgs_shaders::{camera_bwd as bwd, view_gain, view_gain_bwd, view_place, view_step as kernel};
@@ -109,21 +109,7 @@ pub fn camera_bwd(
         parameters: gaussians.parameters.into(),
         camera_parts: parts.into(),
     };
-    let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
-        columns: gaussians.columns(),
-        moment_columns: gaussians.model.columns(),
-        compact: gaussians.compact(),
-        subgroup: t.subgroup_size,
-        large_tiles: t.large_tiles,
-        sh_degree: gaussians.model.sh_degree,
-        channels: visible.channels.count(),
-        has_normals: visible.channels.normals,
-        has_depth: visible.channels.depth,
-        weights: u32::from(entries.weights),
-        statistic: entries.statistic.spec(),
-        reduced: entries.reduced,
-        features: if entries.features.is_some() { Group::Semantics.width() } else { 0 },
-        color_bits: visible.color_bits, });
+    let specs = backward_specs!(bwd, t, gaussians, visible, entries, {});
     stage(g, "camera_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)

@@ -26,8 +26,8 @@ pub use features::{
 };
 pub use intersect::{Entries, intersect};
 pub use present::{Encoding, Layer, Present, Presented, TexelFormat, present, present_light};
-pub(crate) use project::group_sizes;
 pub use project::{EntryGradients, FusedAdam, Gradients, Visible, project, project_bwd, project_bwd_adam};
+pub(crate) use project::{backward_specs, group_sizes};
 pub use show::{Letters, MARK_HOLLOW, MARK_RINGED, Mark, Show, ShowStep, ShownKind, show};
 
 use sgs_engine::graph::Buffer;

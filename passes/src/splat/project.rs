@@ -147,6 +147,13 @@ pub struct EntryGradients {
     pub reduced: bool,
 }
 
+impl EntryGradients {
+    /// Returns the number of features whose moments are added.
+    pub(crate) fn feature_width(&self) -> u32 {
+        if self.features.is_some() { Group::Semantics.width() } else { 0 }
+    }
+}
+
 /// Gradients of a step. Passes write those of visible Gaussians only, so the caller clears them first.
 #[derive(Clone, Copy, Debug)]
 pub struct Gradients {
@@ -159,6 +166,31 @@ pub struct Gradients {
     /// Optional gradient of world-to-camera: nine values of the rotation by rows, three of the translation.
     pub pose: Option<Buffer>,
 }
+
+/// Builds specialization constants of a kernel that sums gradients of visible splats (`splat_sum.glsl`).
+macro_rules! backward_specs {
+    ($kernel:ident, $t:expr, $gaussians:expr, $visible:expr, $entries:expr, { $($field:tt)* }) => {
+        $crate::kernel::splat_specs!($kernel, $t, {
+            workgroup: $t.workgroup,
+            columns: $gaussians.columns(),
+            moment_columns: $gaussians.model.columns(),
+            compact: $gaussians.compact(),
+            subgroup: $t.subgroup_size,
+            large_tiles: $t.large_tiles,
+            sh_degree: $gaussians.model.sh_degree,
+            channels: $visible.channels.count(),
+            has_normals: $visible.channels.normals,
+            has_depth: $visible.channels.depth,
+            weights: u32::from($entries.weights),
+            statistic: $entries.statistic.spec(),
+            reduced: $entries.reduced,
+            features: $entries.feature_width(),
+            color_bits: $visible.color_bits,
+            $($field)*
+        })
+    };
+}
+pub(crate) use backward_specs;
 
 /// Runs the backward pass of [`project`] and writes every gradient.
 ///
@@ -190,22 +222,7 @@ pub fn project_bwd(
         grad_means2d: into.means2d.into(),
         pose_partials: partials.into(),
     };
-    let specs = splat_specs!(bwd, t, { workgroup: t.workgroup,
-        columns: gaussians.columns(),
-        moment_columns: gaussians.model.columns(),
-        compact: gaussians.compact(),
-        subgroup: t.subgroup_size,
-        large_tiles: t.large_tiles,
-        sh_degree: gaussians.model.sh_degree,
-        channels: visible.channels.count(),
-        has_normals: visible.channels.normals,
-        has_depth: visible.channels.depth,
-        weights: u32::from(entries.weights),
-        statistic: entries.statistic.spec(),
-        reduced: entries.reduced,
-        pose: into.pose.is_some(),
-        features: feature_width(entries),
-        color_bits: visible.color_bits, });
+    let specs = backward_specs!(bwd, t, gaussians, visible, entries, { pose: into.pose.is_some(), });
     stage(g, "project_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)?;
@@ -276,32 +293,10 @@ pub fn project_bwd_adam(
         skipped: adam.skipped.into(),
         seen: seen.into(),
     };
-    let specs = splat_specs!(fused, t, { workgroup: t.workgroup,
-        columns: gaussians.columns(),
-        moment_columns: gaussians.model.columns(),
-        compact: gaussians.compact(),
-        subgroup: t.subgroup_size,
-        large_tiles: t.large_tiles,
-        sh_degree: gaussians.model.sh_degree,
-        channels: visible.channels.count(),
-        has_normals: visible.channels.normals,
-        has_depth: visible.channels.depth,
-        weights: u32::from(entries.weights),
-        statistic: entries.statistic.spec(),
-        reduced: entries.reduced,
-        statistics: adam.statistics,
-        mark_seen: adam.seen.is_some(),
-        features: feature_width(entries),
-        extra: adam.extra.is_some(),
-        color_bits: visible.color_bits, });
+    let specs = backward_specs!(fused, t, gaussians, visible, entries, { statistics: adam.statistics, mark_seen: adam.seen.is_some(), extra: adam.extra.is_some(), });
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
-}
-
-/// Returns the number of features whose moments are added.
-fn feature_width(entries: &EntryGradients) -> u32 {
-    if entries.features.is_some() { Group::Semantics.width() } else { 0 }
 }
 
 /// Returns the group sizes of later dispatches of a count. The ordinary group size comes first.

@@ -54,14 +54,15 @@ fn training_memory_matches_estimate() {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::fresh();
     let cases = [
-        (true, Backward::Auto, 32),
-        (false, Backward::Auto, 32),
-        (false, Backward::Bucket, 32),
-        (true, Backward::Auto, 16),
-        (false, Backward::Auto, 16),
+        (true, Backward::Auto, 32, [0.0; 2]),
+        (false, Backward::Auto, 32, [0.0; 2]),
+        (false, Backward::Bucket, 32, [1e-4; 2]),
+        (true, Backward::Auto, 16, [0.0; 2]),
+        (false, Backward::Auto, 16, [1e-4, 0.0]),
     ];
-    for (densify, backward, bits) in cases {
+    for (densify, backward, bits, views) in cases {
         let mut s = settings(4);
+        s.geometry.rates.views = views;
         s.accuracy.state_bits = bits;
         s.geometry.backward = backward;
         s.geometry.densify.until = if densify { 0.8 } else { 0.0 };

@@ -1,7 +1,7 @@
 //! Training with compact storage: as good as exact training, and the same bits after interruptions.
 
 use sgs_tests::Place;
-use sgs_tests::cli::{sgs, signal, start, until, wait};
+use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use std::path::Path;
 
@@ -12,15 +12,7 @@ fn killed_compact_training_resumes_with_the_same_bits() {
     let steps = 90;
     let compact = ["--accuracy", "compact", "--set", "geometry.sh_degree=auto", "--set", "geometry.dense_adam=true"];
     sgs(&place.arguments("straight", steps, &compact)).ok();
-    let mut child = start(&place.arguments("killed", steps, &compact));
-    for step in [10, 50] {
-        let there = until(&mut child, || place.logged("killed").last() >= Some(&step));
-        assert!(there, "it ended before it was killed");
-        signal(&child, "KILL");
-        assert_eq!(wait(child).status, None);
-        child = start(&["train", &place.text("scene"), "-o", &place.text("killed"), "--resume"]);
-    }
-    wait(child).ok();
+    place.train_killed("killed", steps, &compact, &[10, 50]);
     place.assert_same("straight", "killed");
     // The level was in use, and another one is another training.
     let exact = [&["--accuracy", "exact"], &compact[2..]].concat();

@@ -35,15 +35,7 @@ fn interrupted_and_killed_runs_match_an_undisturbed_run() {
     place.assert_same("straight", "interrupted");
 
     // Kill repeatedly, at any point.
-    let mut child = start(&place.arguments("killed", steps, &[]));
-    for step in [10, 40, 70] {
-        let there = until(&mut child, || place.logged("killed").last() >= Some(&step));
-        assert!(there, "it ended before it was killed");
-        signal(&child, "KILL");
-        assert_eq!(wait(child).status, None);
-        child = start(&["train", &scene, "-o", &place.text("killed"), "--resume"]);
-    }
-    wait(child).ok();
+    place.train_killed("killed", steps, &[], &[10, 40, 70]);
     place.assert_same("straight", "killed");
     let left = |folder: &str| -> Vec<String> {
         let names = std::fs::read_dir(place.path(folder)).unwrap().map(|e| e.unwrap().file_name());

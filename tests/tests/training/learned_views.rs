@@ -4,7 +4,7 @@ use glam::{DMat3, DQuat};
 use sgs_run::{LearnedViewRow, RunDirectory};
 use sgs_scene::{Scene, SceneOptions};
 use sgs_tests::Place;
-use sgs_tests::cli::{sgs, signal, start, until, wait};
+use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use std::path::Path;
 
@@ -15,15 +15,7 @@ fn killed_training_of_cameras_resumes_with_the_same_bits() {
     let place = Place::new(Room::default());
     let steps = 90;
     sgs(&place.arguments("straight", steps, &LEARN)).ok();
-    let mut child = start(&place.arguments("killed", steps, &LEARN));
-    for step in [10, 50] {
-        let there = until(&mut child, || place.logged("killed").last() >= Some(&step));
-        assert!(there, "it ended before it was killed");
-        signal(&child, "KILL");
-        assert_eq!(wait(child).status, None);
-        child = start(&["train", &place.text("scene"), "-o", &place.text("killed"), "--resume"]);
-    }
-    wait(child).ok();
+    place.train_killed("killed", steps, &LEARN, &[10, 50]);
     place.assert_same("straight", "killed");
     assert!(place.read("straight/cameras.json") == place.read("killed/cameras.json"));
     // A training without them removes the file of the one before.

@@ -379,6 +379,8 @@ impl Settings {
         for (name, value) in [
             ("rates.means", r.means),
             ("rates.means_final", r.means_final),
+            ("rates.views", r.views[0]),
+            ("rates.views", r.views[1]),
             ("losses.dssim", f64::from(l.dssim)),
             ("losses.normal", f64::from(l.normal)),
             ("losses.normal_smooth", f64::from(l.normal_smooth)),
@@ -444,6 +446,7 @@ mod tests {
         assert!(fail("[provider]\nseconds = [1, 0]").ends_with("but must be two finite numbers above 0."));
         assert!(fail("[intrinsic.automatic]\nlimits = [-1, 0]").ends_with("two finite numbers of at least 0."));
         assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
+        assert!(fail("[geometry.rates]\nviews = [0, -1]").contains("geometry.rates.views"));
         assert!(fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.factor, geometry.rates.means"));
         assert_eq!(fail("[geometry]\nsteps = \"many\""), "geometry.steps is \"many\", but must be a whole number.");
         assert_eq!(fail("[geometry]\nsteps = 4.5"), "geometry.steps is 4.5, but must be a whole number.");

@@ -42,17 +42,7 @@ pub(crate) fn punctual(list: &LightList) -> (Vec<PunctualLight>, Value) {
 
 /// Names the lights that glTF does not hold: rectangles and disks, and physical lights that are off.
 pub fn gltf_leaves_out(list: &LightList) -> Vec<String> {
-    let left_out = |(i, light): (usize, &ListedLight)| {
-        let ListedLight::Physical(row) = light else { return None };
-        let name = row.name_or(i);
-        let shape = row.shape.name();
-        match row.is_on() {
-            false => Some(format!("{shape} \"{name}\", which is off")),
-            true if physical(i, row).is_none() => Some(format!("{shape} \"{name}\"")),
-            true => None,
-        }
-    };
-    list.lights.iter().enumerate().filter_map(left_out).collect()
+    list.left_out(|i, row| physical(i, row).is_some())
 }
 
 /// Splits a color into its largest component and factors of 1 at most.

@@ -152,6 +152,19 @@ impl Serialize for ListedLight {
 }
 
 impl LightList {
+    /// Names the physical lights that are off, and those that a format cannot hold.
+    pub(crate) fn left_out(&self, holds: impl Fn(usize, &PhysicalRow) -> bool) -> Vec<String> {
+        let name = |(i, light): (usize, &ListedLight)| {
+            let ListedLight::Physical(row) = light else { return None };
+            let name = format!("{} \"{}\"", row.shape.name(), row.name_or(i));
+            match row.is_on() {
+                false => Some(format!("{name}, which is off")),
+                true => (!holds(i, row)).then_some(name),
+            }
+        };
+        self.lights.iter().enumerate().filter_map(name).collect()
+    }
+
     /// Returns the version of the file that holds the lights.
     pub fn format(&self) -> &'static str {
         let typed = self.lights.iter().any(|light| matches!(light, ListedLight::Physical(_)));

@@ -24,17 +24,7 @@ pub(crate) fn usd_lights(list: &LightList) -> Vec<UsdLight> {
 
 /// Names the lights that USD does not hold: windows, and physical lights that are off.
 pub(crate) fn usd_lights_left_out(list: &LightList) -> Vec<String> {
-    let left_out = |(i, light): (usize, &ListedLight)| {
-        let ListedLight::Physical(row) = light else { return None };
-        let name = row.name_or(i);
-        let shape = row.shape.name();
-        match row.is_on() {
-            false => Some(format!("{shape} \"{name}\", which is off")),
-            true if physical(i, row).is_none() => Some(format!("{shape} \"{name}\"")),
-            true => None,
-        }
-    };
-    list.lights.iter().enumerate().filter_map(left_out).collect()
+    list.left_out(|i, row| physical(i, row).is_some())
 }
 
 /// Returns the radiance of a sphere of [`RADIUS`] with this intensity.

@@ -10,7 +10,7 @@ use serde::Serialize;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, PSEUDO_VIEWS, Status};
-use sgs_passes::scene::{Decoder, Group, Layout};
+use sgs_passes::scene::{Decoder, Group, Layout, LearnedViews};
 
 /// Bytes of device memory by purpose.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -75,7 +75,10 @@ impl Needs {
             arena: plan.arena_bytes,
             pseudo_arena: 0,
             densify_arena: if densify > plan.arena_bytes { densify } else { 0 },
-            small: options.frames_in_flight as u64 * uniform(device) + Status::BYTES + 16,
+            small: options.frames_in_flight as u64 * uniform(device)
+                + Status::BYTES
+                + 16
+                + inputs.views.map_or(0, |(count, _)| LearnedViews::bytes(count)),
             staging: STAGING_BYTES.min(largest),
         })
     }

@@ -182,22 +182,7 @@ fn morton(at: [u16; 3]) -> u64 {
 mod tests {
     use super::super::{is_sog_meta, read_sog};
     use super::*;
-
-    fn sample(n: usize, degree: usize) -> Splats {
-        let wave = |k: usize, step: f64, low: f64, high: f64| {
-            (0..k).map(|i| (low + (high - low) * (0.5 + 0.5 * (step * i as f64).sin())) as f32).collect::<Vec<f32>>()
-        };
-        Splats {
-            means: wave(3 * n, 1.7, -30.0, 4.0).as_chunks::<3>().0.to_vec(),
-            log_scales: wave(3 * n, 2.3, -7.0, 1.0).as_chunks::<3>().0.to_vec(),
-            rotations: wave(4 * n, 0.9, -2.0, 2.0).as_chunks::<4>().0.to_vec(),
-            opacity_logits: wave(n, 3.1, -5.0, 5.0),
-            sh: std::array::from_fn(
-                |d| if d <= degree { wave(n * 3 * (2 * d + 1), 1.1, -0.9, 0.9) } else { Vec::new() },
-            ),
-            ..Splats::default()
-        }
-    }
+    use crate::splats::tests::waves;
 
     #[test]
     fn splats_come_back_within_the_steps_of_the_format() {
@@ -206,7 +191,7 @@ mod tests {
         for (name, degree) in [("a.sog", 3), ("b.sog", 0), ("c/meta.json", 2), ("d.sog", 1)] {
             let path = folder.path().join(name);
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-            let splats = sample(700, degree);
+            let splats = waves(700, degree);
             write_sog(&path, &splats, Some(&placed)).unwrap();
             let first = std::fs::read(&path).unwrap();
             write_sog(&path, &splats, Some(&placed)).unwrap();
@@ -241,19 +226,19 @@ mod tests {
     fn no_splats_and_one_splat_are_a_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.sog");
-        write_sog(&path, &sample(0, 0), None).unwrap();
+        write_sog(&path, &waves(0, 0), None).unwrap();
         assert!(read_sog(&path).unwrap().splats.is_empty());
-        write_sog(&path, &sample(1, 3), None).unwrap();
+        write_sog(&path, &waves(1, 3), None).unwrap();
         let found = read_sog(&path).unwrap().splats;
-        assert!((found.means[0][0] - sample(1, 3).means[0][0]).abs() < 1e-4);
-        assert_eq!(found.sh[3], sample(1, 3).sh[3]);
+        assert!((found.means[0][0] - waves(1, 3).means[0][0]).abs() < 1e-4);
+        assert_eq!(found.sh[3], waves(1, 3).sh[3]);
     }
 
     #[test]
     fn damaged_files_are_refused_or_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.sog");
-        write_sog(&path, &sample(20, 1), None).unwrap();
+        write_sog(&path, &waves(20, 1), None).unwrap();
         let bytes = std::fs::read(&path).unwrap();
         for length in (0..bytes.len()).step_by(101) {
             std::fs::write(&path, &bytes[..length]).unwrap();
@@ -269,7 +254,7 @@ mod tests {
         }
         let text = folder.path().join("meta.json");
         let mut meta: serde_json::Value =
-            serde_json::from_slice(&files(&sample(4, 0), None).ok().unwrap()[0].1).unwrap();
+            serde_json::from_slice(&files(&waves(4, 0), None).ok().unwrap()[0].1).unwrap();
         let mut refused = |change: &dyn Fn(&mut serde_json::Value), words: &str| {
             let before = meta.clone();
             change(&mut meta);

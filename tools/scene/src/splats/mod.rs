@@ -143,8 +143,25 @@ impl Splats {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
+
+    /// Returns splats whose parameters follow sines.
+    pub(crate) fn waves(n: usize, degree: usize) -> Splats {
+        let wave = |k: usize, step: f64, low: f64, high: f64| {
+            (0..k).map(|i| (low + (high - low) * (0.5 + 0.5 * (step * i as f64).sin())) as f32).collect::<Vec<f32>>()
+        };
+        Splats {
+            means: wave(3 * n, 1.7, -30.0, 4.0).as_chunks::<3>().0.to_vec(),
+            log_scales: wave(3 * n, 2.3, -7.0, 1.0).as_chunks::<3>().0.to_vec(),
+            rotations: wave(4 * n, 0.9, -2.0, 2.0).as_chunks::<4>().0.to_vec(),
+            opacity_logits: wave(n, 3.1, -5.0, 5.0),
+            sh: std::array::from_fn(
+                |d| if d <= degree { wave(n * 3 * (2 * d + 1), 1.1, -0.9, 0.9) } else { Vec::new() },
+            ),
+            ..Splats::default()
+        }
+    }
 
     #[test]
     fn most_opaque_splats_keep_their_order_and_values() {

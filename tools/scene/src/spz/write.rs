@@ -13,7 +13,7 @@ use std::path::Path;
 
 /// Most fractional bits of a position; other readers shift by them.
 const MOST_BITS: u32 = 20;
-/// Level of Zstandard: a few seconds for a million splats.
+/// Level of Zstandard, between the fastest and the smallest.
 const LEVEL: i32 = 12;
 
 /// Writes splats as an SPZ file. Version 4 records the transform from the scene to the file; others have no place for it.
@@ -118,22 +118,7 @@ mod tests {
     use super::super::read::read;
     use super::super::read_spz;
     use super::*;
-
-    fn sample(n: usize, degree: usize) -> Splats {
-        let wave = |k: usize, step: f64, low: f64, high: f64| {
-            (0..k).map(|i| (low + (high - low) * (0.5 + 0.5 * (step * i as f64).sin())) as f32).collect::<Vec<f32>>()
-        };
-        Splats {
-            means: wave(3 * n, 1.7, -30.0, 4.0).as_chunks::<3>().0.to_vec(),
-            log_scales: wave(3 * n, 2.3, -7.0, 1.0).as_chunks::<3>().0.to_vec(),
-            rotations: wave(4 * n, 0.9, -2.0, 2.0).as_chunks::<4>().0.to_vec(),
-            opacity_logits: wave(n, 3.1, -5.0, 5.0),
-            sh: std::array::from_fn(
-                |d| if d <= degree { wave(n * 3 * (2 * d + 1), 1.1, -0.9, 0.9) } else { Vec::new() },
-            ),
-            ..Splats::default()
-        }
-    }
+    use crate::splats::tests::waves;
 
     #[test]
     fn splats_come_back_within_the_steps_of_the_format() {
@@ -142,7 +127,7 @@ mod tests {
         let placed = Placement { scale: 2.0, rotation: [0.5, 0.5, -0.5, 0.5], translation: [1.0, -2.0, 0.125] };
         for version in [SpzVersion::V2, SpzVersion::V3, SpzVersion::V4] {
             for degree in 0..=3 {
-                let splats = sample(100, degree);
+                let splats = waves(100, degree);
                 write_spz(&path, &splats, version, Some(&placed)).unwrap();
                 let file = read_spz(&path).unwrap();
                 file.splats.check().unwrap();
@@ -161,14 +146,14 @@ mod tests {
                 }
             }
         }
-        write_spz(&path, &sample(0, 2), SpzVersion::V4, None).unwrap();
+        write_spz(&path, &waves(0, 2), SpzVersion::V4, None).unwrap();
         assert!(read_spz(&path).unwrap().splats.is_empty());
     }
 
     #[test]
     fn positions_too_far_away_are_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let mut splats = sample(2, 0);
+        let mut splats = waves(2, 0);
         splats.means[1][2] = -1e7;
         let problem = write_spz(&folder.path().join("a.spz"), &splats, SpzVersion::V4, None).unwrap_err().to_string();
         assert!(problem.contains("10000000") && problem.contains("--scale"), "{problem}");
@@ -179,7 +164,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.spz");
         for version in [SpzVersion::V2, SpzVersion::V4] {
-            write_spz(&path, &sample(20, 1), version, Some(&Placement::NONE)).unwrap();
+            write_spz(&path, &waves(20, 1), version, Some(&Placement::NONE)).unwrap();
             let bytes = std::fs::read(&path).unwrap();
             for length in 0..bytes.len() - 8 {
                 assert!(read(&bytes[..length]).is_err(), "{length}");

@@ -181,6 +181,10 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool, views: Optio
             if views.len() != count as usize || views.iter().any(|v| v.values.iter().any(|x| !x.is_finite())) {
                 return Err(wrong());
             }
+            let moments: Vec<f32> = views.iter().flat_map(|v| v.moments).flatten().collect();
+            if let Some(wrong) = wrong_moments(&moments) {
+                return Err(error(path, format!("damaged: \"views\" holds {wrong}")));
+            }
             views.to_vec()
         }
     };
