@@ -10,6 +10,9 @@ PREFIX ?= /usr/local
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
+# Builds for tests select everything. Packages then have the same features each time, and nothing compiles twice.
+TEST_BUILD = --workspace --all-targets --locked
+
 .PHONY: help demo test test-lanes test-python test-priors test-cluster container bench lint docs book check deny fuzz setup setup-tests install
 .NOTPARALLEL:
 
@@ -43,7 +46,7 @@ demo: setup
 # The tests include the layers, so this is lint and more.
 test: setup-tests check
 	python3 -B -m unittest discover -s tools/priors/tests -p 'test_[ps]*.py'
-	$(CARGO) build --locked -p sgs
+	$(CARGO) build $(TEST_BUILD)
 	$(CARGO) test --workspace --locked
 
 test-lanes: setup-tests
@@ -53,14 +56,14 @@ test-lanes: setup-tests
 # Without PyTorch its tests are skipped.
 test-python: setup
 	-@tools/setup --python
-	CARGO="$(CARGO)" tools/python/test
+	CARGO="$(CARGO)" BUILD="$(TEST_BUILD)" tools/python/test
 
 test-priors:
 	$(PYTHON) -c "import numpy, PIL, torch, torchvision, transformers"
 	$(PYTHON) -B -m unittest discover -s tools/priors/tests
 
 test-cluster: setup
-	$(CARGO) build --locked -p sgs
+	$(CARGO) build $(TEST_BUILD)
 	tests/cluster/run
 
 # The program must not need newer libraries than the image has: Debian 12.

@@ -7,6 +7,7 @@ struct LossStats {
     float normal_smooth;
     float depth_smooth;
     float depth_variance;
+    float depth;                  // relative difference from prior depths, times their confidence
     float semantic;               // 1 - cos to the semantic targets
     float semantic_class;         // cross-entropy of their classes
     float correspondence;         // distance of a region's mean features, mean over the pseudo-views

@@ -37,6 +37,7 @@ struct Step {
     float weight_normal_smooth;
     float weight_depth_smooth;
     float weight_depth_variance;
+    float weight_depth;          // of relative differences from prior depths
     float weight_semantic;       // of 1 - cos to the semantic targets
     float weight_semantic_class; // of the cross-entropy of their classes
     float weight_correspondence; // of a region's correspondence, all pseudo-views together

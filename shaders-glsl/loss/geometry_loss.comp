@@ -1,7 +1,7 @@
 // Losses of blended normals and depths, with their gradients.
 //
-// Terms: agreement with prior normals, edge-aware smoothness of unit normals and of depth, spread of depth along the
-// ray.
+// Terms: agreement with prior normals and prior depths, edge-aware smoothness of unit normals and of depth, spread of
+// depth along the ray.
 //
 // One workgroup processes one tile. It loads unit normals, depths and the photograph with a margin of two pixels. Sobel
 // filters run with a margin of one pixel and march down columns, so that each value is loaded once for three rows. The
@@ -25,6 +25,8 @@ layout(constant_id = 8) const uint DEPTH = 1;     // 1 if depth was blended
 layout(constant_id = 9) const uint DEPTH_AT = 6;  // channel of depth; squared depth is in the next
 layout(constant_id = 10) const bool PRIOR = true; // whether there are prior normals
 layout(constant_id = 11) const bool REUSE = false; // see tile_filters.glsl
+layout(constant_id = 12) const bool DEPTH_PRIOR = false; // whether there are prior depths
+layout(constant_id = 13) const bool DEPTH_FIT = false;   // whether a line leads from their values to inverse depths
 
 // Sobel filters, without the factor of an eighth.
 const float SIDE = 1.0, MIDDLE = 2.0, SCALE = 1.0;
@@ -41,9 +43,13 @@ IN(float, image);
 IN(float, transmittance);
 IN(uint, targets);
 IN(uint, priors);                // world space, octahedral
+IN(uint, depth_priors);          // half floats: inverse depth, or a value to be fitted, and confidence
+IN(float, depth_line);           // slope and offset of the fit; zero if there is none
 OUT(float, grad_image);          // the channels of normals and depth are written
 OUT(float, grad_transmittance);  // always written
-OUT(vec4, sums);                 // by workgroup: normal, normal smoothness, depth smoothness, depth variance
+// By workgroup: normal, normal smoothness, depth smoothness, depth variance. With prior depths, their losses follow
+// those of all workgroups, in x.
+OUT(vec4, sums);
 
 // Smallest divisor. Normals and depths are divided by the length of the blended normal and by the opacity, but at least
 // by this. Gradients thus stay below 1000 times those in the middle of a surface.
@@ -89,6 +95,7 @@ Signs transposed_row(uint at, float low, float high) {
 
 ivec2 tile_origin, tile_last; // first pixel of the tile, last one of the view
 vec4 tile_sum = vec4(0.0);
+float depth_sum = 0.0;
 
 struct March {
     FilterRow above, here;
@@ -154,6 +161,15 @@ void finish(uint pixel, vec4 smoothness, float mean) {
         tile_sum.w += deviation;
         float by_variance = variance > VARIANCE_MIN ? 0.5 * s.weight_depth_variance * mean / deviation : 0.0;
         float by_depth = smoothness.w - 2.0 * depth * by_variance;
+        if (DEPTH_PRIOR) {
+            vec2 prior = unpackHalf2x16(depth_priors[s.target_offset + pixel]);
+            if (DEPTH_FIT) prior.x = depth_line[0] * prior.x + depth_line[1];
+            if (prior.x > 0.0) {
+                float error = depth * prior.x - 1.0;
+                depth_sum += prior.y * abs(error);
+                by_depth += s.weight_depth * mean * prior.y * prior.x * sign(error);
+            }
+        }
         grad_image[i] = by_depth * inverse;
         grad_image[i + 1u] = by_variance * inverse;
         // The derivative by opacity is -(by_depth depth + by_variance square) / opacity; opacity is 1 - transmittance.
@@ -167,9 +183,13 @@ void main() {
     uint tiles_x = (size.x + TILE_X - 1u) / TILE_X;
     uint tiles_y = (size.y + TILE_Y - 1u) / TILE_Y;
     uint tile = folded_workgroup();
+    uint most = DEPTH_PRIOR ? uint(sums.length()) / 2u : uint(sums.length());
     if (tile >= tiles_x * tiles_y) {
         // The tile lies outside: the view is smaller than the largest, or the folded grid has excess workgroups.
-        if (gl_LocalInvocationID.x == 0u && tile < sums.length()) sums[tile] = vec4(0.0);
+        if (gl_LocalInvocationID.x == 0u && tile < most) {
+            sums[tile] = vec4(0.0);
+            if (DEPTH_PRIOR) sums[most + tile] = vec4(0.0);
+        }
         return;
     }
     ivec2 origin = ivec2(uvec2(tile % tiles_x, tile / tiles_x) * uvec2(TILE_X, TILE_Y));
@@ -215,4 +235,9 @@ void main() {
     }
     vec4 total = group_sum(tile_sum);
     if (gl_LocalInvocationID.x == 0u) sums[tile] = total;
+    if (DEPTH_PRIOR) {
+        barrier(); // before the shared sums are written again
+        float of_depth = group_sum(vec4(depth_sum)).x;
+        if (gl_LocalInvocationID.x == 0u) sums[most + tile] = vec4(of_depth, 0.0, 0.0, 0.0);
+    }
 }

@@ -7,6 +7,7 @@
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 2) const bool GEOMETRY = false; // whether there are sums of the geometry losses
+layout(constant_id = 3) const bool DEPTH = false;    // whether losses of prior depths follow them
 
 #define SUM_T vec4
 #include "group_sum.glsl"
@@ -19,7 +20,7 @@ layout(push_constant, scalar) uniform Push {
 layout(scalar) uniform StepBlock { Step step; } params;
 
 IN(vec2, photometric_sums); // |x - y|, SSIM
-IN(vec4, geometry_sums);    // normal, normal smoothness, depth smoothness, depth variance
+IN(vec4, geometry_sums);    // normal, normal smoothness, depth smoothness, depth variance; then of prior depths, in x
 OUT(LossStats, stats);
 
 void main() {
@@ -33,6 +34,12 @@ void main() {
         barrier(); // before the shared sums are written again
         geometry = group_sum(geometry);
     }
+    float depth = 0.0;
+    if (DEPTH) {
+        for (uint i = first; i < push.geometry_count; i += WORKGROUP) depth += geometry_sums[push.geometry_count + i].x;
+        barrier();
+        depth = group_sum(vec4(depth)).x;
+    }
     if (first != 0u) return;
     Step s = params.step;
     float pixels = float(s.camera.size.x) * float(s.camera.size.y);
@@ -45,6 +52,7 @@ void main() {
     r.normal_smooth = geometry.y;
     r.depth_smooth = geometry.z;
     r.depth_variance = geometry.w;
+    r.depth = depth / pixels;
     // semantic_sum adds the semantic losses, if any.
     r.semantic = 0.0;
     r.semantic_class = 0.0;
@@ -55,7 +63,8 @@ void main() {
     r.total = s.weight_l1 * r.l1 + s.weight_dssim * (1.0 - r.ssim);
     if (GEOMETRY) {
         r.total += s.weight_normal * r.normal + s.weight_normal_smooth * r.normal_smooth
-                 + s.weight_depth_smooth * r.depth_smooth + s.weight_depth_variance * r.depth_variance;
+                 + s.weight_depth_smooth * r.depth_smooth + s.weight_depth_variance * r.depth_variance
+                 + s.weight_depth * r.depth;
     }
     stats[0] = r;
 }

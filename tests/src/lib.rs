@@ -22,6 +22,7 @@ pub mod gradients;
 pub mod intrinsic;
 pub mod kernels;
 pub mod lit;
+mod long;
 pub mod materials;
 pub mod meaning;
 pub mod photographs;
@@ -44,5 +45,6 @@ pub mod whole;
 
 pub use compare::{Tolerance, assert_close, finite_difference, worst};
 pub use gpu::{Gpu, Outputs};
+pub use long::takes_long;
 pub use place::{Place, files};
 pub use turn::{Turn, turn};

@@ -331,7 +331,7 @@ fn scripts(text: &str) -> Vec<String> {
 
 /// Runs the shell blocks of every page, in order.
 ///
-/// Each page has its own folder. A wrapper shortens trainings.
+/// Each page has its own folder. A wrapper shortens trainings and synthesizes small images.
 #[test]
 fn shell_blocks_run() {
     let mut count = 0;
@@ -346,7 +346,7 @@ fn shell_blocks_run() {
         std::fs::create_dir(&bin).expect("a folder");
         let wrapper = format!(
             "#!/bin/sh\nif [ \"$1\" = train ]; then exec '{0}' \"$@\" --scale 0.5 --geometry-steps 30 --intrinsic-steps 4 \
-             --set transport.steps=2; fi\nexec '{0}' \"$@\"\n",
+             --set transport.steps=2; fi\nif [ \"$1\" = synth ]; then exec '{0}' synth \"$2\" --views 3 --size 64x48; fi\nexec '{0}' \"$@\"\n",
             program().display()
         );
         let tool = bin.join("sgs");

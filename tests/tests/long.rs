@@ -114,7 +114,7 @@ fn geometry_with_every_loss() {
     let gpu = Gpu::fresh();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings();
-    s.geometry.steps = steps(1000);
+    s.geometry.steps = steps(500);
     let mut course = Course { steps: s.geometry.steps, ..Course::default() };
     let mut training = Geometry::new(gpu.device(), &scene, &s, None).unwrap();
     let (mut compared, mut skipped) = (0, 0);
@@ -146,7 +146,7 @@ fn materials_with_every_loss() {
     let gpu = Gpu::fresh();
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let mut s = settings();
-    (s.geometry.steps, s.intrinsic.steps) = (100, steps(600));
+    (s.geometry.steps, s.intrinsic.steps) = (100, steps(300));
     // Reports do not include these losses.
     let l = &s.intrinsic.losses;
     let unreported = [l.environment_smooth, l.light_position, l.light_value, l.visibility_jitter];

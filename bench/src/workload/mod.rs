@@ -14,7 +14,7 @@ use sgs_passes::reference::project as reference;
 use sgs_passes::scene::{Decoder, GaussianData, Group, Model};
 use sgs_run::gaussian_data;
 use sgs_scene::{Scene, SceneOptions, Splats};
-use sgs_train::{Correspondence, Photographs, SemanticData, TrainingData};
+use sgs_train::{Correspondence, Photographs, PixelPriors, SemanticData, TrainingData};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -73,6 +73,7 @@ impl Workload {
         Inputs {
             targets: &self.targets,
             normals: self.normals.as_ref(),
+            depths: None,
             semantics: self.semantics.as_deref().map(|(data, decoder)| data.inputs(decoder)),
             regions: None,
             pseudo_regions: None,
@@ -93,7 +94,7 @@ pub fn directory(
     sh_degree: u32,
 ) -> anyhow::Result<Workload> {
     let scene = Scene::open(path, &SceneOptions::default())?;
-    let data = TrainingData::load(device, &scene, priors.normals)?;
+    let data = TrainingData::load(device, &scene, PixelPriors { normals: priors.normals, depths: false })?;
     let [photographs] = <[Photographs; 1]>::try_from(data.parts)
         .map_err(|_| anyhow::anyhow!("The photographs of \"{}\" exceed one binding of the device.", path.display()))?;
     let normals = photographs.normals;

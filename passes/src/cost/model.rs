@@ -94,7 +94,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "blend_debt" => ((8.0 * (channels + 1.0) + 4.0) * p, 2.0 * (channels + 1.0) * p),
         "photometric_bwd_in_place" => ((36.0 + 12.0 + 4.0 + 12.0 + 4.0) * p, 3.0 * (3.0 * 11.0 * 4.0 + 22.0) * p),
         "photometric_bwd" => ((36.0 + 4.0 * channels + 4.0 + 12.0) * p, 3.0 * (3.0 * 11.0 * 4.0 + 20.0) * p),
-        "geometry_loss" => (56.0 * p, 450.0 * p),
+        "geometry_loss" => ((56.0 + 4.0 * spec("DEPTH_PRIOR")) * p, 450.0 * p),
+        "depth_fit" => (12.0 * p, 15.0 * p),
         "project_bwd_adam" => {
             // Every column of a visible Gaussian and of both its moments, read and written.
             let gaussian = 32.0 * spec("COLUMNS") + moments + 12.0 + 4.0 * words + 32.0 * spec("STATISTICS");
@@ -123,8 +124,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         // One number of a column; memory moves in larger pieces.
         "opacity_reset" => ((32.0 + moments_of(1.0)) * n, 4.0 * n),
         // A single workgroup, which takes little time.
-        "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" | "view_place"
-        | "view_step" => (64.0, 16.0),
+        "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" | "depth_fit_solve"
+        | "view_place" | "view_step" => (64.0, 16.0),
         _ => {
             return primitive(s, elements)
                 .or_else(|| densify(s, c))

@@ -3,6 +3,7 @@
 pub mod compose;
 pub mod correspondence;
 pub mod cross_view;
+pub mod depth_fit;
 pub mod edge_aware;
 pub mod geometry_loss;
 pub mod gray_image;
@@ -23,8 +24,9 @@ pub use correspondence::{
     Correspondence, ImagePart, Regions, correspondence_bwd, correspondence_train_bwd, pack_mask, region, regions,
 };
 pub use cross_view::{CrossView, CrossViewImage, cross_view};
+pub use depth_fit::{DepthFit, Fit, depth_fit};
 pub use edge_aware::{EdgeAware, EdgeSums, edge_aware};
-pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss};
+pub use geometry_loss::{GeometryLoss, GeometrySums, geometry_loss, pack_depth, pack_relative_depth, unpack_depth};
 pub use gray_image::{gray_image, gray_image_bwd};
 pub use material_images::{MaterialImages, Materials, images, material_images, material_images_bwd};
 pub use material_sum::{MaterialLosses, material_sum};

@@ -1,9 +1,10 @@
-//! Reference of `geometry_loss` and its gradients. The terms are prior normals, edge-aware smoothness and the variance
-//! of depth.
+//! Reference of `geometry_loss` and its gradients. The terms are prior normals, prior depths, edge-aware smoothness and
+//! the variance of depth.
 //!
 //! Filters are applied tap by tap, and transposed by scattering tap by tap, without the kernel's rearrangements.
 
 use crate::loss::octahedral::octahedral_decode;
+use crate::loss::unpack_depth;
 
 /// Minimum divisor, as in the kernel; smaller divisors are replaced by it.
 pub const FLOOR: f64 = 1e-3;
@@ -25,12 +26,16 @@ pub struct Scene {
     pub transmittance: Vec<f64>,
     /// Packed prior normals, if any.
     pub priors: Option<Vec<u32>>,
+    /// Packed prior depths, if any.
+    pub depth_priors: Option<Vec<u32>>,
+    /// Slope and offset from prior values to inverse depths. A constant of the loss.
+    pub depth_line: Option<[f64; 2]>,
     /// Photograph, packed RGBA8.
     pub photo: Vec<u32>,
 }
 
-/// Four unweighted losses, as means over all pixels; or the weights of the four.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Unweighted losses, as means over all pixels; or their weights.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Terms {
     /// 1 - cos of the angle to the prior; pixels without a prior count as 0.
     pub normal: f64,
@@ -40,6 +45,8 @@ pub struct Terms {
     pub depth_smooth: f64,
     /// Standard deviation of depth along the ray.
     pub depth_variance: f64,
+    /// Confidence times the relative difference from the prior depth; pixels without one count as 0.
+    pub depth: f64,
 }
 
 /// Gradients of the blended values.
@@ -69,6 +76,13 @@ impl Scene {
     fn depth(&self) -> Vec<f64> {
         let depths = self.depths.iter().flatten();
         depths.enumerate().map(|(p, d)| d[0] / self.opacity(p).max(FLOOR)).collect()
+    }
+
+    /// Returns the inverse and the confidence of a pixel's prior depth.
+    fn depth_prior(&self, p: usize) -> Option<[f64; 2]> {
+        let [value, confidence] = unpack_depth(self.depth_priors.as_ref()?[p])?;
+        let inverse = self.depth_line.map_or(value, |[slope, offset]| slope * value + offset);
+        (inverse > 0.0).then_some([inverse, confidence])
     }
 
     fn variance(&self, p: usize, depth: f64) -> f64 {
@@ -101,6 +115,28 @@ impl Scene {
     }
 }
 
+/// Returns slope and offset from prior values to inverse blended depths.
+///
+/// Zero if no line with a positive slope fits, as in [`crate::loss::depth_fit()`].
+pub fn depth_line(s: &Scene, shift: bool) -> [f64; 2] {
+    let mut rows = Vec::new();
+    for (p, word) in s.depth_priors.iter().flatten().enumerate() {
+        let (opacity, depth) = (s.opacity(p), s.depths.as_ref().map_or(0.0, |d| d[p][0]));
+        if let Some([x, confidence]) = unpack_depth(*word)
+            && opacity >= 0.5
+            && depth > 0.0
+        {
+            rows.push((confidence * opacity, x, opacity / depth));
+        }
+    }
+    let mean = |f: &dyn Fn(f64, f64) -> f64| {
+        rows.iter().map(|(w, x, y)| w * f(*x, *y)).sum::<f64>() / rows.iter().map(|r| r.0).sum::<f64>()
+    };
+    let (x, y) = if shift { (mean(&|x, _| x), mean(&|_, y| y)) } else { (0.0, 0.0) };
+    let slope = mean(&|a, b| (a - x) * (b - y)) / mean(&|a, _| (a - x).powi(2));
+    if slope.is_finite() && slope > 0.0 { [slope, y - slope * x] } else { [0.0; 2] }
+}
+
 fn length(v: [f64; 3]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
@@ -113,7 +149,7 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
 /// negative gradient magnitude, summed over the two directions.
 pub fn geometry_loss(s: &Scene) -> Terms {
     let (units, depth) = (s.unit_normals(), s.depth());
-    let mut t = Terms { normal: 0.0, normal_smooth: 0.0, depth_smooth: 0.0, depth_variance: 0.0 };
+    let mut t = Terms::default();
     for p in 0..s.pixels() {
         for vertical in [false, true] {
             let taps = s.taps(p, vertical);
@@ -135,6 +171,9 @@ pub fn geometry_loss(s: &Scene) -> Terms {
         }
         if s.depths.is_some() {
             t.depth_variance += s.variance(p, depth[p]).max(VARIANCE_MIN).sqrt();
+            if let Some([inverse, confidence]) = s.depth_prior(p) {
+                t.depth += confidence * (depth[p] * inverse - 1.0).abs();
+            }
         }
     }
     let n = s.pixels() as f64;
@@ -143,6 +182,7 @@ pub fn geometry_loss(s: &Scene) -> Terms {
         normal_smooth: t.normal_smooth / (3.0 * n),
         depth_smooth: t.depth_smooth / n,
         depth_variance: t.depth_variance / n,
+        depth: t.depth / n,
     }
 }
 
@@ -208,8 +248,11 @@ pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradien
             false => 0.0,
         };
         let [smooth, all] = by_depth[p];
-        let by_depth = smooth - 2.0 * depth[p] * by_variance;
-        let most = all + 2.0 * depth[p].abs() * by_variance;
+        let by_prior = s.depth_prior(p).map_or(0.0, |[inverse, confidence]| {
+            weights.depth / n * confidence * inverse * sign(depth[p] * inverse - 1.0)
+        });
+        let by_depth = smooth - 2.0 * depth[p] * by_variance + by_prior;
+        let most = all + 2.0 * depth[p].abs() * by_variance + by_prior.abs();
         let divisor = opacity.max(FLOOR);
         out.depths.push([by_depth / divisor, by_variance / divisor]);
         sizes.depths.push([most / divisor, by_variance / divisor]);
@@ -225,7 +268,14 @@ pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradien
 mod tests {
     use super::*;
     use crate::loss::octahedral::octahedral_encode;
+    use crate::loss::pack_depth;
     use crate::rng::Pcg;
+
+    /// A depth from 1 to 20, unknown for a fifth of the pixels.
+    fn random_depth(rng: &mut Pcg) -> u32 {
+        let depth = if rng.uniform() < 0.2 { 0.0 } else { rng.range(1.0, 20.0) };
+        pack_depth(depth as f32, rng.range(0.1, 1.0) as f32)
+    }
 
     fn scene(width: usize, height: usize) -> Scene {
         let mut rng = Pcg::new(width as u32);
@@ -238,19 +288,21 @@ mod tests {
             depths: Some((0..n).map(|_| [rng.range(1.0, 2.0), rng.range(6.0, 9.0)]).collect()),
             transmittance: (0..n).map(|_| rng.range(0.1, 0.9)).collect(),
             priors: Some((0..n).map(|_| octahedral_encode(normal(&mut rng).map(|x| x as f32))).collect()),
+            depth_priors: Some((0..n).map(|_| random_depth(&mut rng)).collect()),
+            depth_line: (width % 2 == 0).then_some([0.7, -0.05]),
             photo: (0..n).map(|_| rng.next_u32()).collect(),
         }
     }
 
     #[test]
     fn gradient_matches_finite_differences() {
-        let weights = Terms { normal: 0.3, normal_smooth: 0.7, depth_smooth: 0.5, depth_variance: 0.9 };
+        let weights = Terms { normal: 0.3, normal_smooth: 0.7, depth_smooth: 0.5, depth_variance: 0.9, depth: 0.6 };
         for (width, height) in [(1, 1), (1, 5), (6, 4)] {
             let mut s = scene(width, height);
             let gradient = geometry_loss_bwd(&s, &weights);
             let loss = |s: &Scene| {
                 let t = geometry_loss(s);
-                0.3 * t.normal + 0.7 * t.normal_smooth + 0.5 * t.depth_smooth + 0.9 * t.depth_variance
+                0.3 * t.normal + 0.7 * t.normal_smooth + 0.5 * t.depth_smooth + 0.9 * t.depth_variance + 0.6 * t.depth
             };
             let mut check = |of: &dyn Fn(&mut Scene) -> &mut f64, expected: f64| {
                 let x = *of(&mut s);
@@ -283,10 +335,16 @@ mod tests {
             depths: Some(vec![[1.4, 2.8]; n]),
             transmittance: vec![0.3; n],
             priors: Some([vec![octahedral_encode([0.0, 0.0, -1.0]); 20], vec![0; 10]].concat()),
+            depth_priors: Some([vec![pack_depth(2.0, 0.5); 20], vec![0; 10]].concat()),
+            depth_line: None,
             photo: (0..n as u32).collect(),
         };
         let t = geometry_loss(&s);
         assert!(t.normal.abs() < 1e-8 && t.normal_smooth == 0.0 && t.depth_smooth < 1e-12, "{t:?}");
         assert!((t.depth_variance - 1e-3).abs() < 1e-6, "{t:?}");
+        assert!(t.depth < 1e-12, "{t:?}");
+        // A wall at half the distance differs by a half of the prior, in two thirds of the pixels.
+        let near = Scene { depth_priors: Some([vec![pack_depth(4.0, 0.5); 20], vec![0; 10]].concat()), ..s };
+        assert!((geometry_loss(&near).depth - 0.5 * 0.5 * 2.0 / 3.0).abs() < 1e-9);
     }
 }

@@ -167,7 +167,7 @@ pub struct Gradients {
     pub pose: Option<Buffer>,
 }
 
-/// Builds specialization constants of a kernel that sums gradients of visible splats (`splat_sum.glsl`).
+/// Builds specialization constants of a kernel that includes `splat_sum.glsl`.
 macro_rules! backward_specs {
     ($kernel:ident, $t:expr, $gaussians:expr, $visible:expr, $entries:expr, { $($field:tt)* }) => {
         $crate::kernel::splat_specs!($kernel, $t, {

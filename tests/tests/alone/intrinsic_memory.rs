@@ -164,6 +164,9 @@ fn traced_shadow_memory_matches_estimate() {
 /// the estimate counts what the evaluation takes beyond that.
 #[test]
 fn automatic_selection_memory_matches_estimate() {
+    if !sgs_tests::takes_long() {
+        return;
+    }
     let mut s = sgs_tests::intrinsic::settings(12);
     // Many splats dominate the memory, because an evaluation copies them.
     let room = Room { priors: true, spacing: 1, ..Room::default() };

@@ -1,12 +1,12 @@
 //! Normal and depth losses on a device against their reference.
 
 use sgs_passes::Tuning;
-use sgs_passes::loss::octahedral_encode;
+use sgs_passes::loss::{octahedral_encode, pack_depth, pack_relative_depth};
 use sgs_passes::reference::geometry_loss as reference;
 use sgs_passes::reference::geometry_loss::{Gradient, Scene, Terms};
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::LossStats;
-use sgs_tests::surfaces::{Found, WEIGHTS, narrow, run};
+use sgs_tests::surfaces::{Found, WEIGHTS, fit, narrow, run};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -23,6 +23,8 @@ fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
         depths: Some(vec![]),
         transmittance: vec![],
         priors: Some(vec![]),
+        depth_priors: Some(vec![]),
+        depth_line: None,
         photo: vec![],
     };
     for p in 0..width * height {
@@ -40,6 +42,12 @@ fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
             depths.push([narrow(opacity * z), narrow(opacity * (z * z + variance))]);
             let prior = direction.map(|d| (d + 0.3 * rng.normal()) as f32);
             priors.push(if rng.uniform() < 0.1 { 0 } else { octahedral_encode(prior) });
+        }
+        if let Some(priors) = &mut s.depth_priors {
+            let known = if rng.uniform() < 0.15 { 0.0 } else { 1.0 };
+            // Errors stay away from zero, where the gradient's sign changes.
+            let off = rng.range(0.02, 0.4) * if rng.uniform() < 0.5 { 1.0 } else { -1.0 };
+            priors.push(pack_depth((known * z * (1.0 + off)) as f32, rng.range(0.1, 1.0) as f32));
         }
         s.transmittance.push(transmittance);
         s.photo.push(rng.next_u32());
@@ -89,7 +97,9 @@ fn check_terms(t: &Terms, stats: &LossStats) {
     let total = WEIGHTS.normal * t.normal
         + WEIGHTS.normal_smooth * t.normal_smooth
         + WEIGHTS.depth_smooth * t.depth_smooth
-        + WEIGHTS.depth_variance * t.depth_variance;
+        + WEIGHTS.depth_variance * t.depth_variance
+        + WEIGHTS.depth * t.depth;
+    assert_close("depth", &[t.depth], &[stats.depth], tolerance);
     assert_close("total", &[total], &[stats.total], Tolerance::new(2e-5, 2e-4));
 }
 
@@ -109,6 +119,7 @@ fn geometry_loss_of_a_model_that_lacks_something() {
     let gpu = Gpu::new();
     let s = random_scene(33, 19, 5);
     check(&gpu, &Scene { normals: None, priors: None, ..s.clone() }, [33, 19]);
+    check(&gpu, &Scene { depth_priors: None, ..s.clone() }, [33, 19]);
     check(&gpu, &Scene { depths: None, ..s.clone() }, [33, 19]);
     let found = check(&gpu, &Scene { depths: None, priors: None, ..s }, [33, 19]);
     assert!(found.transmittance.iter().all(|&t| t == 0.0));
@@ -140,6 +151,7 @@ fn geometry_loss_at_extremes() {
         depths: Some(vec![[0.0; 2]; n]),
         transmittance: vec![1.0; n],
         priors: Some(vec![octahedral_encode([f32::NAN, 1.0, 0.0]); n]),
+        depth_priors: Some(vec![pack_depth(f32::NAN, 1.0); n]),
         ..random_scene(width, height, 3)
     };
     let found = check(&gpu, &s, [width as u32, height as u32]);
@@ -170,6 +182,7 @@ fn geometry_loss_gradient_is_the_finite_difference_of_the_reference() {
             + WEIGHTS.normal_smooth * t.normal_smooth
             + WEIGHTS.depth_smooth * t.depth_smooth
             + WEIGHTS.depth_variance * t.depth_variance
+            + WEIGHTS.depth * t.depth
     };
     let n = (s.width * s.height) as f64;
     let moved = |p: usize, c: usize, h: f64| {
@@ -217,6 +230,57 @@ fn geometry_loss_gradient_is_the_finite_difference_of_the_reference() {
     }
 }
 
+/// Returns the scene with prior values on a line through the inverse depths.
+///
+/// The values have noise, and some are unknown.
+fn with_relative_depths(mut s: Scene, seed: u32, [slope, offset]: [f64; 2], shift: bool) -> Scene {
+    let mut rng = Pcg::new(seed);
+    let opacities: Vec<f64> = s.transmittance.iter().map(|t| 1.0 - t).collect();
+    let inverse = s.depths.as_ref().unwrap().iter().zip(opacities).map(|(d, opacity)| opacity / d[0]);
+    let values: Vec<f32> = inverse.map(|y| ((y * (1.0 + 0.05 * rng.normal()) - offset) / slope) as f32).collect();
+    let confidence: Vec<f32> = values.iter().map(|_| rng.range(-0.2, 1.0) as f32).collect();
+    s.depth_priors = Some(pack_relative_depth(&values, &confidence, shift));
+    s
+}
+
+#[test]
+fn fit_of_relative_depths_matches_reference() {
+    let gpu = Gpu::new();
+    let sizes = [(1, 1), (2, 1), (17, 3), (40, 1), (57, 33), (160, 120)];
+    for (i, (width, height)) in sizes.into_iter().enumerate() {
+        for (shift, line) in [(false, [0.02, 0.0]), (true, [350.0, 0.1]), (true, [3e-3, -0.2]), (true, [-1.0, 0.9])] {
+            let s = with_relative_depths(random_scene(width, height, i as u32), 7, line, shift);
+            let expected = reference::depth_line(&s, shift);
+            let found = fit(&gpu, &s, shift);
+            let name = format!("{width}x{height} with shift {shift}");
+            // Few pixels may have no slope, and a falling line does not count.
+            let many = width * height > 30;
+            assert!(!many || (expected[0] > 0.0) == (line[0] > 0.0), "{name}");
+            if many || !shift {
+                assert_close(&name, &expected, &found, Tolerance::new(1e-6, 1e-4));
+            }
+            assert!(found.iter().all(|x| x.is_finite()), "{name}");
+            let s = Scene { depth_line: Some(found.map(f64::from)), ..s };
+            check(&gpu, &s, [width as u32, height as u32]);
+        }
+    }
+}
+
+#[test]
+fn fit_without_anything_to_fit_is_zero() {
+    let gpu = Gpu::new();
+    let s = random_scene(20, 13, 4);
+    let n = s.transmittance.len();
+    let unknown = Scene { depth_priors: Some(vec![0; n]), ..s.clone() };
+    let empty = Scene { transmittance: vec![1.0; n], ..s.clone() };
+    let nothing = Scene { depths: Some(vec![[0.0; 2]; n]), ..s };
+    for s in [unknown, empty, nothing] {
+        for shift in [false, true] {
+            assert_eq!(fit(&gpu, &s, shift), [0.0; 2]);
+        }
+    }
+}
+
 #[test]
 fn geometry_loss_is_deterministic() {
     let gpu = Gpu::new();
@@ -246,6 +310,10 @@ fn geometry_loss_checks_can_fail() {
     assert!(differs(&reference::geometry_loss_bwd(&s, &Terms { depth_variance: 0.88, ..WEIGHTS })));
     assert!(differs(&reference::geometry_loss_bwd(&s, &Terms { depth_smooth: 0.51, ..WEIGHTS })));
     assert!(differs(&reference::geometry_loss_bwd(&s, &Terms { normal_smooth: 0.751, ..WEIGHTS })));
+    assert!(differs(&reference::geometry_loss_bwd(&s, &Terms { depth: 0.65, ..WEIGHTS })));
+    let mut other = s.clone();
+    other.depth_priors.as_mut().unwrap()[100] = pack_depth(0.1, 1.0);
+    assert!(differs(&reference::geometry_loss_bwd(&other, &WEIGHTS)));
     let mut other = s.clone();
     other.priors.as_mut().unwrap()[100] ^= 0x8000_0000;
     assert!(differs(&reference::geometry_loss_bwd(&other, &WEIGHTS)));

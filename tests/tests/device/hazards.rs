@@ -21,8 +21,8 @@ const TRAININGS: &[(&str, &str, &str)] = &[
         "healthy_training_is_not_rolled_back",
         "rates a thousand times too low and ten times too high, poses, points and priors that are wrong, resets after resets",
     ),
-    ("long", "geometry_with_every_loss", "1000 steps of geometry with every loss on; 100 000 with `SGS_TEST_LONG=1`"),
-    ("long", "materials_with_every_loss", "600 steps of materials with every loss on; 100 000 with `SGS_TEST_LONG=1`"),
+    ("long", "geometry_with_every_loss", "500 steps of geometry with every loss on; 100 000 with `SGS_TEST_LONG=1`"),
+    ("long", "materials_with_every_loss", "300 steps of materials with every loss on; 100 000 with `SGS_TEST_LONG=1`"),
 ];
 
 /// docs/how/extremes.md lists every training. The tests are in other files.

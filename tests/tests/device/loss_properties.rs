@@ -7,7 +7,7 @@
 //! window means, by a few units in the last place.
 
 use proptest::prelude::*;
-use sgs_passes::loss::octahedral_encode;
+use sgs_passes::loss::{octahedral_encode, pack_depth};
 use sgs_passes::reference::geometry_loss as surface;
 use sgs_passes::reference::geometry_loss::{Scene, Terms};
 use sgs_passes::reference::photometric as color;
@@ -136,7 +136,7 @@ struct Surfaces {
     normals: bool,
     depths: bool,
     priors: bool,
-    weights: [f64; 4],
+    weights: [f64; 5],
     /// Exponents of ten that bound the opacities; likewise for the next three fields.
     opacity: [f64; 2],
     depth: [f64; 2],
@@ -149,7 +149,7 @@ prop_compose! {
     fn views()(
         size in [1..40_usize, 1..40_usize],
         [normals, depths, priors] in [prop::bool::weighted(0.8), prop::bool::weighted(0.8), prop::bool::weighted(0.8)],
-        weights in [spread(-4.0, 3.0), spread(-4.0, 3.0), spread(-4.0, 3.0), spread(-4.0, 3.0)],
+        weights in [spread(-4.0, 3.0), spread(-4.0, 3.0), spread(-4.0, 3.0), spread(-4.0, 3.0), spread(-4.0, 3.0)],
         opacity in powers(-6.0, 0.0),
         depth in powers(-4.0, 4.0),
         spread in powers(-1.5, 1.0),
@@ -164,7 +164,7 @@ prop_compose! {
 impl Surfaces {
     fn scene(&self) -> Scene {
         let mut rng = Pcg::new(self.seed);
-        let (mut normals, mut depths, mut priors) = (vec![], vec![], vec![]);
+        let (mut normals, mut depths, mut priors, mut depth_priors) = (vec![], vec![], vec![], vec![]);
         let (mut transmittance, mut photo) = (vec![], vec![]);
         for _ in 0..self.size[0] * self.size[1] {
             let t = narrow(1.0 - log_uniform(&mut rng, self.opacity));
@@ -180,6 +180,10 @@ impl Surfaces {
             depths.push([narrow(opacity * z), narrow(opacity * z * z * (1.0 + sign * deviation * deviation))]);
             let prior = direction.map(|d| (d + 0.3 * rng.normal()) as f32);
             priors.push(if rng.uniform() < 0.1 { 0 } else { octahedral_encode(prior) });
+            // Half floats are normal from 6e-5 on.
+            let near = z * (1.0 + 0.3 * rng.normal());
+            let confidence = rng.range(-0.1, 1.0);
+            depth_priors.push(pack_depth(near as f32, confidence as f32));
             transmittance.push(t);
             photo.push(rng.next_u32());
         }
@@ -189,14 +193,16 @@ impl Surfaces {
             normals: self.normals.then_some(normals),
             depths: self.depths.then_some(depths),
             transmittance,
+            depth_priors: (self.priors && self.depths).then_some(depth_priors),
+            depth_line: None,
             priors: self.priors.then_some(priors),
             photo,
         }
     }
 
     fn weights(&self) -> Terms {
-        let [normal, normal_smooth, depth_smooth, depth_variance] = self.weights.map(narrow);
-        Terms { normal, normal_smooth, depth_smooth, depth_variance }
+        let [normal, normal_smooth, depth_smooth, depth_variance, depth] = self.weights.map(narrow);
+        Terms { normal, normal_smooth, depth_smooth, depth_variance, depth }
     }
 }
 
@@ -360,7 +366,7 @@ fn checks_of_losses_can_fail() {
         normals: true,
         depths: true,
         priors: true,
-        weights: [0.5; 4],
+        weights: [0.5; 5],
         opacity: [-1.0, 0.0],
         depth: [-0.5, 0.5],
         spread: [-1.0, 0.0],

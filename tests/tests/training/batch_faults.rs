@@ -284,8 +284,7 @@ fn jumping_clock_changes_nothing() {
 /// 200 runs by three commands, one of which is killed. Only with `SGS_TEST_LONG`: it takes minutes.
 #[test]
 fn two_hundred_tiny_runs_end_once() {
-    if std::env::var_os("SGS_TEST_LONG").is_none() {
-        println!("skipped: set SGS_TEST_LONG=1");
+    if !sgs_tests::takes_long() {
         return;
     }
     let rooms = Rooms::new(&["kitchen", "bath"]);

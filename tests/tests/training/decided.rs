@@ -79,6 +79,9 @@ fn decision<T>(course: &Course<T>, what: &str) -> String {
 /// The other levels are trained further.
 #[test]
 fn finest_field_levels_are_removed() {
+    if !sgs_tests::takes_long() {
+        return;
+    }
     let bench = Bench::new();
     let mut s = eager();
     s.intrinsic.automatic.parts.levels = true;
@@ -117,6 +120,9 @@ fn finest_field_levels_are_removed() {
 /// The map is trained further, also at longer update intervals and in runs that are rolled back.
 #[test]
 fn unneeded_environment_texels_are_removed() {
+    if !sgs_tests::takes_long() {
+        return;
+    }
     let bench = Bench::new();
     let mut s = eager();
     s.intrinsic.environment.resolution = 32;
@@ -161,6 +167,9 @@ fn unneeded_environment_texels_are_removed() {
 /// Checkpoints store the interval. A setting fixes it.
 #[test]
 fn environment_update_interval_grows_within_allowed_loss() {
+    if !sgs_tests::takes_long() {
+        return;
+    }
     let bench = Bench::new();
     let mut s = eager();
     s.intrinsic.automatic.parts.update_interval = true;

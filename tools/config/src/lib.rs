@@ -258,13 +258,12 @@ pub struct LossWeights {
     pub normal: f32,
     /// Edge-aware smoothness of normals.
     pub normal_smooth: f32,
+    /// Relative difference from prior depths, those of a sensor or of `priors/depth`.
+    pub depth: f32,
     /// Edge-aware smoothness of depth; it needs no priors.
     pub depth_smooth: f32,
-    /// Depth variance along a ray at step 0; grows tenfold every 5000 steps. It needs no priors.
+    /// Depth variance along a ray at step 0; grows tenfold every 5000 steps until step 7000. It needs no priors.
     pub depth_variance: f32,
-    /// Largest growth of `depth_variance`. Published: 100, which is reached after 10 000 steps and makes normals worse in
-    /// longer runs. 25 is the growth at step 7000.
-    pub depth_variance_growth: f32,
     /// 1 - cosine of decoded features to the semantic prior. Published: 1, which harms geometry.
     pub semantic: f32,
     /// Cross-entropy of the class to that of the prior. Published: 1.
@@ -280,9 +279,9 @@ impl Default for LossWeights {
             dssim: 0.2,
             normal: 0.05,
             normal_smooth: 0.01,
+            depth: 0.2,
             depth_smooth: 0.01,
             depth_variance: 0.02,
-            depth_variance_growth: 25.0,
             semantic: 0.02,
             semantic_class: 0.02,
             correspondence: 0.006,
@@ -386,7 +385,7 @@ impl Settings {
             ("losses.normal_smooth", f64::from(l.normal_smooth)),
             ("losses.depth_smooth", f64::from(l.depth_smooth)),
             ("losses.depth_variance", f64::from(l.depth_variance)),
-            ("losses.depth_variance_growth", f64::from(l.depth_variance_growth)),
+            ("losses.depth", f64::from(l.depth)),
             ("losses.semantic", f64::from(l.semantic)),
             ("losses.semantic_class", f64::from(l.semantic_class)),
             ("losses.correspondence", f64::from(l.correspondence)),

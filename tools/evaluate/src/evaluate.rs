@@ -89,16 +89,18 @@ pub fn evaluate_classes(
         let counts = scene.load_mask(i)?;
         let mask = truth.load(GroundTruthKind::Mask, i)?;
         let mask = mask.as_ref();
+        let mut aligned = None;
         let mut nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref(), lpips)?;
         if let Some(alignments) = &mut alignments {
             let found = alignments.find(gaussians, &view.camera, &photo, counts.as_ref(), background)?;
             let rendering = render_view(&mut renderer, gaussians, &found.camera, background)?;
-            let mut aligned = Rendered::from_image(&rendering, channels).rgb;
-            for pixel in aligned.data.chunks_exact_mut(3) {
+            let mut shown = Rendered::from_image(&rendering, channels);
+            for pixel in shown.rgb.data.chunks_exact_mut(3) {
                 pixel.iter_mut().zip(found.gains).for_each(|(v, gain)| *v = (*v * gain).min(1.0));
             }
-            nvs.psnr_aligned = Some(metrics::psnr(&aligned, &photo, counts.as_ref())?);
-            nvs.ssim_aligned = Some(metrics::ssim(&aligned, &photo, counts.as_ref())?);
+            nvs.psnr_aligned = Some(metrics::psnr(&shown.rgb, &photo, counts.as_ref())?);
+            nvs.ssim_aligned = Some(metrics::ssim(&shown.rgb, &photo, counts.as_ref())?);
+            aligned = Some(shown.depth);
         }
         // Gaussians without normals still have a surface. Its normals are derived from depth.
         let surface;
@@ -117,6 +119,12 @@ pub fn evaluate_classes(
             Some(t) => known(metrics::depth_rel(&rendered.depth, &t, mask))?,
             None => None,
         };
+        let sensor_depth_rel = match scene.sensor_depth(i)? {
+            Some(t) => {
+                known(metrics::depth_rel(aligned.as_ref().unwrap_or(&rendered.depth), &t.image, counts.as_ref()))?
+            }
+            None => None,
+        };
         let semantic = match (&rendered.labels, truth.semantic(i)?) {
             (Some(labels), Some(t)) => {
                 let id = |label: &Option<u32>| label.map_or(NO_LABEL, |l| known_as[l as usize]);
@@ -130,7 +138,16 @@ pub fn evaluate_classes(
         let name = view.camera.name.clone();
         let (normal_mae_deg, normal_coverage) =
             normal.map(|NormalError { mae_deg, coverage }| (mae_deg, coverage)).unzip();
-        out.push(ViewMetrics { name, nvs, normal_mae_deg, normal_coverage, depth_rel: depth, semantic, shaded: None });
+        out.push(ViewMetrics {
+            name,
+            nvs,
+            normal_mae_deg,
+            normal_coverage,
+            depth_rel: depth,
+            sensor_depth_rel,
+            semantic,
+            shaded: None,
+        });
     }
     let n = out.len().max(1) as f64;
     let mean = |f: &dyn Fn(&ViewMetrics) -> f64| out.iter().map(f).sum::<f64>() / n;
@@ -150,6 +167,7 @@ pub fn evaluate_classes(
         normal_mae_deg: some(&|v| v.normal_mae_deg),
         normal_coverage: some(&|v| v.normal_coverage),
         depth_rel: some(&|v| v.depth_rel),
+        sensor_depth_rel: some(&|v| v.sensor_depth_rel),
         semantic: some(&|v| v.semantic.map(|s| s.accuracy)).map(|accuracy| Semantic { accuracy }),
         shaded: None,
         fps: None,

@@ -23,6 +23,11 @@ pub struct ViewMetrics {
     /// Mean relative error of depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_rel: Option<f64>,
+    /// Mean relative difference from the depth that a sensor measured.
+    ///
+    /// Measured after alignment if the view was aligned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor_depth_rel: Option<f64>,
     /// Metrics of classes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub semantic: Option<Semantic>,
@@ -89,6 +94,11 @@ pub struct Means {
     /// Mean relative error of depth.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_rel: Option<f64>,
+    /// Mean relative difference from the depth that a sensor measured.
+    ///
+    /// Measured after alignment if the view was aligned.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor_depth_rel: Option<f64>,
     /// Metrics of classes.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub semantic: Option<Semantic>,

@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 const FIRST: [&str; 4] = ["nvs psnr", "nvs ssim", "nvs flip", "nvs lpips"];
 
 /// Metrics by the last word of their path: name with unit, factor, decimals.
-const MEASURES: [(&str, &str, f64, usize); 16] = [
+const MEASURES: [(&str, &str, f64, usize); 17] = [
     ("psnr", "PSNR (dB)", 1.0, 2),
     ("psnr_scaled", "PSNR, scaled (dB)", 1.0, 2),
     ("psnr_scaled_per_view", "PSNR, scaled per view (dB)", 1.0, 2),
@@ -24,6 +24,7 @@ const MEASURES: [(&str, &str, f64, usize); 16] = [
     ("nvs", "Rendering (frames/s)", 1.0, 1),
     ("pbr", "Shading (frames/s)", 1.0, 1),
     ("depth_rel", "Depth error (%)", 100.0, 2),
+    ("sensor_depth_rel", "Sensor depth error (%)", 100.0, 2),
     ("roughness_mse", "Roughness MSE", 1.0, 4),
     ("metallic_mse", "Metallic MSE", 1.0, 4),
     ("accuracy", "Correct labels (%)", 100.0, 1),

@@ -1,8 +1,9 @@
 //! Conversion between scenes on disk and on the GPU: cameras, splats, packed pixels.
 
-use sgs_passes::loss::octahedral_encode;
+use sgs_passes::loss::{octahedral_encode, pack_depth, pack_relative_depth};
 use sgs_passes::pipeline::Camera;
 use sgs_passes::scene::{GaussianData, Group, Model};
+use sgs_scene::DepthMeaning;
 use sgs_scene::Splats;
 
 /// Converts a camera to the layout of the kernels. Each use fills in `tiles`.
@@ -76,6 +77,21 @@ pub fn pack_image(image: &sgs_scene::Image, mask: Option<&sgs_scene::Image>) -> 
 /// Packs world-space normals to octahedral 2 × 16 bits; 0 marks a missing normal.
 pub fn pack_normals(image: &sgs_scene::Image) -> Vec<u32> {
     image.data.chunks_exact(3).map(|n| octahedral_encode([n[0], n[1], n[2]])).collect()
+}
+
+/// Packs a map of prior depths and their confidence.
+///
+/// For [`sgs_passes::loss::GeometryLoss`].
+pub fn pack_depths(map: &sgs_scene::MaskedMap, meaning: DepthMeaning) -> Vec<u32> {
+    let (values, confidence) = (&map.image.data, &map.valid.data);
+    match meaning {
+        DepthMeaning::Metric => values.iter().zip(confidence).map(|(&z, &c)| pack_depth(z, c)).collect(),
+        DepthMeaning::Scale => {
+            let inverse: Vec<f32> = values.iter().map(|z| 1.0 / z).collect();
+            pack_relative_depth(&inverse, confidence, false)
+        }
+        DepthMeaning::InverseScaleShift => pack_relative_depth(values, confidence, true),
+    }
 }
 
 #[cfg(test)]

@@ -32,7 +32,7 @@ mod visibility;
 
 pub use classify::{Classes, Classifier, NO_RELEVANCE};
 pub use contents::{Contents, RunContents, entries};
-pub use convert::{camera, gaussian_data, pack_image, pack_normals, splats};
+pub use convert::{camera, gaussian_data, pack_depths, pack_image, pack_normals, splats};
 pub use directory::RunDirectory;
 pub use emitters::{
     EmitterFile, EmitterRow, EnclosureRow, MOST_OPENINGS, OpeningRow, SKY, check_openings, read_emitters, read_sky,

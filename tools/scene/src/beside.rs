@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::depth_prior::DepthFile;
 use crate::error::{Result, SceneError};
 use crate::map_file::NormalFrame;
 
@@ -15,6 +16,8 @@ pub(crate) struct Beside {
     pub(crate) test: Option<bool>,
     /// Mask of valid pixels of the photograph; values above one half are valid.
     pub(crate) mask: Option<PathBuf>,
+    /// Depths of a sensor.
+    pub(crate) depth: Option<DepthFile>,
     /// Ground-truth maps, at most one of each kind.
     pub(crate) truth: Vec<TruthFile>,
     /// Images of the same view under other lightings: name and path.

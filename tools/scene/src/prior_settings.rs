@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
+use crate::depth_prior::DepthSettings;
 use crate::error::{Result, SceneError};
 use crate::json::read_json;
 use crate::map_file::NormalFrame;
@@ -13,6 +14,8 @@ use crate::map_file::NormalFrame;
 pub(crate) struct PriorSettings {
     /// Settings of normal maps.
     pub(crate) normal: Option<NormalSettings>,
+    /// Settings of depth maps.
+    pub(crate) depth: Option<DepthSettings>,
 }
 
 /// Settings of normal maps.
@@ -35,6 +38,9 @@ impl PriorSettings {
                 path.display()
             );
             return Err(SceneError::image(&folder, problem));
+        }
+        if let Some(problem) = settings.depth.and_then(DepthSettings::problem) {
+            return Err(SceneError::image(&path, problem));
         }
         Ok(settings)
     }

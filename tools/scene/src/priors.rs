@@ -58,7 +58,7 @@ pub(crate) struct Labels {
 }
 
 impl Scene {
-    fn prior_path(&self, kind: &str, view: &View, extensions: &[&str]) -> Option<PathBuf> {
+    pub(crate) fn prior_path(&self, kind: &str, view: &View, extensions: &[&str]) -> Option<PathBuf> {
         maps::find(&self.root.join("priors").join(kind), &view.camera.name, extensions)
     }
 

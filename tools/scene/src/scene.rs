@@ -98,6 +98,8 @@ pub struct Scene {
     pub(crate) depth_definition: OnceLock<Option<DepthDefinition>>,
     pub(crate) noise: Noise,
     pub(crate) extent: f64,
+    /// Length of the unit of the cameras, in the units of the scene's files.
+    pub(crate) length: f64,
 }
 
 impl Scene {
@@ -162,7 +164,7 @@ impl Scene {
             }
             options.exposure = Some(chosen);
         }
-        Ok(Self {
+        let mut scene = Self {
             root: path.to_path_buf(),
             layout,
             views,
@@ -175,7 +177,15 @@ impl Scene {
             depth_definition: OnceLock::new(),
             noise: Noise::default(),
             extent,
-        })
+            length: 1.0,
+        };
+        if scene.points_are_random
+            && let Some(points) =
+                scene.depth_points(scene.options.random_points.clamp(100, 10_000_000), scene.options.seed)?
+        {
+            (scene.points, scene.points_are_random) = (points, false);
+        }
+        Ok(scene)
     }
 
     /// Returns warnings for training from the scene's points, one sentence each. Evaluation of a run does not need
@@ -234,7 +244,7 @@ impl Scene {
         Unit::of_extent(self.extent())
     }
 
-    /// Returns the scene with lengths converted to a unit. Ground truth and sensor depth keep the units of their files.
+    /// Returns the scene with lengths converted to a unit. Ground truth keeps the units of its files.
     #[must_use]
     pub fn in_unit(&self, unit: Unit) -> Scene {
         let mut scene = self.clone();
@@ -243,6 +253,7 @@ impl Scene {
         }
         scene.points.positions.iter_mut().for_each(|p| *p = unit.place(*p));
         scene.extent /= unit.length();
+        scene.length *= unit.length();
         scene
     }
 

@@ -1,15 +1,16 @@
-//! Training views on the GPU: packed photographs and normal priors, and their cameras.
+//! Training views on the GPU: packed photographs, prior normals and prior depths, and their cameras.
 //!
 //! Photographs and priors of all views are stored consecutively. If they exceed what a device binds at once, they take
 //! several buffers of equal size. The first steps may use smaller photographs; these follow the full one of their view.
 
 use crate::error::{Requirement, Result};
-use crate::reduce::{halved_image, halved_normals, halved_size};
+use crate::reduce::{halved_depths, halved_image, halved_normals, halved_size};
 use rayon::prelude::*;
 use sgs_engine::{Device, DeviceBuffer, Location, Piece};
+use sgs_passes::loss::Fit;
 use sgs_passes::pipeline::Camera;
-use sgs_run::{camera, pack_image, pack_normals};
-use sgs_scene::{Image, Scene};
+use sgs_run::{camera, pack_depths, pack_image, pack_normals};
+use sgs_scene::{DepthMeaning, Image, Scene};
 
 /// Training views in device memory.
 pub struct TrainingData {
@@ -23,6 +24,8 @@ pub struct TrainingData {
     pub largest: [u32; 2],
     /// Number of smaller photographs of each view. Each has half the width and height of the one before.
     pub halvings: u32,
+    /// Relation of prior depths to depth.
+    pub fit: Fit,
 }
 
 /// Photographs and priors of some views.
@@ -31,6 +34,17 @@ pub struct Photographs {
     pub targets: DeviceBuffer,
     /// Normal priors, if any training view has one.
     pub normals: Option<DeviceBuffer>,
+    /// Prior depths, if any training view has one.
+    pub depths: Option<DeviceBuffer>,
+}
+
+/// Kinds of priors that are read with the photographs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PixelPriors {
+    /// Normals.
+    pub normals: bool,
+    /// Depths.
+    pub depths: bool,
 }
 
 /// Training views on the host, packed for upload.
@@ -39,6 +53,9 @@ pub(crate) struct Packed {
     images: Vec<Vec<u32>>,
     /// Like `images`.
     normals: Option<Vec<Vec<u32>>>,
+    /// Like `images`.
+    depths: Option<Vec<Vec<u32>>>,
+    fit: Fit,
     halvings: u32,
     views: Vec<(Camera, u32)>,
     part_of: Vec<usize>,
@@ -47,41 +64,68 @@ pub(crate) struct Packed {
 }
 
 impl Packed {
-    /// Reads the training views of a scene. Reads the priors, if any, only with `normals`.
-    pub fn read(scene: &Scene, normals: bool) -> Result<Packed> {
+    /// Reads the training views of a scene, and the wanted priors that exist.
+    pub fn read(scene: &Scene, wanted: PixelPriors) -> Result<Packed> {
         let train = &scene.split.train;
         let pack = |&i: &usize| Ok(pack_image(&scene.load_image(i)?, scene.load_mask(i)?.as_ref()));
         let images: Vec<Vec<u32>> = train.par_iter().map(pack).collect::<Result<_>>()?;
-        let mut packed =
-            Packed { images, normals: None, halvings: 0, views: Vec::new(), part_of: Vec::new(), largest: [1, 1] };
+        let mut packed = Packed::without_priors(images);
         let mut offset = 0_u64;
         for &i in train {
             packed.add(camera(&scene.views[i].camera), &mut offset)?;
         }
-        if normals {
-            let maps: Vec<Option<Vec<u32>>> = train
-                .par_iter()
-                .map(|&i| Ok(scene.normal_prior(i)?.map(|n| pack_normals(&n))))
-                .collect::<Result<_>>()?;
-            // A view without a prior is trained without one: a word of zero means an unknown normal.
-            if maps.iter().any(Option::is_some) {
-                let filled = maps.into_iter().zip(&packed.images).map(|(map, image)| {
-                    let mut map = map.unwrap_or_else(|| vec![0; image.len()]);
-                    // Invalid pixels of the photograph have no normal either.
-                    map.iter_mut().zip(image).filter(|(_, i)| *i >> 24 == 0).for_each(|(n, _)| *n = 0);
-                    map
-                });
-                packed.normals = Some(filled.collect());
-            }
+        if wanted.normals {
+            packed.normals = packed.priors(train, |i| Ok(scene.normal_prior(i)?.map(|n| pack_normals(&n))))?;
+        }
+        if wanted.depths {
+            let meaning = scene.depth_meaning();
+            packed.depths = packed.priors(train, |i| Ok(scene.depth_prior(i)?.map(|d| pack_depths(&d, meaning))))?;
+            packed.fit = match meaning {
+                DepthMeaning::Metric => Fit::Metric,
+                DepthMeaning::Scale => Fit::Scale,
+                DepthMeaning::InverseScaleShift => Fit::ScaleShift,
+            };
         }
         Ok(packed)
+    }
+
+    fn without_priors(images: Vec<Vec<u32>>) -> Packed {
+        Packed {
+            images,
+            normals: None,
+            depths: None,
+            fit: Fit::Metric,
+            halvings: 0,
+            views: Vec::new(),
+            part_of: Vec::new(),
+            largest: [1, 1],
+        }
+    }
+
+    /// Reads priors of all training views. Returns none if no view has one.
+    fn priors(
+        &self,
+        train: &[usize],
+        read: impl Fn(usize) -> Result<Option<Vec<u32>>> + Sync,
+    ) -> Result<Option<Vec<Vec<u32>>>> {
+        let maps: Vec<Option<Vec<u32>>> = train.par_iter().map(|&i| read(i)).collect::<Result<_>>()?;
+        if maps.iter().all(Option::is_none) {
+            return Ok(None);
+        }
+        // A view without a prior is trained without one: a word of zero means an unknown value.
+        let filled = maps.into_iter().zip(&self.images).map(|(map, image)| {
+            let mut map = map.unwrap_or_else(|| vec![0; image.len()]);
+            // Invalid pixels of the photograph have no prior either.
+            map.iter_mut().zip(image).filter(|(_, i)| *i >> 24 == 0).for_each(|(n, _)| *n = 0);
+            map
+        });
+        Ok(Some(filled.collect()))
     }
 
     /// Packs display-referred images that are no photographs, with their cameras.
     pub fn of(renderings: &[(&sgs_scene::Camera, Image)]) -> Result<Packed> {
         let images = renderings.par_iter().map(|(_, image)| pack_image(image, None)).collect();
-        let mut packed =
-            Packed { images, normals: None, halvings: 0, views: Vec::new(), part_of: Vec::new(), largest: [1, 1] };
+        let mut packed = Packed::without_priors(images);
         let mut offset = 0_u64;
         for (c, _) in renderings {
             packed.add(camera(c), &mut offset)?;
@@ -117,6 +161,9 @@ impl Packed {
         add(&mut self.images, halved_image);
         if let Some(normals) = &mut self.normals {
             add(normals, halved_normals);
+        }
+        if let Some(depths) = &mut self.depths {
+            add(depths, halved_depths);
         }
         self.halvings = halvings;
     }
@@ -190,26 +237,35 @@ impl Packed {
         self.normals.as_ref().map(|_| self.image_bytes())
     }
 
+    /// Returns the bytes of the prior depths of the largest part, if there are any.
+    ///
+    /// Also returns their relation to depth.
+    pub fn depth_bytes(&self) -> Option<(u64, Fit)> {
+        self.depths.as_ref().map(|_| (self.image_bytes(), self.fit))
+    }
+
     /// Uploads photographs and priors to the device.
     pub fn upload(self, device: &Device) -> Result<TrainingData> {
         let size = self.image_bytes();
         let up = |name: &str, images: &[Vec<u32>]| upload(device, name, images, &self.part_of, size);
         let targets = up("targets", &self.images)?;
         let normals = self.normals.as_ref().map(|maps| up("normal_priors", maps)).transpose()?;
-        let mut normals = normals.into_iter().flatten();
-        let parts = targets.into_iter().map(|targets| Photographs { targets, normals: normals.next() }).collect();
-        let Packed { views, part_of, largest, halvings, .. } = self;
-        Ok(TrainingData { parts, views, part_of, largest, halvings })
+        let depths = self.depths.as_ref().map(|maps| up("depth_priors", maps)).transpose()?;
+        let (mut normals, mut depths) = (normals.into_iter().flatten(), depths.into_iter().flatten());
+        let part = |targets| Photographs { targets, normals: normals.next(), depths: depths.next() };
+        let parts = targets.into_iter().map(part).collect();
+        let Packed { views, part_of, largest, halvings, fit, .. } = self;
+        Ok(TrainingData { parts, views, part_of, largest, halvings, fit })
     }
 }
 
 impl TrainingData {
-    /// Loads the training views of a scene. Loads the priors, if any, only with `normals`.
+    /// Loads the training views of a scene, and the wanted priors that exist.
     ///
     /// # Errors
     /// If an image or prior cannot be read, or memory runs out.
-    pub fn load(device: &Device, scene: &Scene, normals: bool) -> Result<TrainingData> {
-        let mut packed = Packed::read(scene, normals)?;
+    pub fn load(device: &Device, scene: &Scene, wanted: PixelPriors) -> Result<TrainingData> {
+        let mut packed = Packed::read(scene, wanted)?;
         packed.split(device.info().largest_binding());
         packed.upload(device)
     }
@@ -274,7 +330,7 @@ mod tests {
     fn packed(sizes: &[usize]) -> Packed {
         let images = sizes.iter().map(|size| vec![0; *size]).collect();
         let views = vec![(Camera::default(), 0); sizes.len()];
-        Packed { images, normals: None, halvings: 0, views, part_of: vec![0; sizes.len()], largest: [1, 1] }
+        Packed { views, part_of: vec![0; sizes.len()], ..Packed::without_priors(images) }
     }
 
     #[test]
@@ -282,21 +338,22 @@ mod tests {
         let camera = Camera { size: [5, 4], focal: [8.0, 6.0], center: [2.5, 2.0], ..Camera::default() };
         let white = vec![u32::MAX; 20];
         let mut data = Packed {
-            images: vec![white.clone(); 2],
             normals: Some(vec![vec![7; 20]; 2]),
-            halvings: 0,
+            depths: Some(vec![vec![0x3c00_4000; 20]; 2]),
             views: vec![(camera, 0), (camera, 20)],
             part_of: vec![0; 2],
             largest: [5, 4],
+            ..Packed::without_priors(vec![white.clone(); 2])
         };
         data.reduce(2);
         data.split(1000);
         // 5 x 4, 2 x 2 and 1 x 1 pixels.
         assert_eq!((data.image_bytes(), data.image(1), data.views[1].1), (2 * 4 * 25, &white[..], 25));
         assert!(data.normals.as_ref().unwrap().iter().all(|map| map.len() == 25));
+        assert_eq!(data.depths, Some(vec![vec![0x3c00_4000; 25]; 2]));
         assert_eq!(data.normals().unwrap()[0], vec![7; 20]);
-        let Packed { views, part_of, largest, halvings, .. } = data;
-        let data = TrainingData { parts: Vec::new(), views, part_of, largest, halvings };
+        let Packed { views, part_of, largest, halvings, fit, .. } = data;
+        let data = TrainingData { parts: Vec::new(), views, part_of, largest, halvings, fit };
         let of = |halvings| {
             let (camera, first) = data.reduced(1, halvings);
             (camera.size, camera.focal, camera.center, first)

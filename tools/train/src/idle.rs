@@ -60,6 +60,7 @@ fn listed(words: &[&str]) -> String {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FoundForGeometry {
     pub normals: bool,
+    pub depths: bool,
     pub semantics: bool,
     pub regions: bool,
 }
@@ -206,7 +207,7 @@ mod tests {
     #[test]
     fn idle_geometry_losses_name_missing_inputs() {
         let mut s = Settings::default();
-        let none = FoundForGeometry { normals: false, semantics: false, regions: false };
+        let none = FoundForGeometry { normals: false, depths: false, semantics: false, regions: false };
         let idle = of_geometry(&s, none);
         assert_eq!(names(&idle), ["normal", "normal_smooth", "semantic", "semantic_class", "correspondence"]);
         assert_eq!(
@@ -219,7 +220,7 @@ mod tests {
                  geometry.losses.correspondence to 0",
             ]
         );
-        let all = FoundForGeometry { normals: true, semantics: true, regions: true };
+        let all = FoundForGeometry { normals: true, depths: true, semantics: true, regions: true };
         assert_eq!(of_geometry(&s, all), []);
         let text =
             |s: &Settings| IdleLoss::warnings(&of_geometry(s, FoundForGeometry { regions: false, ..all })).remove(0);

@@ -29,7 +29,7 @@ mod transport;
 mod uniforms;
 
 pub use correspondence::Correspondence;
-pub use data::{Photographs, TrainingData};
+pub use data::{Photographs, PixelPriors, TrainingData};
 pub use decision::Decision;
 pub use divergence::RollBack;
 pub use error::{Requirement, Result, TrainError};

@@ -17,7 +17,7 @@ use sgs_passes::scene::{Decoder, Group, Layout, LearnedViews};
 pub struct Needs {
     /// Training photographs.
     pub photographs: u64,
-    /// Normal priors.
+    /// Priors of normals and depths.
     pub priors: u64,
     /// Semantic priors, text embeddings and the decoder.
     pub semantics: u64,
@@ -60,10 +60,11 @@ impl Needs {
         let pairs = if layout.model.semantics { 8 * u64::from(Group::Semantics.width()) } else { 0 };
         let widest = layout.model.column_bytes(layout.capacity).max(pairs * u64::from(layout.capacity));
         let data = inputs.targets.max(inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES));
-        let largest = data.max(inputs.normals.unwrap_or(0)).max(widest);
+        let maps = inputs.normals.unwrap_or(0) + inputs.depths.map_or(0, |d| d.0);
+        let largest = data.max(inputs.normals.max(inputs.depths.map(|d| d.0)).unwrap_or(0)).max(widest);
         Ok(Needs {
             photographs: inputs.targets * inputs.parts.max(1),
-            priors: inputs.normals.unwrap_or(0) * inputs.parts.max(1),
+            priors: maps * inputs.parts.max(1),
             semantics: inputs.semantics.map_or(0, |s| s.bytes() + Decoder::TRAINING_BYTES),
             // Known once the regions are loaded.
             regions: 0,

@@ -1,10 +1,10 @@
-//! Photographs and normal priors of half the width and height.
+//! Photographs, prior normals and prior depths of half the width and height.
 //!
 //! A pixel is the mean of four. Colors are averaged as displayed, since Gaussians are blended as displayed. An odd last
 //! row or column is left out, so a smaller pixel always covers exactly four.
 
 use rayon::prelude::*;
-use sgs_passes::loss::{octahedral_decode, octahedral_encode};
+use sgs_passes::loss::{octahedral_decode, octahedral_encode, unpack_depth};
 
 /// Least width and height of a smaller photograph, in pixels. Smaller ones cost image quality.
 pub(crate) const LEAST: u32 = 64;
@@ -39,6 +39,19 @@ pub(crate) fn halved_normals(normals: &[u32], size: [u32; 2]) -> Vec<u32> {
             return 0;
         }
         octahedral_encode([0, 1, 2].map(|axis| known.iter().map(|n| n[axis]).sum::<f64>() as f32))
+    })
+}
+
+/// Returns a packed map of depths at half its size. A depth is the middle one of the known ones among its four, the
+/// nearer of two middle ones, so that no depth between two surfaces appears. It is unknown if fewer than two are known.
+pub(crate) fn halved_depths(depths: &[u32], size: [u32; 2]) -> Vec<u32> {
+    halved(depths, size, |four| {
+        let mut known: Vec<(f64, u32)> = four.iter().filter_map(|d| Some((unpack_depth(*d)?[0], *d))).collect();
+        if 2 * known.len() < four.len() {
+            return 0;
+        }
+        known.sort_by(|a, b| a.0.total_cmp(&b.0));
+        known[known.len() / 2].1
     })
 }
 

@@ -8,8 +8,9 @@ use super::{GeometryOptions, PSEUDO_VIEWS};
 use crate::Tuning;
 use crate::kernel::stage;
 use crate::loss::{
-    GeometryLoss, Photometric, SemanticLoss, decoder_gradient, geometry_loss, loss_sum, photometric, photometric_bwd,
-    photometric_bwd_in_place, semantic_loss, semantic_prepare, semantic_sum, wanted_samples,
+    DepthFit, Fit, GeometryLoss, Photometric, SemanticLoss, decoder_gradient, depth_fit, geometry_loss, loss_sum,
+    photometric, photometric_bwd, photometric_bwd_in_place, semantic_loss, semantic_prepare, semantic_sum,
+    wanted_samples,
 };
 use crate::optim::{
     Adam, AdamUnseen, EPSILON, Rate, ViewGradients, ViewStatus, adam as adam_pass, adam_unseen, adam_unseen_features,
@@ -215,14 +216,24 @@ fn appearance(
         transmittance: view.blended.transmittance,
         targets: inputs.targets,
         priors: inputs.normals,
+        depth_priors: inputs.depths.map(|d| d.0),
+        depth_line: None,
         largest: o.largest,
     };
     let others = if color_alone {
         g.fill("clear_grad_transmittance", gradient.transmittance, 0)?;
         None
     } else {
-        let sums = geometry_loss(g, *t, &loss, gradient.image, gradient.transmittance)?;
-        Some((sums.sums, sums.count))
+        let depth_line = match (inputs.depths, loss.depth) {
+            (Some((priors, fit)), Some(depth)) if fit != Fit::Metric => {
+                let shift = fit == Fit::ScaleShift;
+                let GeometryLoss { image, transmittance, .. } = loss;
+                Some(depth_fit(g, *t, &DepthFit { step, image, channels, depth, transmittance, priors, shift })?)
+            }
+            _ => None,
+        };
+        let loss = GeometryLoss { depth_line, ..loss };
+        Some(geometry_loss(g, *t, &loss, gradient.image, gradient.transmittance)?)
     };
     loss_sum(g, *t, step, (partials.sums, partials.count), others, stats)?;
     let mut owed = blend_debt(g, t, screen, channels, &view.blended, &gradient)?;

@@ -1,6 +1,6 @@
 //! Inputs of a geometry step besides the Gaussians, and their sizes.
 
-use crate::loss::{Head, SemanticTargets};
+use crate::loss::{Fit, Head, SemanticTargets};
 use crate::scene::{Decoder, DecoderHandles, EMBEDDING, LearnedViews, ViewHandles, ViewKinds};
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
@@ -14,6 +14,8 @@ pub struct Inputs<'a> {
     pub targets: &'a DeviceBuffer,
     /// Normal priors, packed like the photographs.
     pub normals: Option<&'a DeviceBuffer>,
+    /// Prior depths, packed like the photographs ([`crate::loss::pack_depth`]).
+    pub depths: Option<(&'a DeviceBuffer, Fit)>,
     /// Semantic targets; the Gaussians must have features.
     pub semantics: Option<SemanticInputs<'a>>,
     /// Regions for pseudo-views.
@@ -51,6 +53,8 @@ pub struct InputSizes {
     pub parts: u64,
     /// Bytes of the normal priors.
     pub normals: Option<u64>,
+    /// Bytes of the prior depths, and their relation to depth.
+    pub depths: Option<(u64, Fit)>,
     /// Sizes of the semantic inputs.
     pub semantics: Option<SemanticSizes>,
     /// Bytes of the regions.
@@ -98,6 +102,7 @@ impl Inputs<'_> {
             targets: self.targets.bytes(),
             parts: 1,
             normals: self.normals.map(DeviceBuffer::bytes),
+            depths: self.depths.map(|(priors, fit)| (priors.bytes(), fit)),
             semantics: self.semantics.map(|s| SemanticSizes {
                 samples: s.features.bytes() / ROW,
                 largest: s.largest,
@@ -115,6 +120,7 @@ impl Inputs<'_> {
 pub(super) struct InputHandles {
     pub targets: Buffer,
     pub normals: Option<Buffer>,
+    pub depths: Option<(Buffer, Fit)>,
     pub semantics: Option<SemanticHandles>,
     pub regions: Option<Buffer>,
     pub pseudo_regions: Option<Buffer>,
@@ -133,6 +139,7 @@ impl InputHandles {
         InputHandles {
             targets: g.input("targets", sizes.targets),
             normals: sizes.normals.map(|bytes| g.input("normal_priors", bytes)),
+            depths: sizes.depths.map(|(bytes, fit)| (g.input("depth_priors", bytes), fit)),
             semantics: sizes.semantics.map(|s| {
                 let decoder = Decoder::handles(g, true);
                 let embeddings = g.input("text_embeddings", s.text_bytes());
@@ -154,10 +161,13 @@ impl InputHandles {
 
     pub fn bind(&self, exec: &mut Executor, inputs: &Inputs<'_>) -> Result<()> {
         exec.bind(self.targets, inputs.targets)?;
-        if let (Some(handle), Some(memory)) = (self.normals, inputs.normals) {
-            exec.bind(handle, memory)?;
-        }
-        for (handle, memory) in [(self.regions, inputs.regions), (self.pseudo_regions, inputs.pseudo_regions)] {
+        let maps = [
+            (self.normals, inputs.normals),
+            (self.depths.map(|d| d.0), inputs.depths.map(|d| d.0)),
+            (self.regions, inputs.regions),
+            (self.pseudo_regions, inputs.pseudo_regions),
+        ];
+        for (handle, memory) in maps {
             if let (Some(handle), Some(memory)) = (handle, memory) {
                 exec.bind(handle, memory)?;
             }

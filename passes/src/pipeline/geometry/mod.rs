@@ -97,16 +97,23 @@ impl GeometryStep {
 
     /// Binds the photographs of the next steps, if a scene has several buffers of them.
     ///
-    /// Buffers that were used before are not recorded again. `normals` are the priors of the same views.
+    /// Buffers that were used before are not recorded again. `normals` and `depths` are the priors of the same views.
     ///
     /// # Errors
     /// If a buffer is smaller than the one that the step was built with.
-    pub fn use_photographs(&mut self, targets: &DeviceBuffer, normals: Option<&DeviceBuffer>) -> Result<()> {
+    pub fn use_photographs(
+        &mut self,
+        targets: &DeviceBuffer,
+        normals: Option<&DeviceBuffer>,
+        depths: Option<&DeviceBuffer>,
+    ) -> Result<()> {
         self.exec.alternate(self.inputs.targets, targets)?;
-        match (self.inputs.normals, normals) {
-            (Some(handle), Some(normals)) => self.exec.alternate(handle, normals),
-            _ => Ok(()),
+        for (handle, priors) in [(self.inputs.normals, normals), (self.inputs.depths.map(|d| d.0), depths)] {
+            if let (Some(handle), Some(priors)) = (handle, priors) {
+                self.exec.alternate(handle, priors)?;
+            }
         }
+        Ok(())
     }
 
     /// Compiles the plan of a step without allocating it, to estimate its cost.

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 pub(crate) use normal::{finish as finish_normals, load as load_normals, stored as stored_normals};
 pub use numbers::RegionMap;
-pub(crate) use numbers::{cells, load as load_numbers, load_seen as load_numbers_seen};
+pub(crate) use numbers::{cells, load as load_numbers, load_seen as load_numbers_seen, stored_pixels};
 
 use half::f16;
 

@@ -26,9 +26,18 @@ pub(crate) fn load(path: &Path, view: &View) -> Result<RegionMap> {
 /// Loads an id map as seen by a camera through a lens.
 pub(crate) fn load_seen(path: &Path, camera: &Camera, lens: &Distortion) -> Result<RegionMap> {
     let (w, h, stored) = read_ids(path)?;
-    let mut ids = Vec::with_capacity(camera.width as usize * camera.height as usize);
-    for y in 0..camera.height {
-        for x in 0..camera.width {
+    let ids = stored_pixels(camera, lens, (w, h)).map(|at| stored.get(at).copied().unwrap_or(0)).collect();
+    Ok(RegionMap { width: camera.width, height: camera.height, ids })
+}
+
+/// Returns the pixel of a stored map at the center of each pixel of a camera.
+///
+/// The map covers the same field and may have another size.
+pub(crate) fn stored_pixels(camera: &Camera, lens: &Distortion, (w, h): (u32, u32)) -> impl Iterator<Item = usize> {
+    let (camera, lens) = (camera.clone(), *lens);
+    (0..camera.height).flat_map(move |y| {
+        let camera = camera.clone();
+        (0..camera.width).map(move |x| {
             let nx = (f64::from(x) + 0.5 - camera.cx) / camera.fx;
             let ny = (f64::from(y) + 0.5 - camera.cy) / camera.fy;
             let (dx, dy) = lens.distort(nx, ny);
@@ -37,10 +46,9 @@ pub(crate) fn load_seen(path: &Path, camera: &Camera, lens: &Distortion) -> Resu
             // The offset keeps pixel centers from rounding down across an edge. The cast saturates at zero.
             let column = ((u + 1e-9).floor() as usize).min(w as usize - 1);
             let row = ((v + 1e-9).floor() as usize).min(h as usize - 1);
-            ids.push(stored.get(row * w as usize + column).copied().unwrap_or(0));
-        }
-    }
-    Ok(RegionMap { width: camera.width, height: camera.height, ids })
+            row * w as usize + column
+        })
+    })
 }
 
 /// Returns the stored cell at the center of every undistorted cell. Cells are in row-major order; each item is

@@ -170,11 +170,11 @@ fn print_table(e: &Evaluation) {
     row("view", ["PSNR", "SSIM", "FLIP", "LPIPS", "normal °", "covered", "depth rel", "labels"].map(str::to_owned));
     for v in &e.views {
         let labels = v.semantic.map(|s| s.accuracy);
-        line(&v.name, &v.nvs, [v.normal_mae_deg, v.normal_coverage, v.depth_rel, labels]);
+        line(&v.name, &v.nvs, [v.normal_mae_deg, v.normal_coverage, v.depth_rel.or(v.sensor_depth_rel), labels]);
     }
     let m = &e.mean;
     let labels = m.semantic.map(|s| s.accuracy);
-    line("mean", &m.nvs, [m.normal_mae_deg, m.normal_coverage, m.depth_rel, labels]);
+    line("mean", &m.nvs, [m.normal_mae_deg, m.normal_coverage, m.depth_rel.or(m.sensor_depth_rel), labels]);
     if let (Some(psnr), Some(ssim)) = (m.nvs.psnr_aligned, m.nvs.ssim_aligned) {
         println!("{:<20} {psnr:>8.2} {ssim:>8.4}", "mean, aligned");
     }

@@ -267,6 +267,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     };
     println!("normals     {} ({})", if model.normals { "one a Gaussian" } else { "none" }, why("normals"));
     let depth = training.decisions().iter().any(|d| d.what == "depth terms" && d.on);
+    println!("prior depth {}", why("prior depth"));
     println!("depth       {} ({})", if depth { "losses of blended depth" } else { "no losses" }, why("depth terms"));
     match training.classes() {
         Some(classes) => {

@@ -30,6 +30,7 @@ pub(super) fn initial(s: &Settings, found: FoundForGeometry) -> Vec<Decision> {
         }
     };
     let normals = prior("normal", g.normals, g.losses.normal + g.losses.normal_smooth, found.normals);
+    let depths = prior("depth", true, g.losses.depth, found.depths);
     let depth = match (g.losses.depth_smooth > 0.0, g.losses.depth_variance > 0.0) {
         (true, true) => "smoothness and variance have weights",
         (true, false) => "smoothness has a weight",
@@ -48,6 +49,7 @@ pub(super) fn initial(s: &Settings, found: FoundForGeometry) -> Vec<Decision> {
     };
     vec![
         of("normals", found.normals, normals, "geometry.normals"),
+        of("prior depth", found.depths, depths, "geometry.losses.depth"),
         of("depth terms", g.depth_terms(), depth.to_owned(), DEPTH),
         of("semantics", found.semantics, semantics, "geometry.semantics"),
         of("pseudo-views", found.regions, regions, "geometry.losses.correspondence"),

@@ -1,7 +1,7 @@
 //! Training data of the geometry stage. Photographs and priors of a scene, or images without a scene.
 
 use crate::correspondence::Correspondence;
-use crate::data::Packed;
+use crate::data::{Packed, PixelPriors};
 use crate::error::Result;
 use crate::semantics::{SemanticData, SemanticMaps};
 use sgs_config::{GeometrySettings, Settings};
@@ -19,11 +19,11 @@ pub(crate) enum GeometryInputs<'a> {
 
 impl GeometryInputs<'_> {
     /// Reads the images and the requested priors. Semantic maps are none without `semantics` or without priors.
-    pub fn read(&self, normals: bool, semantics: bool) -> Result<(Packed, Option<SemanticMaps>)> {
+    pub fn read(&self, priors: PixelPriors, semantics: bool) -> Result<(Packed, Option<SemanticMaps>)> {
         match self {
             GeometryInputs::Scene(scene) => {
                 let maps = if semantics { SemanticMaps::read(scene)? } else { None };
-                Ok((Packed::read(scene, normals)?, maps))
+                Ok((Packed::read(scene, priors)?, maps))
             }
             GeometryInputs::Renderings(images) => Ok((Packed::of(images)?, None)),
         }

@@ -18,6 +18,8 @@ pub struct StepLog {
     pub ssim: f32,
     /// One minus the cosine to the normal prior.
     pub normal: f32,
+    /// Relative difference from prior depths.
+    pub depth: f32,
     /// One minus the cosine to the semantic prior.
     pub semantic: f32,
     /// Cross-entropy of the classes.
@@ -47,6 +49,7 @@ impl From<&StepReport> for StepLog {
             l1: r.losses.l1,
             ssim: r.losses.ssim,
             normal: r.losses.normal,
+            depth: r.losses.depth,
             semantic: r.losses.semantic,
             semantic_class: r.losses.semantic_class,
             correspondence: r.losses.correspondence,

@@ -289,6 +289,7 @@ impl Geometry {
         let mut inputs = Inputs {
             targets: &self.data.parts[0].targets,
             normals: self.data.parts[0].normals.as_ref(),
+            depths: self.data.parts[0].depths.as_ref().map(|depths| (depths, self.data.fit)),
             semantics: self.semantics.as_ref().map(|(data, decoder)| data.inputs(decoder)),
             regions: None,
             pseudo_regions: None,
@@ -317,7 +318,7 @@ impl Geometry {
         let exec = self.exec.as_mut().expect("invariant: exec() creates the step");
         if self.data.parts.len() > 1 {
             let part = self.data.part(view);
-            exec.use_photographs(&part.targets, part.normals.as_ref())?;
+            exec.use_photographs(&part.targets, part.normals.as_ref(), part.depths.as_ref())?;
         }
         Ok(exec)
     }

@@ -3,6 +3,7 @@
 use super::capacity::{first_entry_capacity, most_by_binding, room_for};
 use super::fit::{allowance, last_that};
 use super::{Bands, Geometry, GeometryInputs, Growth, IN_FLIGHT, backward::kernel_of, decision};
+use crate::data::PixelPriors;
 use crate::divergence::Watch;
 use crate::error::{Result, TrainError};
 use crate::idle::{self, FoundForGeometry};
@@ -64,14 +65,17 @@ impl Geometry {
     ) -> Result<Geometry> {
         settings.check()?;
         let g = &settings.geometry;
-        let wants_normals = g.normals && (g.losses.normal > 0.0 || g.losses.normal_smooth > 0.0);
+        let wanted = PixelPriors {
+            normals: g.normals && (g.losses.normal > 0.0 || g.losses.normal_smooth > 0.0),
+            depths: g.losses.depth > 0.0,
+        };
         let budget = settings.memory.budget;
         if budget > 0 {
             device.set_memory_budget(Some(budget));
         }
         let wants_views = g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
-        let (mut data, maps) = source.read(wants_normals, wants_semantics)?;
+        let (mut data, maps) = source.read(wanted, wants_semantics)?;
         data.reduce(if g.coarse > 0.0 { MOST_HALVINGS } else { 0 });
         data.split(device.info().largest_binding());
         maps.iter().try_for_each(|maps| maps.check(device))?;
@@ -80,6 +84,7 @@ impl Geometry {
             targets: data.image_bytes(),
             parts: data.parts() as u64,
             normals: data.normal_bytes(),
+            depths: data.depth_bytes(),
             semantics: maps.as_ref().map(SemanticMaps::sizes),
             views: kinds.any().then_some((data.views().len() as u32, kinds)),
             ..Default::default()
@@ -105,7 +110,7 @@ impl Geometry {
         let wanted = most.min(g.densify.max_gaussians);
         let tuning = settings.tuning(device.info());
         // Regions are carried to pseudo-views by depth.
-        let depth = g.depth_terms() || (wants_views && maps.is_some());
+        let depth = g.depth_terms() || inputs.depths.is_some() || (wants_views && maps.is_some());
         let options = GeometryOptions {
             largest: data.largest,
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
@@ -210,6 +215,7 @@ impl Geometry {
         };
         let found = FoundForGeometry {
             normals: model.normals,
+            depths: inputs.depths.is_some(),
             semantics: model.semantics,
             regions: training.correspondence.is_some(),
         };

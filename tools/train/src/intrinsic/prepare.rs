@@ -9,7 +9,7 @@ use super::room::{PriorViews, lacks_normals};
 use super::surfaces::Surfaces;
 use super::values::light_scale;
 use super::{IN_FLIGHT, Intrinsic, IntrinsicNeeds, Priors, decisions, parameters, room, start};
-use crate::data::Packed;
+use crate::data::{Packed, PixelPriors};
 use crate::divergence::Watch;
 use crate::error::{Requirement, Result};
 use crate::idle::{self, FoundForMaterials, PriorKinds};
@@ -96,7 +96,7 @@ impl Intrinsic {
             splats.normals = Some(shortest_axes(&splats, &cameras));
         }
         let bounds = scene_box(&splats, &cameras);
-        let mut packed = Packed::read(scene, false)?;
+        let mut packed = Packed::read(scene, PixelPriors::default())?;
         packed.split(device.info().largest_binding());
         let read = |kind: Material, weight: f32| -> Result<Option<MaterialPriors>> {
             if weight > 0.0 { MaterialPriors::read(scene, kind) } else { Ok(None) }

@@ -15,6 +15,8 @@ pub(super) struct Entry {
     pub(super) file_path: Option<String>,
     pub(super) transform_matrix: Option<Vec<Vec<f64>>>,
     pub(super) split: Option<String>,
+    pub(super) depth_file_path: Option<String>,
+    depth_unit_scale_factor: Option<f64>,
     camera_model: Option<String>,
     is_fisheye: Option<bool>,
     fl_x: Option<f64>,
@@ -45,6 +47,8 @@ impl Entry {
             file_path: None,
             transform_matrix: None,
             split: None,
+            depth_file_path: None,
+            depth_unit_scale_factor: self.depth_unit_scale_factor.or(all.depth_unit_scale_factor),
             camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
             is_fisheye: self.is_fisheye.or(all.is_fisheye),
             fl_x: focal.fl_x,
@@ -85,6 +89,14 @@ impl Entry {
             "test" | "val" => Some(true),
             _ => None,
         }
+    }
+
+    /// Returns the scene units per unit of the depth maps. Missing, it is that of millimeters in a scene in meters, as
+    /// nerfstudio has it.
+    pub(super) fn depth_unit(&self) -> Result<f64, String> {
+        let unit = self.depth_unit_scale_factor.unwrap_or(1e-3);
+        let valid = unit.is_finite() && unit > 0.0;
+        if valid { Ok(unit) } else { Err(format!("depth_unit_scale_factor is {unit}; it must be a positive number")) }
     }
 
     /// Returns the lens distortion.

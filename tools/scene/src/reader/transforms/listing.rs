@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::Listing;
 use crate::beside::Beside;
+use crate::depth_prior::DepthFile;
 use crate::error::{Result, SceneError};
 use crate::image::{read_size, stem_of};
 use crate::reader::frame::{find_image, missing_warning};
@@ -41,6 +42,15 @@ impl<'a> Source<'a> {
     }
 }
 
+/// Returns the depth map that a frame names. It must exist.
+fn depth_of(listing: &Path, name: &str, unit: f64) -> Result<DepthFile, String> {
+    let path = listing.parent().unwrap_or(Path::new("")).join(name.replace('\\', "/"));
+    if path.is_file() {
+        return Ok(DepthFile { path, unit });
+    }
+    Err(format!("depth_file_path is {}, which does not exist; put it there or remove the key", path.display()))
+}
+
 /// Adds the frames of a file whose name is `wanted`. Frames whose image does not exist are recorded as missing.
 pub(in crate::reader) fn collect(
     source: &Source,
@@ -73,7 +83,11 @@ pub(in crate::reader) fn collect(
         let camera = intrinsics.camera(name, size, rotation, translation).map_err(fail)?;
         let camera = downscaled::fitted(camera, &image)?;
         let lens = intrinsics.lens().map_err(fail)?;
-        let beside = Beside { test: source.test.or(entry.test()), ..Default::default() };
+        let depth = match entry.depth_file_path.as_deref().filter(|path| !path.is_empty()) {
+            Some(depth) => Some(depth_of(source.path, depth, intrinsics.depth_unit().map_err(fail)?).map_err(fail)?),
+            None => None,
+        };
+        let beside = Beside { test: source.test.or(entry.test()), depth, ..Default::default() };
         found.frames.push(Frame { beside, ..Frame::new(camera, lens, image, source.path.to_path_buf()) });
     }
     found.warnings.extend(missing_warning(source.path, &missing, total));

@@ -1,0 +1,193 @@
+//! Prior depths of the photographs: from a sensor or a network.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use crate::camera::Camera;
+use crate::error::Result;
+use crate::image::{Image, read_ids};
+use crate::map_file::{self, Meaning};
+use crate::maps::{self, MaskedMap, stored_pixels};
+use crate::points::{Pcg, PointCloud};
+use crate::scene::Scene;
+use crate::view::View;
+
+/// Map of depths along the camera's axis that a layout stores beside a photograph.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct DepthFile {
+    /// Path of the file.
+    pub(crate) path: PathBuf,
+    /// Scene units per unit of the file.
+    pub(crate) unit: f64,
+}
+
+/// Meaning of prior depths.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "kebab-case")]
+pub enum DepthMeaning {
+    /// Camera z in units of the scene.
+    #[default]
+    Metric,
+    /// Camera z up to a factor for each view.
+    Scale,
+    /// Inverse camera z up to a factor and a shift for each view, as networks of relative depth return it.
+    InverseScaleShift,
+}
+
+/// Settings of the maps in `priors/depth`.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct DepthSettings {
+    /// What the values mean.
+    #[serde(default)]
+    pub(crate) meaning: DepthMeaning,
+    /// Scene units per unit of metric files.
+    #[serde(default = "one")]
+    pub(crate) unit: f64,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+impl DepthSettings {
+    /// Describes what is wrong with the settings; `None` if nothing is.
+    pub(crate) fn problem(self) -> Option<String> {
+        let valid = self.unit.is_finite() && self.unit > 0.0;
+        (!valid).then(|| format!("the unit of depth is {}; it must be a positive number of scene units", self.unit))
+    }
+}
+
+impl Scene {
+    /// Returns what the scene's prior depths mean. Those of a sensor are metric.
+    pub fn depth_meaning(&self) -> DepthMeaning {
+        match self.prior_settings.depth {
+            Some(settings) if self.has_depth_folder() => settings.meaning,
+            _ => DepthMeaning::Metric,
+        }
+    }
+
+    /// Loads the prior depth of a view, at the size of the view's camera, and its confidence from 0 to 1. Values mean
+    /// what [`Scene::depth_meaning`] says. Returns `None` if there is none.
+    ///
+    /// Maps in `priors/depth` replace those of a sensor, which the layout names (`depth_file_path`). The folder
+    /// `priors/depth/confidence` may hold maps of confidence. Depths are not averaged, because a mean of two surfaces
+    /// is on neither: each pixel takes the depth at its center.
+    pub fn depth_prior(&self, view: usize) -> Result<Option<MaskedMap>> {
+        let view = self.view(view)?;
+        let Some(file) = self.depth_file(view) else { return Ok(None) };
+        let mut map = self.load_depth(&file, view, self.depth_meaning())?;
+        if let Some(path) = self.prior_path("depth/confidence", view, &["exr", "npy", "png"]) {
+            let confidence = maps::load(&path, view, Meaning::Scalar)?;
+            let both = confidence.image.data.iter().zip(&confidence.valid.data);
+            for (known, (confidence, valid)) in map.valid.data.iter_mut().zip(both) {
+                *known *= (confidence * valid).clamp(0.0, 1.0);
+            }
+        }
+        Ok(Some(map))
+    }
+
+    /// Loads the depth that a sensor measured in a view, like [`Scene::depth_prior`]. Returns `None` if there is none.
+    pub fn sensor_depth(&self, view: usize) -> Result<Option<MaskedMap>> {
+        let view = self.view(view)?;
+        view.beside.depth.as_ref().map(|file| self.load_depth(file, view, DepthMeaning::Metric)).transpose()
+    }
+
+    fn load_depth(&self, file: &DepthFile, view: &View, meaning: DepthMeaning) -> Result<MaskedMap> {
+        let DepthFile { path, unit } = file;
+        let stored = read(path)?;
+        // A shift turns the sign of inverse depths around.
+        let relative = meaning == DepthMeaning::InverseScaleShift;
+        let unit = unit / self.length;
+        let camera = &view.camera;
+        let mut image = Image::new(camera.width, camera.height, 1);
+        let mut valid = Image::new(camera.width, camera.height, 1);
+        let pixels = stored_pixels(camera, &view.distortion, (stored.width, stored.height));
+        for ((z, known), at) in image.data.iter_mut().zip(&mut valid.data).zip(pixels) {
+            let depth = (f64::from(stored.data.get(at).copied().unwrap_or(0.0)) * unit) as f32;
+            if depth.is_finite() && depth != 0.0 && (relative || depth > 0.0) {
+                (*z, *known) = (depth, 1.0);
+            }
+        }
+        Ok(MaskedMap { image, valid })
+    }
+
+    /// Returns whether any training view has a prior depth.
+    pub fn has_depth(&self) -> bool {
+        let mut train = self.split.train.iter().filter_map(|&i| self.views.get(i));
+        train.any(|view| self.depth_file(view).is_some())
+    }
+
+    fn depth_file(&self, view: &View) -> Option<DepthFile> {
+        if !self.has_depth_folder() {
+            return view.beside.depth.clone();
+        }
+        let unit = self.prior_settings.depth.map_or(1.0, |settings| settings.unit);
+        self.prior_path("depth", view, &["exr", "npy", "png"]).map(|path| DepthFile { path, unit })
+    }
+
+    fn has_depth_folder(&self) -> bool {
+        self.root.join("priors/depth").is_dir()
+    }
+
+    /// Returns up to `count` points on the surfaces that the training views' prior depths show, with the colors of the
+    /// photographs. Pixels are drawn uniformly; `seed` chooses them. Returns `None` if there are no metric depths.
+    pub fn depth_points(&self, count: usize, seed: u64) -> Result<Option<PointCloud>> {
+        if self.depth_meaning() != DepthMeaning::Metric {
+            return Ok(None);
+        }
+        let mut rng = Pcg::new(seed);
+        let mut points = PointCloud { colors: Some(Vec::new()), ..PointCloud::default() };
+        let mut pixels = Vec::new();
+        let mut views = Vec::new();
+        for &i in &self.split.train {
+            let Some(depth) = self.depth_prior(i)? else { continue };
+            let mask = self.load_mask(i)?;
+            let known = |at: usize| depth.valid.data[at] > 0.0 && mask.as_ref().is_none_or(|m| m.data[at] > 0.5);
+            pixels.extend((0..depth.valid.data.len()).filter(|at| known(*at)).map(|at| (views.len(), at)));
+            views.push((i, depth));
+        }
+        // The first items of a random order, which Fisher and Yates draw one by one.
+        let count = count.min(pixels.len());
+        for i in 0..count {
+            let left = (pixels.len() - i) as u64;
+            pixels.swap(i, i + (u64::from(rng.next_u32()) * left >> 32) as usize);
+        }
+        let mut chosen = vec![Vec::new(); views.len()];
+        pixels.iter().take(count).for_each(|(view, at)| chosen[*view].push(*at));
+        for ((i, depth), mut chosen) in views.into_iter().zip(chosen) {
+            chosen.sort_unstable();
+            let image = self.load_image(i)?;
+            let camera = &self.view(i)?.camera;
+            for at in chosen {
+                points.positions.push(point_at(camera, at, depth.image.data[at]));
+                let color = &image.data[3 * at..3 * at + 3];
+                points.colors.as_mut().expect("invariant: colors").push([color[0], color[1], color[2]]);
+            }
+        }
+        Ok((!points.is_empty()).then_some(points))
+    }
+}
+
+/// Returns the position of a pixel's center at a depth.
+fn point_at(camera: &Camera, at: usize, depth: f32) -> [f32; 3] {
+    let (x, y) = (at % camera.width as usize, at / camera.width as usize);
+    let pixel = glam::DVec2::new(x as f64 + 0.5, y as f64 + 0.5);
+    camera.unproject(pixel, f64::from(depth)).as_vec3().to_array()
+}
+
+/// Reads a map of depths as stored. Pixels without a depth are 0.
+fn read(path: &Path) -> Result<Image> {
+    if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
+        let (width, height, values) = read_ids(path)?;
+        let values = values.into_iter().map(f32::from).collect();
+        return Image::from_data(width, height, 1, values);
+    }
+    let (mut image, valid) = map_file::read(path, Meaning::Scalar)?;
+    image.data.iter_mut().zip(&valid.data).filter(|(_, known)| **known == 0.0).for_each(|(z, _)| *z = 0.0);
+    Ok(image)
+}
+
+#[cfg(test)]
+mod tests;
