@@ -10,6 +10,7 @@ mod coarse;
 mod compact;
 mod datasets;
 mod decided;
+mod depth;
 mod divergence;
 mod evaluate;
 mod interruptions;

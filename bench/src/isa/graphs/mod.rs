@@ -39,6 +39,7 @@ pub fn build(device: &Device) -> anyhow::Result<()> {
     let scene = Scene::open(&path, &SceneOptions::default())?;
     let mut splats = Splats::from_points(&scene.points, 0)?;
     training::geometry(device, &scene)?;
+    training::depths(device, &path)?;
     training::intrinsic(device, &scene, &splats)?;
     training::transport(device, &scene, &splats)?;
     views::build(device)?;

@@ -2,8 +2,9 @@
 
 use sgs_config::{Backward, DensifyStatistic, Metallic, PRESETS, Settings, VisibilityKind, accuracy_named, overlay};
 use sgs_engine::Device;
-use sgs_scene::{Scene, Splats};
+use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_train::{Geometry, Intrinsic, TransportPlan};
+use std::path::Path;
 
 /// Returns the settings of every preset and of every level of accuracy.
 fn bases() -> anyhow::Result<Vec<Settings>> {
@@ -71,6 +72,24 @@ pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
     }
     for s in &all {
         Geometry::new(device, scene, s, None)?.build_graphs()?;
+    }
+    Ok(())
+}
+
+/// Builds the graphs of geometry steps with prior depths of all meanings. Takes the true depths of a scene as priors.
+pub fn depths(device: &Device, scene: &Path) -> anyhow::Result<()> {
+    std::fs::rename(scene.join("gt/depth"), scene.join("priors/depth"))?;
+    let about = scene.join("priors/priors.json");
+    let given: serde_json::Value = serde_json::from_slice(&std::fs::read(&about)?)?;
+    for meaning in ["metric", "scale", "inverse-scale-shift"] {
+        let mut settings = given.clone();
+        settings["depth"] = serde_json::json!({ "meaning": meaning });
+        std::fs::write(&about, settings.to_string())?;
+        let scene = Scene::open(scene, &SceneOptions::default())?;
+        for normals in [false, true] {
+            let s = with(|s| (s.geometry.normals, s.geometry.semantics) = (normals, normals));
+            Geometry::new(device, &scene, &s, None)?.build_graphs()?;
+        }
     }
     Ok(())
 }
