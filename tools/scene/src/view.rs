@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::beside::{Beside, check_size};
+use crate::beside::{Beside, SensorDepth, check_size};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{
@@ -145,10 +145,20 @@ impl View {
             return Ok(None);
         };
         let (mut mask, _) = map_file::read(path, Meaning::Scalar)?;
-        let size = (self.stored_camera.width, self.stored_camera.height);
-        check_size(path, (mask.width, mask.height), &self.image_path, size)?;
-        mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.5)));
+        mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from((*v > 0.5) != self.beside.inverted)));
+        let (width, height) = (self.stored_camera.width, self.stored_camera.height);
+        if mask.width > width && proportional((mask.width, mask.height), (width, height)) {
+            // The photograph is a smaller copy. A pixel is valid if all that it covers are.
+            mask = resized(mask, width, height);
+            mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.999)));
+        }
+        check_size(path, (mask.width, mask.height), &self.image_path, (width, height))?;
         Ok(Some(mask))
+    }
+
+    /// Returns the depth map that a sensor measured with the photograph.
+    pub fn sensor_depth(&self) -> Option<&SensorDepth> {
+        self.beside.depth.as_ref()
     }
 
     /// Returns whether the photograph stores linear light.
@@ -260,6 +270,12 @@ impl View {
         };
         resized(straight, self.camera.width, self.camera.height)
     }
+}
+
+/// Returns whether two sizes have the same ratio of sides, within a pixel of the smaller.
+fn proportional(large: (u32, u32), small: (u32, u32)) -> bool {
+    let factor = f64::from(large.0) / f64::from(small.0);
+    (f64::from(large.1) / factor - f64::from(small.1)).abs() <= 1.0
 }
 
 #[cfg(test)]
