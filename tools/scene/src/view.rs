@@ -147,7 +147,7 @@ impl View {
         let (mut mask, _) = map_file::read(path, Meaning::Scalar)?;
         mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from((*v > 0.5) != self.beside.inverted)));
         let (width, height) = (self.stored_camera.width, self.stored_camera.height);
-        if mask.width > width && proportional((mask.width, mask.height), (width, height)) {
+        if is_copy((width, height), (mask.width, mask.height)) {
             // The photograph is a smaller copy. A pixel is valid if all that it covers are.
             mask = resized(mask, width, height);
             mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.999)));
@@ -272,10 +272,11 @@ impl View {
     }
 }
 
-/// Returns whether two sizes have the same ratio of sides, within a pixel of the smaller.
-fn proportional(large: (u32, u32), small: (u32, u32)) -> bool {
-    let factor = f64::from(large.0) / f64::from(small.0);
-    (f64::from(large.1) / factor - f64::from(small.1)).abs() <= 1.0
+/// Returns whether a size is that of a smaller copy: divided by a whole number of 2 or more and rounded.
+fn is_copy(small: (u32, u32), large: (u32, u32)) -> bool {
+    let factor = (f64::from(large.0) / f64::from(small.0)).round();
+    let near = |small: u32, large: u32| (f64::from(large) / factor - f64::from(small)).abs() < 1.0;
+    factor >= 2.0 && near(small.0, large.0) && near(small.1, large.1)
 }
 
 #[cfg(test)]
