@@ -16,6 +16,7 @@ const CRATES: &[&str] = &[
     "tests/emulator",
     "tools/api",
     "tools/batch",
+    "tools/capture",
     "tools/capi",
     "tools/config",
     "tools/evaluate",

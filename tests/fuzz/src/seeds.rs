@@ -96,3 +96,31 @@ pub(crate) fn colmap(place: &Place, binary: bool) {
     place.put("images/000.png", &png(8, 6));
     place.put("images/001.png", &png(8, 6));
 }
+
+/// Writes a COLMAP model with rigs and frames.
+pub(crate) fn colmap_rigs(place: &Place, binary: bool) {
+    colmap(place, binary);
+    if binary {
+        place.put("sparse/0/rigs.bin", &binary::colmap_rigs());
+        place.put("sparse/0/frames.bin", &binary::colmap_frames());
+    } else {
+        place.put("sparse/0/rigs.txt", COLMAP_RIGS.as_bytes());
+        place.put("sparse/0/frames.txt", COLMAP_FRAMES.as_bytes());
+    }
+}
+
+/// Writes two frames in the layout of 7-Scenes.
+pub(crate) fn seven_scenes(place: &Place) {
+    for number in ["000000", "000001"] {
+        place.put(&format!("frame-{number}.color.png"), &png(8, 6));
+        place.put(&format!("frame-{number}.pose.txt"), RGBD_POSE.as_bytes());
+    }
+}
+
+/// Writes a recording in TUM's layout.
+pub(crate) fn tum(place: &Place) {
+    place.put("rgb.txt", b"# images\n1.0 rgb/1.0.png\n2.0 rgb/2.0.png\n");
+    place.put("groundtruth.txt", TUM_POSES.as_bytes());
+    place.put("rgb/1.0.png", &png(8, 6));
+    place.put("rgb/2.0.png", &png(8, 6));
+}

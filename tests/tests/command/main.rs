@@ -1,5 +1,6 @@
 //! Commands, files and reports: refusals, formats, measures.
 
+mod capture;
 mod classes;
 mod cli;
 mod emitters;

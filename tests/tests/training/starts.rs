@@ -200,14 +200,11 @@ fn folders_of_photographs_are_refused_with_commands_for_poses() {
     std::fs::create_dir(place.path("photos")).unwrap();
     std::fs::rename(place.path("scene/images"), place.path("photos/images")).unwrap();
     let photos = place.text("photos");
-    let command = format!(
-        "colmap automatic_reconstructor --workspace_path {photos} --image_path {photos}/images --use_gpu 0 --dense 0 \
-         --single_camera 1"
-    );
+    let command = format!("sgs capture {photos}/images -o SCENE");
     let words = ["holds 8 photographs without cameras", &command, "VGGT", "demo_colmap.py --scene_dir"];
     sgs(&["train", &photos, "-o", &place.text("run")]).refused_with(42, &words);
     let inner = place.text("photos/images");
-    sgs(&["train", &inner, "-o", &place.text("run")]).refused_with(42, &[&format!("--image_path {inner} ")]);
+    sgs(&["train", &inner, "-o", &place.text("run")]).refused_with(42, &[&format!("sgs capture {inner} -o")]);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Kinds of failures, with their exit statuses.
 
 use sgs_batch::BatchError;
+use sgs_capture::CaptureError;
 use sgs_config::ConfigError;
 use sgs_evaluate::EvaluateError;
 use sgs_relight::RelightError;
@@ -82,6 +83,7 @@ impl Kind {
                 .or_else(|| known(cause, of_evaluate))
                 .or_else(|| known(cause, of_study))
                 .or_else(|| known(cause, of_batch))
+                .or_else(|| known(cause, of_capture))
                 .or_else(|| cause.is::<ConfigError>().then_some(Kind::Usage))
                 .or_else(|| known(cause, of_scene))
                 .or_else(|| known(cause, of_engine))
@@ -151,6 +153,15 @@ fn of_batch(error: &BatchError) -> Option<Kind> {
         BatchError::Scene(error) => of_scene(error),
         BatchError::Run(error) => of_run(error),
         BatchError::File { storage, .. } => storage.then_some(Kind::Storage),
+    }
+}
+
+fn of_capture(error: &CaptureError) -> Option<Kind> {
+    match error {
+        CaptureError::Input(_) => Some(Kind::Input),
+        CaptureError::Scene(error) => of_scene(error),
+        CaptureError::Io { cause, .. } => sgs_scene::is_storage_error(cause).then_some(Kind::Storage),
+        _ => None,
     }
 }
 

@@ -73,6 +73,15 @@ fn check_kind(root: &Path, what: &str) -> anyhow::Result<Contents> {
     }
 }
 
+/// Refuses a path for a new scene that holds anything.
+pub fn check_scene(root: &Path) -> anyhow::Result<()> {
+    let name = root.display();
+    match check_kind(root, "a scene")? {
+        Contents::Run(_) => refuse_usage!("\"{name}\" is a run: name another directory for a scene."),
+        _ => Ok(()),
+    }
+}
+
 /// Refuses a directory for a table of runs that holds anything else. `batch`: name of the folder of its batch.
 pub fn check_series(root: &Path, tables: &[&str], batch: &str) -> anyhow::Result<()> {
     let name = root.display();

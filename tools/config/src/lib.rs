@@ -37,7 +37,7 @@ pub use transport::{TransportPart, TransportSettings};
 
 use serde::{Deserialize, Serialize};
 use sgs_passes::Accuracy;
-use sgs_scene::SplitRule;
+use sgs_scene::{MaskUse, SplitRule};
 use std::path::PathBuf;
 
 /// All settings of a run.
@@ -56,8 +56,8 @@ pub struct Settings {
     pub scale: f64,
     /// Factor on linear images; 0 chooses it from the training views.
     pub exposure: f32,
-    /// Leaves invalid pixels of the data set out of losses and measures.
-    pub masks: bool,
+    /// Leaves invalid pixels of the data set, black in its masks, out of losses and measures. "inverted" leaves out white pixels.
+    pub masks: MaskUse,
     /// Number of random points for a scene without points.
     pub random_points: usize,
     /// Device memory.
@@ -87,7 +87,7 @@ impl Default for Settings {
             views: 0,
             scale: 1.0,
             exposure: 0.0,
-            masks: true,
+            masks: MaskUse::Valid,
             random_points: 20_000,
             memory: MemorySettings::default(),
             accuracy: Accuracy::default(),

@@ -1,6 +1,7 @@
 //! Validation of names in tables of settings. Unknown names get a suggestion.
 
 use crate::error::ConfigError;
+use sgs_scene::MaskUse;
 use strsim::levenshtein;
 
 /// Returns a parser's message on one line without a final period.
@@ -13,6 +14,9 @@ const OR_WORD: [(&str, &str, &str); 2] = [
     ("geometry.sh_degree", super::degree::AUTO, "0 to 3"),
     (OWN_PRIOR, super::own_prior::AUTO, "a number of at least 0"),
 ];
+
+/// Setting that is true, false or a word.
+const MASKS: &str = "masks";
 
 /// Setting among these that may be a fraction.
 const OWN_PRIOR: &str = "intrinsic.losses.own_prior";
@@ -37,6 +41,13 @@ pub(super) fn compare(prefix: &str, table: &toml::Table, known: &toml::Table, al
                 Float(f) if name == OWN_PRIOR && f.is_finite() && *f >= 0.0 => continue,
                 toml::Value::String(s) if s == word => continue,
                 _ => return Err(ConfigError::kind(name, value, format!("{numbers} or \"{word}\""))),
+            }
+        }
+        if name == MASKS {
+            match value {
+                toml::Value::Boolean(_) => continue,
+                toml::Value::String(s) if s == MaskUse::INVERTED => continue,
+                _ => return Err(ConfigError::kind(name, value, "true, false or \"inverted\"".into())),
             }
         }
         match (value, expected) {
@@ -171,4 +182,26 @@ pub(super) fn word(
         let known = known.iter().map(|k| (*k).to_owned()).collect();
         Some(ConfigError::UnknownWord { setting, word, nearest, known })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Settings;
+
+    #[test]
+    fn masks_are_used_inverted_or_ignored() {
+        let of = |text: &str| Settings::from_table(format!("masks = {text}").parse().unwrap());
+        for (text, expected) in
+            [("true", MaskUse::Valid), ("false", MaskUse::Ignored), ("\"inverted\"", MaskUse::Inverted)]
+        {
+            let s = of(text).unwrap();
+            assert_eq!((s.masks, s.scene_options().masks), (expected, expected));
+            assert_eq!(Settings::from_table(s.to_table().unwrap()).unwrap(), s);
+        }
+        for wrong in ["1", "\"inverse\""] {
+            let error = of(wrong).unwrap_err().to_string();
+            assert_eq!(error, format!("masks is {wrong}, but must be true, false or \"inverted\"."));
+        }
+    }
 }

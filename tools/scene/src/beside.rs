@@ -5,7 +5,6 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::depth_prior::DepthFile;
 use crate::error::{Result, SceneError};
 use crate::map_file::NormalFrame;
 
@@ -16,12 +15,24 @@ pub(crate) struct Beside {
     pub(crate) test: Option<bool>,
     /// Mask of valid pixels of the photograph; values above one half are valid.
     pub(crate) mask: Option<PathBuf>,
-    /// Depths of a sensor.
-    pub(crate) depth: Option<DepthFile>,
+    /// Whether the mask marks invalid pixels instead.
+    pub(crate) inverted: bool,
+    /// Depth that a sensor measured.
+    pub(crate) depth: Option<SensorDepth>,
     /// Ground-truth maps, at most one of each kind.
     pub(crate) truth: Vec<TruthFile>,
     /// Images of the same view under other lightings: name and path.
     pub(crate) relit: Vec<(String, PathBuf)>,
+}
+
+/// Depth map that a sensor measured with a photograph.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SensorDepth {
+    /// Map over the field of the photograph, distortion included: EXR, NPY, or gray PNG of 8 or 16 bits, in which 0 and
+    /// 65535 are unknown.
+    pub path: PathBuf,
+    /// Camera z of the value 1, in units of the scene; the sensor's are meters.
+    pub unit: f64,
 }
 
 /// Kinds of ground-truth maps.

@@ -1,9 +1,10 @@
 //! Prior depths of the photographs: from a sensor or a network.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Deserialize;
 
+use crate::beside::SensorDepth;
 use crate::camera::Camera;
 use crate::error::Result;
 use crate::image::{Image, read_ids};
@@ -12,15 +13,6 @@ use crate::maps::{self, MaskedMap, stored_pixels};
 use crate::points::{Pcg, PointCloud};
 use crate::scene::Scene;
 use crate::view::View;
-
-/// Map of depths along the camera's axis that a layout stores beside a photograph.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct DepthFile {
-    /// Path of the file.
-    pub(crate) path: PathBuf,
-    /// Scene units per unit of the file.
-    pub(crate) unit: f64,
-}
 
 /// Meaning of prior depths.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
@@ -94,8 +86,8 @@ impl Scene {
         view.beside.depth.as_ref().map(|file| self.load_depth(file, view, DepthMeaning::Metric)).transpose()
     }
 
-    fn load_depth(&self, file: &DepthFile, view: &View, meaning: DepthMeaning) -> Result<MaskedMap> {
-        let DepthFile { path, unit } = file;
+    fn load_depth(&self, file: &SensorDepth, view: &View, meaning: DepthMeaning) -> Result<MaskedMap> {
+        let SensorDepth { path, unit } = file;
         let stored = read(path)?;
         // A shift turns the sign of inverse depths around.
         let relative = meaning == DepthMeaning::InverseScaleShift;
@@ -119,12 +111,12 @@ impl Scene {
         train.any(|view| self.depth_file(view).is_some())
     }
 
-    fn depth_file(&self, view: &View) -> Option<DepthFile> {
+    fn depth_file(&self, view: &View) -> Option<SensorDepth> {
         if !self.has_depth_folder() {
             return view.beside.depth.clone();
         }
         let unit = self.prior_settings.depth.map_or(1.0, |settings| settings.unit);
-        self.prior_path("depth", view, &["exr", "npy", "png"]).map(|path| DepthFile { path, unit })
+        self.prior_path("depth", view, &["exr", "npy", "png"]).map(|path| SensorDepth { path, unit })
     }
 
     fn has_depth_folder(&self) -> bool {
@@ -181,7 +173,8 @@ fn point_at(camera: &Camera, at: usize, depth: f32) -> [f32; 3] {
 fn read(path: &Path) -> Result<Image> {
     if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {
         let (width, height, values) = read_ids(path)?;
-        let values = values.into_iter().map(f32::from).collect();
+        // Sensors write the largest number where they measured nothing, too.
+        let values = values.into_iter().map(|v| if v == u16::MAX { 0.0 } else { f32::from(v) }).collect();
         return Image::from_data(width, height, 1, values);
     }
     let (mut image, valid) = map_file::read(path, Meaning::Scalar)?;

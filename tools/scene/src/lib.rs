@@ -24,6 +24,7 @@ mod json;
 mod ksplat;
 mod map_file;
 mod maps;
+mod mask_use;
 mod noise;
 mod placement;
 mod ply;
@@ -43,7 +44,7 @@ mod usd;
 mod view;
 
 pub use atomic::atomic_write;
-pub use beside::GroundTruthKind;
+pub use beside::{GroundTruthKind, SensorDepth};
 pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR};
 pub use depth::DepthDefinition;
 pub use depth_prior::DepthMeaning;
@@ -52,19 +53,21 @@ pub use error::{Result, SceneError, is_storage_error};
 pub use gltf::{GltfScene, PunctualKind, PunctualLight, write_gltf};
 pub use ground_truth::GroundTruth;
 pub use image::{
-    ExrImage, Image, NpyArray, encode_jpeg, encode_png, linear_to_srgb, names_exr_layer, read_environment, read_exr,
-    read_ids, resize, resize_valid, srgb_to_linear, undistort, undistort_coverage, write_environment, write_exr,
-    write_exr_layers, write_ids, write_npy_f16, write_npy_f32, write_png,
+    Exif, ExrImage, Image, NpyArray, Upright, encode_jpeg, encode_png, linear_to_srgb, names_exr_layer,
+    read_environment, read_exr, read_ids, read_upright, resize, resize_valid, srgb_to_linear, undistort,
+    undistort_coverage, write_environment, write_exr, write_exr_layers, write_ids, write_npy_f16, write_npy_f32,
+    write_png,
 };
 pub use json::read_json;
 pub use ksplat::read_ksplat;
 pub use map_file::NormalFrame;
 pub use maps::{FeatureMap, MaskedMap, RegionMap};
+pub use mask_use::MaskUse;
 pub use noise::Noise;
 pub use placement::Placement;
 pub use points::{Pcg, PointCloud, RandomBox};
 pub use priors::{TextEmbeddings, UnknownClass};
-pub use reader::Layout;
+pub use reader::{ColmapModel, Layout};
 pub use scene::{Scene, SceneOptions};
 pub use sog::{is_sog_meta, read_sog, write_sog};
 pub use splat_kind::SplatKind;

@@ -11,11 +11,12 @@ use crate::camera::NEAR;
 use crate::depth::DepthDefinition;
 use crate::error::{Result, SceneError};
 use crate::exposure;
-use crate::image::Image;
+use crate::image::{Image, turning_orientation};
+use crate::mask_use::MaskUse;
 use crate::noise::Noise;
 use crate::points::{PointCloud, RandomBox, Tracks};
 use crate::prior_settings::PriorSettings;
-use crate::reader::{self, Layout};
+use crate::reader::{self, Frame, Layout};
 use crate::split::Split;
 use crate::split_rule::SplitRule;
 use crate::unit::Unit;
@@ -34,8 +35,8 @@ pub struct SceneOptions {
     pub exposure: Option<f32>,
     /// Background color of PNG images with alpha, display-referred.
     pub background: [f32; 3],
-    /// Whether to exclude pixels that the data set marks as invalid.
-    pub masks: bool,
+    /// Use of the masks of valid pixels that the data set has.
+    pub masks: MaskUse,
     /// Number of random points for scenes without points. Clamped to 100 to 10 million.
     pub random_points: usize,
     /// Seed of the random points.
@@ -50,7 +51,7 @@ impl Default for SceneOptions {
             scale: 1.0,
             exposure: None,
             background: [0.0; 3],
-            masks: true,
+            masks: MaskUse::Valid,
             random_points: 100_000,
             seed: 0,
         }
@@ -131,6 +132,8 @@ impl Scene {
             }
         }
         frames.par_iter().try_for_each(|frame| frame.check_size())?;
+        warnings.extend(orientation_warning(&frames));
+        frames.iter_mut().for_each(|frame| frame.beside.inverted = options.masks == MaskUse::Inverted);
         let mut views: Vec<View> = frames.into_iter().map(|frame| View::new(frame, options.scale)).collect();
         let split = split_of(path, &views, (&missing, own_split), options, &mut warnings)?;
         warnings.extend(coverage_warning(&views));
@@ -210,6 +213,24 @@ impl Scene {
                 100.0 * share
             ));
         }
+        if self.options.masks != MaskUse::Ignored
+            && let Some(view) = self.split.train.first().and_then(|&i| self.views.get(i))
+            && let Some(mask) = view.stored_mask()?
+        {
+            let valid = mask.data.iter().filter(|v| **v > 0.5).count() as f64 / mask.data.len().max(1) as f64;
+            if valid < 0.5 {
+                let (out, inverse) = match self.options.masks {
+                    MaskUse::Inverted => ("", "true"),
+                    _ => ("not ", "\"inverted\""),
+                };
+                warnings.push(format!(
+                    "the mask of {} leaves out {:.0} % of its pixels, those that are {out}white; masks = {inverse} leaves out the \
+                     others",
+                    view.image_path.display(),
+                    100.0 * (1.0 - valid)
+                ));
+            }
+        }
         Ok(warnings)
     }
 
@@ -288,7 +309,7 @@ impl Scene {
     /// Loads the mask of a view, as [`View::load_mask`]. Returns `None` if all pixels are valid or masks are disabled.
     pub fn load_mask(&self, view: usize) -> Result<Option<Image>> {
         let view = self.view(view)?;
-        if self.options.masks { view.load_mask() } else { Ok(None) }
+        if self.options.masks == MaskUse::Ignored { Ok(None) } else { view.load_mask() }
     }
 
     /// Returns the exposure factor of linear images.
@@ -300,6 +321,18 @@ impl Scene {
     pub fn load_train_images(&self) -> Result<Vec<Image>> {
         self.split.train.par_iter().map(|&i| self.load_image(i)).collect()
     }
+}
+
+/// Returns a warning about EXIF orientations, which are ignored because cameras refer to the stored pixels.
+fn orientation_warning(frames: &[Frame]) -> Option<String> {
+    let turned = |frame: &&Frame| turning_orientation(&frame.image).is_some();
+    let all: Vec<&Frame> = frames.par_iter().filter(turned).collect();
+    let first = all.first()?;
+    Some(format!(
+        "{} images have an EXIF orientation, which is ignored, because cameras refer to the stored pixels (the first is {})",
+        all.len(),
+        first.image.display()
+    ))
 }
 
 /// Returns the sort key of a name in natural order. Runs of digits compare by value, so 9 comes before 10.

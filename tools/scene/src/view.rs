@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::beside::{Beside, check_size};
+use crate::beside::{Beside, SensorDepth, check_size};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{
@@ -145,10 +145,20 @@ impl View {
             return Ok(None);
         };
         let (mut mask, _) = map_file::read(path, Meaning::Scalar)?;
-        let size = (self.stored_camera.width, self.stored_camera.height);
-        check_size(path, (mask.width, mask.height), &self.image_path, size)?;
-        mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.5)));
+        mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from((*v > 0.5) != self.beside.inverted)));
+        let (width, height) = (self.stored_camera.width, self.stored_camera.height);
+        if is_copy((width, height), (mask.width, mask.height)) {
+            // The photograph is a smaller copy. A pixel is valid if all that it covers are.
+            mask = resized(mask, width, height);
+            mask.data.iter_mut().for_each(|v| *v = f32::from(u8::from(*v > 0.999)));
+        }
+        check_size(path, (mask.width, mask.height), &self.image_path, (width, height))?;
         Ok(Some(mask))
+    }
+
+    /// Returns the depth map that a sensor measured with the photograph.
+    pub fn sensor_depth(&self) -> Option<&SensorDepth> {
+        self.beside.depth.as_ref()
     }
 
     /// Returns whether the photograph stores linear light.
@@ -260,6 +270,13 @@ impl View {
         };
         resized(straight, self.camera.width, self.camera.height)
     }
+}
+
+/// Returns whether a size is that of a smaller copy: divided by a whole number of 2 or more and rounded.
+fn is_copy(small: (u32, u32), large: (u32, u32)) -> bool {
+    let factor = (f64::from(large.0) / f64::from(small.0)).round();
+    let near = |small: u32, large: u32| (f64::from(large) / factor - f64::from(small)).abs() < 1.0;
+    factor >= 2.0 && near(small.0, large.0) && near(small.1, large.1)
 }
 
 #[cfg(test)]

@@ -191,7 +191,7 @@ fn invalid_pixels_are_excluded_and_do_not_spread() {
     let expected = hits[9 * 48].albedo();
     assert!(albedo.pixel(0, 4).iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{:?}", albedo.pixel(0, 4));
 
-    let options = SceneOptions { masks: false, ..Default::default() };
+    let options = SceneOptions { masks: sgs_scene::MaskUse::Ignored, ..Default::default() };
     assert!(Scene::open(keep.path(), &options).unwrap().load_mask(4).unwrap().is_none());
     std::fs::remove_file(keep.path().join("004_mask.png")).unwrap();
     let error = Scene::open(keep.path(), &SceneOptions::default()).unwrap_err().to_string();

@@ -37,6 +37,8 @@ struct Cli {
 enum Command {
     /// Generate an indoor scene with path-traced images, priors and ground truth.
     Synth(commands::synth::Args),
+    /// Make a scene from photographs or a video. Cameras come from the program COLMAP.
+    Capture(commands::capture::Args),
     /// Run a provider's networks over a scene's images and write the priors.
     Priors(commands::priors::Args),
     /// Write the cameras of the pseudo-views for external rendering and segmentation.
@@ -102,6 +104,7 @@ fn main() {
     ui::heed_supervisor();
     let result = match &cli.command {
         Command::Synth(a) => commands::synth::run(&cli.common, a),
+        Command::Capture(a) => commands::capture::run(&cli.common, a),
         Command::Priors(a) => commands::priors::run(&cli.common, a),
         Command::Pseudo(a) => commands::pseudo::run(&cli.common, a),
         Command::Plan(a) => commands::plan::run(&cli.common, a),

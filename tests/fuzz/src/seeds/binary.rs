@@ -2,7 +2,7 @@
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder};
+use image::{ExtendedColorType, ImageEncoder, ImageFormat, RgbImage};
 use std::io::Cursor;
 
 /// Returns bytes in which all values are about equally frequent.
@@ -15,6 +15,14 @@ fn encoded(width: u32, height: u32, color: ExtendedColorType) -> Vec<u8> {
     let bytes = pattern((u64::from(width) * u64::from(height) * u64::from(color.bits_per_pixel()) / 8) as usize);
     PngEncoder::new(&mut out).write_image(&bytes, width, height, color).expect("an image is written");
     out
+}
+
+/// Returns a color image in a format.
+pub(super) fn photograph(format: ImageFormat) -> Vec<u8> {
+    let mut out = Cursor::new(Vec::new());
+    let image = RgbImage::from_raw(8, 6, pattern(8 * 6 * 3)).expect("the size fits");
+    image.write_to(&mut out, format).expect("an image is written");
+    out.into_inner()
 }
 
 /// Returns a color image.
@@ -148,6 +156,28 @@ pub(super) fn colmap_images() -> Vec<u8> {
     let w = image(Words(Vec::new()).u64(2), 1, &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0], b"000.png", 1);
     let w = w.u64(1).f64(&[1.5, 2.5]).u64(u64::MAX);
     image(w, 2, &[0.96, 0.0, 0.28, 0.0, 0.5, 0.0, 2.0], b"001.png", 2).u64(0).0
+}
+
+pub(super) fn colmap_rigs() -> Vec<u8> {
+    let w = Words(Vec::new()).u64(2).u32(1).u32(2).u32(0).u32(1).u32(0).u32(2).bytes(&[1]);
+    w.f64(&[0.96, 0.0, 0.28, 0.0, 0.5, 0.0, 0.0]).u32(2).u32(1).u32(1).u32(4).0
+}
+
+pub(super) fn colmap_frames() -> Vec<u8> {
+    let w = Words(Vec::new()).u64(1).u32(1).u32(1).f64(&[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0]).u32(3);
+    w.u32(0).u32(1).u64(1).u32(0).u32(2).u64(2).u32(1).u32(3).u64(7).0
+}
+
+/// Returns EXIF data with an orientation and a focal length.
+pub(super) fn exif() -> Vec<u8> {
+    let entry = |w: Words, tag: u32, kind: u32, count, value| w.u32(kind << 16 | tag).u32(count).u32(value);
+    let w = Words(b"II*\0\x08\0\0\0\x03\0".to_vec());
+    let w = entry(w, 0x0110, 2, 4, u32::from_le_bytes(*b"Cam\0"));
+    let w = entry(w, 0x0112, 3, 1, 6);
+    let w = entry(w, 0x8769, 4, 1, 50).u32(0).bytes(&[3, 0]);
+    let w = entry(w, 0xa405, 3, 1, 26);
+    let w = entry(w, 0x920a, 5, 1, 92);
+    entry(w, 0xa20e, 5, 1, 100).u32(0).u32(50).u32(10).u32(25_400).u32(10).0
 }
 
 pub(super) fn colmap_points() -> Vec<u8> {

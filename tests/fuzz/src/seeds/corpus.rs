@@ -5,6 +5,7 @@
 use super::binary::{self, exr, npy, splats};
 use super::text::*;
 use crate::corpus;
+use ::image::ImageFormat;
 use exr::prelude::{Blocks, Compression, Encoding, LineOrder, Vec2};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
@@ -59,6 +60,10 @@ fn texts() -> Files {
         ("labels", "two.json", LABELS),
         ("colmap_cameras_txt", "three.txt", COLMAP_CAMERAS),
         ("colmap_images_txt", "two.txt", COLMAP_IMAGES),
+        ("colmap_rigs_txt", "two.txt", COLMAP_RIGS),
+        ("colmap_frames_txt", "one.txt", COLMAP_FRAMES),
+        ("rgbd_pose", "one.txt", RGBD_POSE),
+        ("rgbd_times", "two.txt", TUM_POSES),
         ("colmap_points_txt", "three.txt", COLMAP_POINTS),
         ("splats_ply", "ascii.ply", SPLATS_ASCII),
         ("splats_ply", "emitters.ply", &emitting),
@@ -161,6 +166,11 @@ fn models() -> Files {
         ("points_ply", "binary.ply", points.bytes().chain(numbers).collect()),
         ("colmap_cameras_bin", "three.bin", binary::colmap_cameras()),
         ("colmap_images_bin", "two.bin", binary::colmap_images()),
+        ("colmap_rigs_bin", "two.bin", binary::colmap_rigs()),
+        ("colmap_frames_bin", "one.bin", binary::colmap_frames()),
+        ("exif", "turned.bin", binary::exif()),
+        ("upright_tiff", "rgb.tif", binary::photograph(ImageFormat::Tiff)),
+        ("upright_webp", "rgb.webp", binary::photograph(ImageFormat::WebP)),
         ("colmap_points_bin", "two.bin", binary::colmap_points()),
     ];
     // Files that this project writes.

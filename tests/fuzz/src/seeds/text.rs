@@ -56,6 +56,14 @@ pub(crate) const COLMAP_IMAGES: &str =
 pub(crate) const COLMAP_POINTS: &str =
     "# Points\n1 0.1 0.2 0.3 255 0 10 0.5 1 0 2 1\n2 -0.1 0.5 1e-3 1 2 3 0.25 1 1\n3 0 0 1 0 0 0 1\n";
 
+pub(crate) const COLMAP_RIGS: &str = "# Rigs\n1 2 CAMERA 1 CAMERA 2 1 0.96 0 0.28 0 0.5 0 0\n2 1 IMU 4\n";
+
+pub(crate) const COLMAP_FRAMES: &str = "# Frames\n1 1 1 0 0 0 0 0 2 3 CAMERA 1 1 CAMERA 2 2 IMU 3 7\n";
+
+pub(crate) const RGBD_POSE: &str = "1 0 0 0.5\n0 0.8 -0.6 1\n0 0.6 0.8 -2\n0 0 0 1\n";
+
+pub(crate) const TUM_POSES: &str = "# time tx ty tz qx qy qz qw\n0.99 0 0 2 0 0 0 1\n2.01 0.5 0 2 0 0.28 0 0.96\n";
+
 /// Splats in ASCII PLY, with normals and materials.
 pub(crate) const SPLATS_ASCII: &str = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n\
 property float nx\nproperty float ny\nproperty float nz\nproperty float f_dc_0\nproperty float f_dc_1\nproperty float f_dc_2\n\

@@ -4,7 +4,7 @@ use super::describe;
 use super::text_of;
 use crate::place::Place;
 use crate::seeds;
-use sgs_scene::{NpyArray, read_exr, read_ids};
+use sgs_scene::{Exif, NpyArray, read_exr, read_ids, read_upright};
 use std::path::Path;
 
 /// Reads a scene whose first photograph has these bytes.
@@ -87,4 +87,31 @@ pub(crate) fn map_npy(bytes: &[u8]) -> String {
     let texts = Place::of("map_npy_texts", seeds::scene);
     texts.put("priors/semantic/text_embeddings.npy", bytes);
     words + &describe::scene(&texts.path(""))
+}
+
+/// Reads EXIF data.
+pub(crate) fn exif(bytes: &[u8]) -> String {
+    let exif = Exif::parse(bytes);
+    assert!((1..=8).contains(&exif.orientation), "orientations are 1 to 8");
+    let focal = exif.focal_pixels(640, 480);
+    assert!(focal.is_none_or(|focal| focal.is_finite() && focal > 0.0), "focal lengths are positive");
+    format!("{} {} {}", exif.orientation, exif.camera.len().min(9), focal.is_some())
+}
+
+/// Reads a photograph and turns it upright.
+fn upright(name: &'static str, file: &str, bytes: &[u8]) -> String {
+    let place = Place::of(name, |_| ());
+    let path = place.put(file, bytes);
+    text_of(read_upright(&path), |upright| {
+        upright.image.check().expect("the pixels fit the size");
+        format!("{} {}", upright.image.channels, upright.exif.orientation)
+    })
+}
+
+pub(crate) fn upright_tiff(bytes: &[u8]) -> String {
+    upright("upright_tiff", "a.tif", bytes)
+}
+
+pub(crate) fn upright_webp(bytes: &[u8]) -> String {
+    upright("upright_webp", "a.webp", bytes)
 }

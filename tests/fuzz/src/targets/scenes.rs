@@ -98,3 +98,27 @@ pub(crate) fn colmap_images_txt(bytes: &[u8]) -> String {
 pub(crate) fn colmap_points_txt(bytes: &[u8]) -> String {
     within("colmap_points_txt", |place| seeds::colmap(place, TEXT), "sparse/0/points3D.txt", bytes)
 }
+
+pub(crate) fn colmap_rigs_bin(bytes: &[u8]) -> String {
+    within("colmap_rigs_bin", |place| seeds::colmap_rigs(place, COLMAP), "sparse/0/rigs.bin", bytes)
+}
+
+pub(crate) fn colmap_frames_bin(bytes: &[u8]) -> String {
+    within("colmap_frames_bin", |place| seeds::colmap_rigs(place, COLMAP), "sparse/0/frames.bin", bytes)
+}
+
+pub(crate) fn colmap_rigs_txt(bytes: &[u8]) -> String {
+    within("colmap_rigs_txt", |place| seeds::colmap_rigs(place, TEXT), "sparse/0/rigs.txt", bytes)
+}
+
+pub(crate) fn colmap_frames_txt(bytes: &[u8]) -> String {
+    within("colmap_frames_txt", |place| seeds::colmap_rigs(place, TEXT), "sparse/0/frames.txt", bytes)
+}
+
+pub(crate) fn rgbd_pose(bytes: &[u8]) -> String {
+    within("rgbd_pose", seeds::seven_scenes, "frame-000000.pose.txt", bytes)
+}
+
+pub(crate) fn rgbd_times(bytes: &[u8]) -> String {
+    within("rgbd_times", seeds::tum, "groundtruth.txt", bytes)
+}

@@ -79,10 +79,10 @@ pub(crate) fn read_size(path: &Path) -> Result<(u32, u32)> {
     }
 }
 
-/// Returns an EXIF orientation that swaps the sides of the image: 5 to 8. Returns `None` if the sides are not swapped.
+/// Returns the EXIF orientation of the stored pixels if they are not upright: 2 to 8.
 pub(crate) fn turning_orientation(path: &Path) -> Option<u16> {
     match kind_of(path) {
-        Ok(Kind::Jpeg) => jpeg::orientation(path).filter(|o| *o >= 5),
+        Ok(Kind::Jpeg) => Some(jpeg::exif(path).orientation).filter(|o| *o >= 2),
         _ => None,
     }
 }
@@ -153,7 +153,7 @@ pub(super) fn decode_png(path: &Path) -> Result<DynamicImage> {
     open_png(path)?.decode().map_err(|e| undecodable(path, &e))
 }
 
-fn to_image(decoded: DynamicImage) -> Image {
+pub(super) fn to_image(decoded: DynamicImage) -> Image {
     let (width, height) = (decoded.width(), decoded.height());
     let bytes = |raw: Vec<u8>| raw.into_iter().map(|v| f32::from(v) / 255.0).collect();
     let words = |raw: Vec<u16>| raw.into_iter().map(|v| f32::from(v) / 65_535.0).collect();

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use jpeg_decoder::{CodingProcess, Decoder, Error, ImageInfo, PixelFormat};
 
-use super::{Image, file};
+use super::{Exif, Image, file};
 use crate::error::{Result, SceneError, io_error};
 
 /// Largest number of pixels per byte of a file. The bound is one bit for a block of 64 pixels, times two for odd
@@ -21,32 +21,10 @@ pub(super) fn read_size(path: &Path) -> Result<(u32, u32)> {
     open(path).map(|(_, info)| size(&info))
 }
 
-/// Returns the EXIF orientation of the file, 1 to 8; `None` if it has none.
-pub(super) fn orientation(path: &Path) -> Option<u16> {
-    orientation_of(open(path).ok()?.0.exif_data()?)
-}
-
-/// Returns the orientation from EXIF data. EXIF data is a TIFF file; the orientation is entry 0x0112 of its first
-/// directory.
-fn orientation_of(tiff: &[u8]) -> Option<u16> {
-    let little = match tiff.get(..2)? {
-        b"II" => true,
-        b"MM" => false,
-        _ => return None,
-    };
-    let short = |at: usize| {
-        let bytes: [u8; 2] = tiff.get(at..at.checked_add(2)?)?.try_into().ok()?;
-        Some(if little { u16::from_le_bytes(bytes) } else { u16::from_be_bytes(bytes) })
-    };
-    let long = |at: usize| {
-        let (first, second) = (u32::from(short(at)?), u32::from(short(at.checked_add(2)?)?));
-        Some(if little { second << 16 | first } else { first << 16 | second })
-    };
-    let directory = usize::try_from(long(4)?).ok()?;
-    let entries = usize::from(short(directory)?);
-    let entry = |i: usize| directory.checked_add(2 + 12 * i);
-    let found = (0..entries).filter_map(entry).find(|at| short(*at) == Some(0x0112))?;
-    short(found.checked_add(8)?).filter(|o| (1..=8).contains(o))
+/// Returns the EXIF data of the file; the default if it has none.
+pub(super) fn exif(path: &Path) -> Exif {
+    let data = open(path).ok().and_then(|(decoder, _)| decoder.exif_data().map(Exif::parse));
+    data.unwrap_or_default()
 }
 
 /// Reads the image, gray or RGB, in `[0, 1]`.
@@ -179,17 +157,6 @@ mod tests {
     /// Returns a pixel of the original image.
     fn pixel(x: usize, y: usize) -> [f32; 3] {
         [40 + 5 * x, 60 + 8 * y, 200 - 3 * x - 3 * y].map(|v| v as f32 / 255.0)
-    }
-
-    #[test]
-    fn orientations_are_read_from_exif_data() {
-        let little = [b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x06\0\0\0".as_slice(), &[0; 4]].concat();
-        let big = [b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x08\0\0".as_slice(), &[0; 4]].concat();
-        assert_eq!((orientation_of(&little), orientation_of(&big)), (Some(6), Some(8)));
-        for end in 0..20 {
-            assert_eq!(orientation_of(&little[..end]), None);
-        }
-        assert_eq!(orientation_of(b"II*\0\xff\xff\xff\xff\x01\0"), None);
     }
 
     #[test]

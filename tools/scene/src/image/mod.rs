@@ -8,6 +8,7 @@ mod blocks;
 mod color;
 mod dwa;
 mod environment;
+mod exif;
 mod exr;
 mod file;
 mod jpeg;
@@ -16,9 +17,11 @@ mod npy_write;
 mod png;
 mod resize;
 mod undistort;
+mod upright;
 
 pub use color::{linear_to_srgb, srgb_to_linear};
 pub use environment::{read_environment, write_environment};
+pub use exif::Exif;
 pub use exr::{ExrImage, names_exr_layer, read_exr, write_exr, write_exr_layers};
 pub(crate) use file::{EXTENSIONS, Encoding, read_raster, read_size, stem_of, turning_orientation};
 pub use npy::NpyArray;
@@ -29,6 +32,7 @@ pub use png::{encode_jpeg, encode_png, read_ids, write_ids, write_png};
 pub(crate) use resize::resized;
 pub use resize::{resize, resize_valid};
 pub use undistort::{undistort, undistort_coverage};
+pub use upright::{Upright, read_upright};
 
 use crate::error::{Result, SceneError};
 

@@ -36,7 +36,7 @@ impl Frame {
             return Ok(());
         }
         if (image.1, image.0) == camera
-            && let Some(orientation) = turning_orientation(&self.image)
+            && let Some(orientation) = turning_orientation(&self.image).filter(|orientation| *orientation >= 5)
         {
             let problem = format!(
                 "the file stores {}×{} pixels and an EXIF orientation ({orientation}) that turns them, but {} gives {}×{} for \

@@ -10,13 +10,16 @@ mod downscaled;
 mod fipt;
 mod frame;
 mod interiorverse;
+mod masks;
 mod numbers;
 mod photographs;
 mod pose;
+mod rgbd;
 pub(crate) mod transforms;
 
 use std::path::{Path, PathBuf};
 
+pub use colmap::ColmapModel;
 pub(crate) use frame::Frame;
 
 use crate::error::{Result, SceneError};
@@ -35,6 +38,8 @@ pub enum Layout {
     Blender,
     /// `cam.txt` and `K_list.txt`, or `transforms.json` with the folder `Image`.
     Fipt,
+    /// Recording of an RGB-D camera, as in 7-Scenes, TUM and ScanNet.
+    Rgbd,
 }
 
 impl Layout {
@@ -82,23 +87,30 @@ pub(crate) fn recognize(root: &Path) -> Result<Layout> {
         return Ok(Layout::Colmap);
     } else if blender::sign(root).is_some() {
         return Ok(Layout::Blender);
+    } else if rgbd::sign(root).is_some() {
+        return Ok(Layout::Rgbd);
     } else if let Some(problem) = photographs::problem(root) {
         return Err(SceneError::NotAScene { path: root.to_path_buf(), problem });
     } else {
         "holds no scene: there is neither transforms.json, nor sparse/0 with cameras.bin or cameras.txt, nor \
-         transforms_train.json, nor images NNN_im.exr, nor cam.txt with K_list.txt"
+         transforms_train.json, nor images NNN_im.exr, nor cam.txt with K_list.txt, nor frames of an RGB-D camera"
     };
     Err(SceneError::NotAScene { path: root.to_path_buf(), problem: problem.into() })
 }
 
 /// Reads a scene directory with the given layout. `split` is a file that replaces the scene's `split.json`.
 pub(crate) fn read(root: &Path, layout: Layout, split: Option<&Path>) -> Result<Found> {
+    let with_masks = |mut found: Found| {
+        masks::add(root, &mut found.frames);
+        found
+    };
     match layout {
-        Layout::Transforms => transforms::read(root, split),
-        Layout::Colmap => colmap::read(root),
+        Layout::Transforms => transforms::read(root, split).map(with_masks),
+        Layout::Colmap => colmap::read(root).map(with_masks),
         Layout::InteriorVerse => interiorverse::read(root, split),
         Layout::Blender => blender::read(root),
         Layout::Fipt => fipt::read(root),
+        Layout::Rgbd => rgbd::read(root).map(with_masks),
     }
 }
 

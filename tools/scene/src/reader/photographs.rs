@@ -11,9 +11,8 @@ pub(super) fn problem(root: &Path) -> Option<String> {
         [inner.as_path(), root].map(|folder| (folder, count(folder))).into_iter().find(|f| f.1 > 0)?;
     let [root, folder] = [root, folder].map(quoted);
     Some(format!(
-        "holds {count} photographs without cameras; find these with COLMAP: colmap automatic_reconstructor \
-         --workspace_path {root} --image_path {folder} --use_gpu 0 --dense 0 --single_camera 1 (for a few views, VGGT: \
-         python demo_colmap.py --scene_dir {root}, with the photographs in its images folder)"
+        "holds {count} photographs without cameras; make a scene of them by COLMAP: sgs capture {folder} -o SCENE (for a \
+         few views, VGGT: python demo_colmap.py --scene_dir {root}, with the photographs in its images folder)"
     ))
 }
 
@@ -45,11 +44,11 @@ mod tests {
         std::fs::write(root.join("b.jpeg"), "").unwrap();
         let at = root.display();
         let message = problem(&root).unwrap();
-        assert!(message.contains(&format!("--workspace_path '{at}' --image_path '{at}' --use_gpu 0")), "{message}");
+        assert!(message.contains(&format!("sgs capture '{at}' -o SCENE")), "{message}");
         std::fs::write(root.join("images/a.JPG"), "").unwrap();
         let message = problem(&root).unwrap();
         assert!(
-            message.starts_with("holds 1 photographs") && message.contains(&format!("--image_path '{at}/images' ")),
+            message.starts_with("holds 1 photographs") && message.contains(&format!("sgs capture '{at}/images' -o")),
             "{message}"
         );
         assert!(message.contains(&format!("demo_colmap.py --scene_dir '{at}'")), "{message}");

@@ -12,6 +12,8 @@ pub(super) enum Axes {
     OpenGl,
     /// x left, y up, z forward.
     Mitsuba,
+    /// x right, y down, z forward.
+    OpenCv,
 }
 
 /// Converts a camera-to-world matrix to a world-to-camera pose. `rows` are the rows of the matrix, with camera axes
@@ -38,6 +40,7 @@ pub(super) fn from_matrix(rows: &[Vec<f64>], axes: Axes) -> Result<(DMat3, DVec3
     let to_world = match axes {
         Axes::OpenGl => DMat3::from_cols(rotation.x_axis, -rotation.y_axis, -rotation.z_axis),
         Axes::Mitsuba => DMat3::from_cols(-rotation.x_axis, -rotation.y_axis, rotation.z_axis),
+        Axes::OpenCv => rotation,
     };
     let to_camera = to_world.transpose();
     Ok((to_camera, -(to_camera * column(3))))

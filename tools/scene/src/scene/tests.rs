@@ -252,3 +252,54 @@ fn write_scene_json_size(root: &Path) {
     let text = std::fs::read_to_string(&path).unwrap();
     std::fs::write(path, text.replace("\"fl_x\"", "\"w\": 8, \"h\": 6, \"fl_x\"")).unwrap();
 }
+
+#[test]
+fn masks_beside_the_images_are_used_inverted_or_ignored() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    write_scene(root, 3, "");
+    std::fs::create_dir(root.join("masks")).unwrap();
+    // White in the left quarter; the second mask belongs to a photograph of twice the size.
+    for (name, scale) in [("v1.png", 1), ("v2.png.png", 2)] {
+        let mut mask = Image::new(8 * scale, 6 * scale, 1);
+        let width = mask.width as usize;
+        mask.data.iter_mut().enumerate().for_each(|(i, v)| *v = f32::from(u8::from(i % width < width / 4)));
+        write_png(&root.join("masks").join(name), &mask).unwrap();
+    }
+    let masks = |masks: MaskUse| {
+        let scene = open(root, |options| options.masks = masks).unwrap();
+        let valid = |view| scene.load_mask(view).unwrap().map(|mask| mask.data.iter().sum::<f32>());
+        ([valid(0), valid(1), valid(2)], scene.start_warnings().unwrap().pop())
+    };
+    let (valid, warning) = masks(MaskUse::Valid);
+    assert_eq!(valid, [None, Some(12.0), Some(12.0)]);
+    let warning = warning.unwrap();
+    assert!(
+        warning.contains("v1.png leaves out 75 % of its pixels, those that are not white; masks = \"inverted\""),
+        "{warning}"
+    );
+    let (valid, warning) = masks(MaskUse::Inverted);
+    assert_eq!(valid, [None, Some(36.0), Some(36.0)]);
+    assert!(!warning.unwrap().contains("mask"));
+    assert_eq!(masks(MaskUse::Ignored).0, [None; 3]);
+    write_png(&root.join("masks/v1.png"), &Image::new(9, 6, 1)).unwrap();
+    let error = open(root, |_| ()).unwrap().load_mask(1).unwrap_err().to_string();
+    assert!(error.contains("masks/v1.png: the map is 9×6 pixels, but its image"), "{error}");
+}
+
+#[test]
+fn exif_orientations_are_counted() {
+    let directory = tempfile::tempdir().unwrap();
+    let root = directory.path();
+    write_scene(root, 3, "");
+    assert!(open(root, |_| ()).unwrap().warnings.is_empty());
+    let jpeg = crate::encode_jpeg(&Image::new(8, 6, 3), 90).unwrap();
+    let tiff = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x03\0\0\0\0\0\0\0";
+    let segment = [&[0xff, 0xe1, 0, tiff.len() as u8 + 2], tiff.as_slice()].concat();
+    for name in ["v0", "v2"] {
+        std::fs::remove_file(root.join(format!("{name}.png"))).unwrap();
+        std::fs::write(root.join(format!("{name}.jpg")), [&jpeg[..2], &segment, &jpeg[2..]].concat()).unwrap();
+    }
+    let warnings = open(root, |_| ()).unwrap().warnings;
+    assert!(warnings[0].starts_with("2 images have an EXIF orientation, which is ignored"), "{warnings:?}");
+}

@@ -2,6 +2,7 @@
 
 pub mod ablate;
 pub mod batch;
+pub mod capture;
 pub mod devices;
 pub mod eval;
 pub mod export;

@@ -10,14 +10,14 @@ use crate::error::{Result, SceneError, io_error};
 use crate::points::{PointCloud, Tracks};
 
 /// Reader of a file's remaining bytes.
-struct Bytes<'a> {
+pub(super) struct Bytes<'a> {
     path: &'a Path,
     all: &'a [u8],
     at: usize,
 }
 
 impl<'a> Bytes<'a> {
-    fn fail(&self, problem: impl Into<String>) -> SceneError {
+    pub(super) fn fail(&self, problem: impl Into<String>) -> SceneError {
         SceneError::cameras(self.path, format!("byte {}", self.at), problem)
     }
 
@@ -34,21 +34,21 @@ impl<'a> Bytes<'a> {
         }
     }
 
-    fn word<const N: usize>(&mut self) -> Result<[u8; N]> {
+    pub(super) fn word<const N: usize>(&mut self) -> Result<[u8; N]> {
         let mut word = [0; N];
         word.copy_from_slice(self.take(N)?);
         Ok(word)
     }
 
-    fn u32(&mut self) -> Result<u32> {
+    pub(super) fn u32(&mut self) -> Result<u32> {
         self.word().map(u32::from_le_bytes)
     }
 
-    fn u64(&mut self) -> Result<u64> {
+    pub(super) fn u64(&mut self) -> Result<u64> {
         self.word().map(u64::from_le_bytes)
     }
 
-    fn f64<const N: usize>(&mut self) -> Result<[f64; N]> {
+    pub(super) fn f64<const N: usize>(&mut self) -> Result<[f64; N]> {
         let mut values = [0.0; N];
         for value in &mut values {
             *value = f64::from_le_bytes(self.word()?);
@@ -57,7 +57,7 @@ impl<'a> Bytes<'a> {
     }
 
     /// Reads a count of records that have at least `size` bytes each.
-    fn count(&mut self, size: usize) -> Result<usize> {
+    pub(super) fn count(&mut self, size: usize) -> Result<usize> {
         let at = self.at;
         let count = self.u64()?;
         let left = (self.all.len() - self.at) as u64;
@@ -70,7 +70,7 @@ impl<'a> Bytes<'a> {
     }
 }
 
-fn with_file<T>(path: &Path, read: impl FnOnce(&mut Bytes) -> Result<T>) -> Result<T> {
+pub(super) fn with_file<T>(path: &Path, read: impl FnOnce(&mut Bytes) -> Result<T>) -> Result<T> {
     let all = std::fs::read(path).map_err(io_error("read", path))?;
     read(&mut Bytes { path, all: &all, at: 0 })
 }

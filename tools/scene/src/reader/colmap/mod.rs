@@ -3,10 +3,12 @@
 //! The model is in `sparse/0` or `sparse` (nerfstudio: `colmap/sparse/0`), with `cameras`, `images` and `points3D`, in
 //! binary or text form. Photographs are in `images`.
 //!
-//! The binary form takes precedence if both exist. Poses are already world-to-camera with OpenCV axes.
+//! The binary form takes precedence if both exist. Poses are already world-to-camera with OpenCV axes. Versions from 3.12
+//! on also write rigs and frames, whose poses then place the images.
 
 mod binary;
 mod model;
+mod rigs;
 mod text;
 
 use std::collections::HashMap;
@@ -84,6 +86,27 @@ pub(super) fn scene_of_model(folder: &Path) -> Option<PathBuf> {
     Some(outer.unwrap_or(root).to_owned())
 }
 
+/// Reconstruction of COLMAP.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ColmapModel {
+    /// File names of the registered images, in the order of the file.
+    pub images: Vec<String>,
+    /// Number of reconstructed points.
+    pub points: usize,
+}
+
+impl ColmapModel {
+    /// Reads the model in a folder, such as `sparse/0`. Returns `None` if the folder holds no model.
+    pub fn read(folder: &Path) -> Result<Option<Self>> {
+        let Some(location) = in_folder(folder.to_owned()) else { return Ok(None) };
+        let path = location.file("images");
+        let images = if location.binary { binary::read_images(&path)? } else { text::read_images(&path)? };
+        let path = location.file("points3D");
+        let (points, _) = if location.binary { binary::read_points(&path)? } else { text::read_points(&path)? };
+        Ok(Some(Self { images: images.into_iter().map(|row| row.name).collect(), points: points.len() }))
+    }
+}
+
 /// Reads a scene directory.
 pub(super) fn read(root: &Path) -> Result<Found> {
     let problem = || "holds no sparse/0 with cameras.bin or cameras.txt".to_string();
@@ -98,6 +121,8 @@ pub(super) fn read(root: &Path) -> Result<Found> {
         let problem = "no image is registered; run the reconstruction again";
         return Err(SceneError::cameras(&images_path, "", problem));
     }
+    let mut images = images;
+    rigs::place(&location, &mut images)?;
     let cameras: HashMap<u32, CameraRow> = cameras.into_iter().map(|camera| (camera.id, camera)).collect();
 
     let folder = root.join("images");

@@ -203,13 +203,13 @@ fn truncated_text_files_never_panic() {
 }
 
 #[test]
-fn fisheye_models_are_rejected_by_name() {
+fn unsupported_models_are_rejected_by_name() {
     let (_keep, root) = binary_scene();
     let mut cameras = binary_files()[0].1.clone();
-    cameras[12] = 5;
+    cameras[12] = 7;
     put(&root, "sparse/cameras.bin", &cameras);
     let error = read(&root).unwrap_err().to_string();
-    assert!(error.contains("camera 3: the camera model is OPENCV_FISHEYE, but only SIMPLE_PINHOLE"), "{error}");
+    assert!(error.contains("camera 3: the camera model is FOV, but only SIMPLE_PINHOLE"), "{error}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use super::{CameraRow, ImageRow, model};
 use crate::error::{Result, SceneError, io_error};
 use crate::points::{PointCloud, Tracks};
 
-fn read_text(path: &Path) -> Result<String> {
+pub(super) fn read_text(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).map_err(io_error("read", path))?;
     // Image names may have any encoding; numbers are the same in all encodings.
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
@@ -14,31 +14,31 @@ fn read_text(path: &Path) -> Result<String> {
 }
 
 /// Words of one line; errors name the line.
-struct Words<'a> {
+pub(super) struct Words<'a> {
     path: &'a Path,
     line: usize,
     words: std::str::SplitAsciiWhitespace<'a>,
 }
 
 impl<'a> Words<'a> {
-    fn new(path: &'a Path, line: usize, text: &'a str) -> Self {
+    pub(super) fn new(path: &'a Path, line: usize, text: &'a str) -> Self {
         Self { path, line, words: text.split_ascii_whitespace() }
     }
 
-    fn fail(&self, problem: impl Into<String>) -> SceneError {
+    pub(super) fn fail(&self, problem: impl Into<String>) -> SceneError {
         SceneError::cameras(self.path, format!("line {}", self.line), problem)
     }
 
-    fn word(&mut self, what: &str) -> Result<&'a str> {
+    pub(super) fn word(&mut self, what: &str) -> Result<&'a str> {
         self.words.next().ok_or_else(|| self.fail(format!("the line ends before {what}; export the file again")))
     }
 
-    fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T> {
+    pub(super) fn number<T: std::str::FromStr>(&mut self, what: &str) -> Result<T> {
         let word = self.word(what)?;
         word.parse().map_err(|_| self.fail(format!("\"{word}\" is no {what}; export the file again")))
     }
 
-    fn numbers<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
+    pub(super) fn numbers<const N: usize>(&mut self, what: &str) -> Result<[f64; N]> {
         let mut values = [0.0; N];
         for value in &mut values {
             *value = self.number(what)?;
@@ -48,7 +48,7 @@ impl<'a> Words<'a> {
 }
 
 /// Returns lines with content and their numbers, from 1.
-fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     text.lines().enumerate().map(|(i, line)| (i + 1, line)).filter(|(_, line)| is_content(line))
 }
 

@@ -15,6 +15,7 @@ pub(super) struct Entry {
     pub(super) file_path: Option<String>,
     pub(super) transform_matrix: Option<Vec<Vec<f64>>>,
     pub(super) split: Option<String>,
+    pub(super) mask_path: Option<String>,
     pub(super) depth_file_path: Option<String>,
     depth_unit_scale_factor: Option<f64>,
     camera_model: Option<String>,
@@ -47,6 +48,7 @@ impl Entry {
             file_path: None,
             transform_matrix: None,
             split: None,
+            mask_path: None,
             depth_file_path: None,
             depth_unit_scale_factor: self.depth_unit_scale_factor.or(all.depth_unit_scale_factor),
             camera_model: self.camera_model.clone().or_else(|| all.camera_model.clone()),
@@ -91,12 +93,13 @@ impl Entry {
         }
     }
 
-    /// Returns the scene units per unit of the depth maps. Missing, it is that of millimeters in a scene in meters, as
-    /// nerfstudio has it.
+    /// Returns the length of a step of depth files in units of the scene. nerfstudio takes a thousandth by default.
     pub(super) fn depth_unit(&self) -> Result<f64, String> {
         let unit = self.depth_unit_scale_factor.unwrap_or(1e-3);
-        let valid = unit.is_finite() && unit > 0.0;
-        if valid { Ok(unit) } else { Err(format!("depth_unit_scale_factor is {unit}; it must be a positive number")) }
+        if unit.is_finite() && unit > 0.0 {
+            return Ok(unit);
+        }
+        Err(format!("depth_unit_scale_factor is {unit}; it must be a positive number"))
     }
 
     /// Returns the lens distortion.
@@ -109,6 +112,8 @@ impl Entry {
             k4: value(self.k4),
             p1: value(self.p1),
             p2: value(self.p2),
+            fisheye: self.is_fisheye_lens(),
+            ..Distortion::default()
         };
         if lens.is_finite() { Ok(lens) } else { Err("the distortion holds values that are not finite".into()) }
     }
@@ -161,14 +166,18 @@ impl Entry {
         pose::from_matrix(rows, axes)
     }
 
+    /// Returns whether the coefficients are those of OpenCV's fisheye model.
+    fn is_fisheye_lens(&self) -> bool {
+        self.is_fisheye == Some(true)
+            || self.camera_model.as_ref().is_some_and(|model| model.eq_ignore_ascii_case("OPENCV_FISHEYE"))
+    }
+
     fn check_model(&self) -> Result<(), String> {
         let model = self.camera_model.as_deref().unwrap_or("OPENCV");
-        let known = ["OPENCV", "PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
-        let fisheye = self.is_fisheye == Some(true);
-        if known.contains(&model.to_uppercase().as_str()) && !fisheye {
+        let known = ["OPENCV", "OPENCV_FISHEYE", "PERSPECTIVE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL"];
+        if known.contains(&model.to_uppercase().as_str()) {
             return Ok(());
         }
-        let model = if fisheye { "fisheye" } else { model };
         Err(format!("the camera model is {model}, which is not supported; undistort the images to a pinhole camera"))
     }
 }

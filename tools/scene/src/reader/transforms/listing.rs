@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::Listing;
-use crate::beside::Beside;
-use crate::depth_prior::DepthFile;
+use crate::beside::{Beside, SensorDepth};
 use crate::error::{Result, SceneError};
 use crate::image::{read_size, stem_of};
 use crate::reader::frame::{find_image, missing_warning};
@@ -42,15 +41,6 @@ impl<'a> Source<'a> {
     }
 }
 
-/// Returns the depth map that a frame names. It must exist.
-fn depth_of(listing: &Path, name: &str, unit: f64) -> Result<DepthFile, String> {
-    let path = listing.parent().unwrap_or(Path::new("")).join(name.replace('\\', "/"));
-    if path.is_file() {
-        return Ok(DepthFile { path, unit });
-    }
-    Err(format!("depth_file_path is {}, which does not exist; put it there or remove the key", path.display()))
-}
-
 /// Adds the frames of a file whose name is `wanted`. Frames whose image does not exist are recorded as missing.
 pub(in crate::reader) fn collect(
     source: &Source,
@@ -59,6 +49,7 @@ pub(in crate::reader) fn collect(
     mut wanted: impl FnMut(&str) -> bool,
 ) -> Result<()> {
     let (mut missing, mut total) = (Vec::new(), 0);
+    let (mut masks, mut depths) = (NamedFiles::of("mask_path"), NamedFiles::of("depth_file_path"));
     for (index, entry) in file.frames.iter().enumerate() {
         let fail = |problem: String| SceneError::cameras(source.path, entry.place(index), problem);
         let named = entry.file_path.as_deref().filter(|name| !name.is_empty());
@@ -83,14 +74,48 @@ pub(in crate::reader) fn collect(
         let camera = intrinsics.camera(name, size, rotation, translation).map_err(fail)?;
         let camera = downscaled::fitted(camera, &image)?;
         let lens = intrinsics.lens().map_err(fail)?;
-        let depth = match entry.depth_file_path.as_deref().filter(|path| !path.is_empty()) {
-            Some(depth) => Some(depth_of(source.path, depth, intrinsics.depth_unit().map_err(fail)?).map_err(fail)?),
-            None => None,
-        };
-        let beside = Beside { test: source.test.or(entry.test()), depth, ..Default::default() };
+        let mut beside = Beside { test: source.test.or(entry.test()), ..Default::default() };
+        let root = source.path.parent().unwrap_or(Path::new(""));
+        beside.mask = masks.find(root, entry.mask_path.as_deref());
+        if let Some(path) = depths.find(root, entry.depth_file_path.as_deref()) {
+            beside.depth = Some(SensorDepth { path, unit: intrinsics.depth_unit().map_err(fail)? });
+        }
         found.frames.push(Frame { beside, ..Frame::new(camera, lens, image, source.path.to_path_buf()) });
     }
     found.warnings.extend(missing_warning(source.path, &missing, total));
+    found.warnings.extend([masks, depths].iter().filter_map(|files| files.warning(source.path)));
     found.missing.extend(missing);
     Ok(())
+}
+
+/// Files of one kind that frames name by a key.
+struct NamedFiles {
+    key: &'static str,
+    missing: Vec<String>,
+}
+
+impl NamedFiles {
+    fn of(key: &'static str) -> Self {
+        Self { key, missing: Vec::new() }
+    }
+
+    /// Returns the file that a frame names; `None` if there is none.
+    fn find(&mut self, root: &Path, name: Option<&str>) -> Option<PathBuf> {
+        let name = name.filter(|name| !name.is_empty())?;
+        let path = root.join(name.replace('\\', "/"));
+        if path.is_file() {
+            return Some(path);
+        }
+        self.missing.push(name.to_owned());
+        None
+    }
+
+    /// Returns a warning about missing files.
+    fn warning(&self, declared_in: &Path) -> Option<String> {
+        let (first, n, key) = (self.missing.first()?, self.missing.len(), self.key);
+        Some(format!(
+            "{n} frames in {} name a {key} that does not exist, and are used without it (the first is {first:?})",
+            declared_in.display()
+        ))
+    }
 }

@@ -76,6 +76,44 @@ fn frame_fields_override_the_file_and_size_defaults_to_the_image() {
 }
 
 #[test]
+fn fisheye_lenses_may_differ_between_frames() {
+    let json = one(
+        "\"fl_x\": 5, \"camera_model\": \"OPENCV\", \"k1\": 0.1,",
+        ", \"camera_model\": \"OPENCV_FISHEYE\", \"k3\": 0.2",
+    );
+    let Frame { lens, .. } = &found(&json, &["a.png"]).frames[0];
+    assert_eq!((lens.fisheye, lens.k1, lens.k3), (true, 0.1, 0.2));
+    let json = one("\"fl_x\": 5, \"is_fisheye\": true,", "");
+    assert!(found(&json, &["a.png"]).frames[0].lens.fisheye);
+    assert!(!found(&one("\"fl_x\": 5,", ""), &["a.png"]).frames[0].lens.fisheye);
+}
+
+#[test]
+fn masks_and_depth_are_named_by_frames() {
+    let named = ", \"mask_path\": \"m/a.png\", \"depth_file_path\": \".\\\\d\\\\a.png\"";
+    let top = "\"fl_x\": 5, \"depth_unit_scale_factor\": 0.002,";
+    let (_keep, root) = scene(&one(top, named), &["a.png", "m/a.png", "d/a.png", "masks/a.png"]);
+    let beside = &read(&root).unwrap().frames[0].beside;
+    assert_eq!(beside.mask, Some(root.join("m/a.png")));
+    let depth = beside.depth.as_ref().unwrap();
+    assert!(depth.path.ends_with("d/a.png") && depth.unit == 0.002, "{depth:?}");
+    std::fs::remove_file(root.join("m/a.png")).unwrap();
+    std::fs::remove_file(root.join("d/a.png")).unwrap();
+    let found = read(&root).unwrap();
+    assert_eq!((&found.frames[0].beside.mask, &found.frames[0].beside.depth), (&None, &None));
+    assert!(
+        found.warnings[0].contains("1 frames in") && found.warnings[0].contains("name a mask_path"),
+        "{:?}",
+        found.warnings
+    );
+    assert!(found.warnings[1].contains("name a depth_file_path that does not exist"), "{:?}", found.warnings);
+    let unit = |unit: &str| {
+        one(&format!("\"fl_x\": 5, \"depth_unit_scale_factor\": {unit},"), ", \"depth_file_path\": \"a.png\"")
+    };
+    assert!(fail(&unit("0"), &["a.png"]).contains("depth_unit_scale_factor is 0; it must be a positive number"));
+}
+
+#[test]
 fn missing_images_are_skipped_with_one_warning() {
     let frame = |name: &str| format!("{{\"file_path\": \"./images/{name}\", \"transform_matrix\": {POSE}}}");
     let names = ["b", "c.png", "d.png", "e"];
@@ -147,8 +185,7 @@ fn each_error_has_its_message() {
     assert!(with("\"fl_x\": 5, \"w\": 8.5, \"h\": 6,").contains("the image size is 8.5×6; w and h must be whole"));
     assert!(with("\"fl_x\": 5, \"w\": 0, \"h\": 6,").contains("the image size is 0×6"));
     assert!(with("\"fl_x\": 5, \"w\": 1e6, \"h\": 6,").contains("no side may exceed 65536"));
-    assert!(with("\"fl_x\": 5, \"camera_model\": \"OPENCV_FISHEYE\",").contains("camera model is OPENCV_FISHEYE"));
-    assert!(with("\"fl_x\": 5, \"is_fisheye\": true,").contains("camera model is fisheye"));
+    assert!(with("\"fl_x\": 5, \"camera_model\": \"EQUIRECTANGULAR\",").contains("camera model is EQUIRECTANGULAR"));
     let skewed = one("\"fl_x\": 5,", "").replace("[1,0,0,1]", "[1,0.5,0,1]");
     assert!(fail(&skewed, good).contains("frame 0 (a.png): transform_matrix is not a rigid pose"));
     let (_keep, root) = scene(&one("\"fl_x\": 5,", ""), &[]);
