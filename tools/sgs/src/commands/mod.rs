@@ -5,6 +5,7 @@ pub mod batch;
 pub mod devices;
 pub mod eval;
 pub mod export;
+mod export_page;
 pub mod plan;
 mod plan_intrinsic;
 mod plan_transport;
