@@ -34,6 +34,15 @@ pub struct Browser {
 impl Browser {
     /// Starts Chromium. Returns `None` if it is not installed.
     pub fn start() -> Option<Browser> {
+        Browser::start_with(&["--disable-gpu"])
+    }
+
+    /// Starts Chromium with WebGL, drawn by the processor. Returns `None` if it is not installed.
+    pub fn start_drawing() -> Option<Browser> {
+        Browser::start_with(&["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
+    }
+
+    fn start_with(options: &[&str]) -> Option<Browser> {
         let known = ["chromium", "chromium-browser"];
         let name =
             known.iter().find(|n| Command::new(n).arg("--version").output().is_ok_and(|o| o.status.success()))?;
@@ -44,7 +53,9 @@ impl Browser {
         // The browser reads from file descriptor 3 and writes to 4. Its resolver finds no host but 127.0.0.1.
         let mut command = Command::new("bash");
         command.args(["-c", "exec 3<\"$1\" 4>\"$2\"; shift 2; exec \"$@\"", "bash"]).args(&pipes).arg(name);
-        command.args(["--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe", "--no-first-run"]);
+        command.args(["--headless=new", "--no-sandbox", "--remote-debugging-pipe", "--no-first-run", "--disable-quic"]);
+        command.args(["--disable-background-networking", "--disable-component-update", "--disable-sync"]);
+        command.args(options);
         command.args(["--disable-dev-shm-usage", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]);
         command.arg(format!("--user-data-dir={}", folder.path().join("profile").display()));
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).process_group(0);

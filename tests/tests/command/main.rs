@@ -11,6 +11,7 @@ mod lpips;
 mod memory_of_training;
 mod metrics;
 mod outputs;
+mod page;
 mod presets;
 mod priors;
 mod providers;

@@ -42,6 +42,7 @@ mod spz;
 mod unit;
 mod usd;
 mod view;
+mod web;
 
 pub use atomic::atomic_write;
 pub use beside::{GroundTruthKind, SensorDepth};
@@ -78,3 +79,4 @@ pub use spz::{SpzVersion, read_spz, write_spz};
 pub use unit::Unit;
 pub use usd::{UsdLight, UsdShape, usd_leaves_out, write_usd};
 pub use view::{LoadOptions, Photograph, View};
+pub use web::{CHUNK as PAGE_CHUNK, Page, PageChunk, PageLight, WrittenPage, write_page};

@@ -63,7 +63,7 @@ enum Command {
     Robustness(commands::robustness::Args),
     /// Write an HTML report of a run. Shows images side by side, tables, curves, lights, profile and settings.
     Report(commands::report::Args),
-    /// Export Gaussians, materials and lighting for other programs: PLY, glTF.
+    /// Export Gaussians and lighting for other programs, or as a page for browsers.
     Export(commands::export::Args),
     /// List the Vulkan devices that can run SGS, and the features that others lack.
     Devices(commands::devices::Args),

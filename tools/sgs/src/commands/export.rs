@@ -1,5 +1,6 @@
 //! Export of Gaussians and light for other programs: `sgs export`.
 
+use super::export_page::{self, PageExport};
 use crate::cameras::splats_of;
 use crate::common::Common;
 use crate::failure::refuse_usage;
@@ -17,8 +18,17 @@ pub struct Args {
     /// Run directory, or a file of this or another program.
     source: PathBuf,
     /// File to write. Lights and an environment map that its format cannot hold are written beside it.
-    #[arg(short, long, value_name = "FILE")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "FILE", required_unless_present = "web")]
+    output: Option<PathBuf>,
+    /// Directory to write a page for browsers into (docs/guide/page.md).
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["output", "format", "scale"])]
+    web: Option<PathBuf>,
+    /// Transforms file with the views of --web; by default those of the run's scene.
+    #[arg(long, value_name = "FILE.json", requires = "web")]
+    cameras: Option<PathBuf>,
+    /// Scene directory of --web; by default that of the training.
+    #[arg(long, value_name = "DIR", requires = "web")]
+    scene: Option<PathBuf>,
     /// File format (docs/reference/exchange.md); by default from the file's extension.
     #[arg(long, value_enum)]
     format: Option<Format>,
@@ -184,7 +194,13 @@ fn up_of_run(settings: &Settings) -> Option<DVec3> {
 }
 
 pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
-    let format = Format::of(&a.output, a.format)?.format();
+    if let Some(folder) = &a.web {
+        let (scene, cameras) = (a.scene.as_deref(), a.cameras.as_deref());
+        let up = a.up.and_then(Up::direction);
+        return export_page::run(common, &PageExport { source: &a.source, folder, scene, cameras, up });
+    }
+    let Some(output) = &a.output else { refuse_usage!("Nothing is exported; name a file with --output.") };
+    let format = Format::of(output, a.format)?.format();
     if !(1e-6..=1e6).contains(&a.scale) {
         refuse_usage!("--scale is {}; use a number from 1e-6 to 1e6.", a.scale);
     }
@@ -220,9 +236,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         transform: transform.as_ref(),
     };
     let left_out = export.leaves_out();
-    let files = write_export(&a.output, &export)?;
+    let files = write_export(output, &export)?;
     let answer = serde_json::json!({
-        "gaussians": splats.len(), "file": a.output, "files": files, "left_out": left_out,
+        "gaussians": splats.len(), "file": output, "files": files, "left_out": left_out,
         "lights": lights.as_ref().map_or(0, |list| format.lights_held(list)), "transform": transform,
     });
     if !common.answer(&answer)? && !common.quiet {

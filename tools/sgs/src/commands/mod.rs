@@ -6,6 +6,7 @@ pub mod capture;
 pub mod devices;
 pub mod eval;
 pub mod export;
+mod export_page;
 pub mod plan;
 mod plan_intrinsic;
 mod plan_transport;
