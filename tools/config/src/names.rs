@@ -47,7 +47,7 @@ pub(super) fn compare(prefix: &str, table: &toml::Table, known: &toml::Table, al
             match value {
                 toml::Value::Boolean(_) => continue,
                 toml::Value::String(s) if s == MaskUse::INVERTED => continue,
-                _ => return Err(ConfigError::kind(name, value, "true, false or \"inverted\"".into())),
+                _ => return Err(ConfigError::kind(name, value, "true, false or \"inverted\"")),
             }
         }
         match (value, expected) {
