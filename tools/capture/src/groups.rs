@@ -39,7 +39,7 @@ impl Group {
         if self.names.len() < ENOUGH { "SIMPLE_RADIAL" } else { "OPENCV" }
     }
 
-    /// Returns the initial parameters of the model, if the EXIF data has a focal length.
+    /// Returns the initial parameters of the model, if the focal length is known.
     pub(crate) fn parameters(&self) -> Option<String> {
         let focal = self.focal?;
         let [cx, cy] = [self.size.0, self.size.1].map(|side| 0.5 * f64::from(side));

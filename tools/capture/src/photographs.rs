@@ -18,7 +18,7 @@ const HEIF: Program = Program { name: "heif-convert", package: "libheif-examples
 /// Extensions of photographs.
 const EXTENSIONS: [&str; 8] = ["jpg", "jpeg", "png", "tif", "tiff", "webp", "heic", "heif"];
 
-/// Returns the photographs in a folder, or in its folder `images`, in the order of their names.
+/// Returns the photographs in a folder, or in its folder `images`, by name.
 pub(crate) fn list(source: &Path) -> Result<Vec<PathBuf>> {
     let inner = source.join("images");
     for folder in [source, &inner] {

@@ -125,7 +125,7 @@ impl Drop for Running {
 fn reason(log: &str) -> Option<&str> {
     let lines = || log.lines().map(str::trim).filter(|line| !line.is_empty());
     let bad = |line: &&str| ["error", "fail", "cannot", "invalid"].iter().any(|w| line.to_lowercase().contains(w));
-    lines().filter(bad).last().or_else(|| lines().last())
+    lines().rfind(bad).or_else(|| lines().next_back())
 }
 
 #[cfg(test)]

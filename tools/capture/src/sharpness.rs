@@ -40,7 +40,7 @@ mod tests {
 
     /// Returns stripes blurred over `radius` pixels to both sides.
     fn stripes(radius: usize) -> Pnm {
-        let value = |x: usize| if x / 4 % 2 == 0 { 20.0 } else { 220.0 };
+        let value = |x: usize| if (x / 4).is_multiple_of(2) { 20.0 } else { 220.0 };
         let blurred = |x: usize| (x..=x + 2 * radius).map(value).sum::<f64>() / (2 * radius + 1) as f64;
         let row: Vec<u8> = (0..64).map(|x| blurred(x) as u8).collect();
         Pnm { width: 64, height: 8, channels: 1, data: row.repeat(8) }

@@ -56,7 +56,7 @@ pub struct Settings {
     pub scale: f64,
     /// Factor on linear images; 0 chooses it from the training views.
     pub exposure: f32,
-    /// Leaves invalid pixels of the data set, black in its masks, out of losses and measures. "inverted" leaves out white pixels.
+    /// Leaves invalid pixels of the data set out of losses and measures. They are black in masks; with "inverted" white.
     pub masks: MaskUse,
     /// Number of random points for a scene without points.
     pub random_points: usize,

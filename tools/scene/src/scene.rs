@@ -323,7 +323,7 @@ impl Scene {
     }
 }
 
-/// Returns a warning about EXIF orientations, which are ignored because cameras refer to the stored pixels.
+/// Returns a warning about EXIF orientations; `None` if all images are upright.
 fn orientation_warning(frames: &[Frame]) -> Option<String> {
     let turned = |frame: &&Frame| turning_orientation(&frame.image).is_some();
     let all: Vec<&Frame> = frames.par_iter().filter(turned).collect();

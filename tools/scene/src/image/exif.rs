@@ -3,7 +3,7 @@
 //! EXIF data is a TIFF file: directories of entries, of which the first has the orientation and the camera, and points
 //! to the directory of the exposure. Only entries that [`Exif`] needs are read. Damaged entries count as absent.
 
-/// Diagonal of a 35 mm frame in millimeters, to which equivalent focal lengths refer.
+/// Diagonal of a 35 mm frame in millimeters; equivalent focal lengths refer to it.
 const DIAGONAL: f64 = 43.266_615_305_567_87;
 
 /// EXIF data of a photograph.
@@ -13,9 +13,9 @@ pub struct Exif {
     pub orientation: u16,
     /// Maker, model and lens; empty if unknown.
     pub camera: String,
-    /// Focal length of a 35 mm camera with the same diagonal field of view, in millimeters.
+    /// Focal length in millimeters of a 35 mm camera with the same diagonal view.
     equivalent: Option<f64>,
-    /// Focal length in pixels of the sensor, and the longer side of its image in pixels.
+    /// Focal length in pixels of the sensor, and the longer side of its image.
     sensor: Option<(f64, Option<f64>)>,
 }
 
@@ -91,7 +91,7 @@ impl<'a> Tiff<'a> {
         Some(if self.little { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) })
     }
 
-    /// Returns the kind of an entry's values, their number, and the position of the first.
+    /// Returns the kind of an entry's values, their number, and the first position.
     fn entry(&self, directory: usize, tag: u16) -> Option<(u16, usize, usize)> {
         let entries = usize::from(self.short(directory)?);
         let at = |i: usize| directory.checked_add(2 + 12 * i);

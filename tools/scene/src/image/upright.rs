@@ -1,4 +1,6 @@
-//! Photographs of any common format with their EXIF orientation applied, for programs that estimate cameras.
+//! Photographs of common formats, turned upright.
+//!
+//! Programs that estimate cameras take them. Cameras from elsewhere refer to the stored pixels.
 
 use std::fs::File;
 use std::io::BufReader;

@@ -69,7 +69,9 @@ pub(super) fn timed(path: &Path, words: usize) -> Result<Vec<Timed>> {
     Ok(found)
 }
 
-/// Returns the index of the line that is nearest in time, within `tolerance` seconds. The lines are in order of time.
+/// Returns the index of the line nearest in time, within `tolerance` seconds.
+///
+/// The lines are in order of time.
 pub(super) fn nearest(lines: &[Timed], time: f64, tolerance: f64) -> Option<usize> {
     let after = lines.partition_point(|line| line.time < time);
     let candidates = [after.checked_sub(1), Some(after)].into_iter().flatten().filter(|i| *i < lines.len());
