@@ -10,10 +10,10 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Least PSNR in dB between the page and `sgs render` of the colors of a run. docs/guide/page.md states it.
-const COLORS: f64 = 40.0;
+const COLORS: f64 = 50.0;
 
 /// Least PSNR in dB between the page and `sgs relight`.
-const LIGHTS: f64 = 35.0;
+const LIGHTS: f64 = 44.0;
 
 /// Run with emitters and harmonics of degree 2, and its page.
 struct Exported {
@@ -102,7 +102,7 @@ fn page_shows_a_run_as_the_renderer_does() {
     let exported = Exported::new();
     let answer = &exported.answer;
     assert_eq!((answer["lights"].as_u64(), answer["views"].as_u64()), (Some(3), Some(8)));
-    assert!(answer["fit"]["psnr"].as_f64().unwrap() > LIGHTS, "{answer}");
+    assert!(answer["fit"]["psnr"].as_f64().unwrap() > 35.0, "{answer}");
     let page = exported.path("page");
     let size: u64 = std::fs::read_dir(&page).unwrap().map(|f| f.unwrap().metadata().unwrap().len()).sum();
     assert_eq!(answer["bytes"].as_u64(), Some(size));
@@ -142,12 +142,29 @@ fn page_shows_a_run_as_the_renderer_does() {
     compare("changed", "view=2&lights=1,0.5,2&colors=bccb00&panel=0", &changed, LIGHTS);
 }
 
+/// Sends a press or a release of a key.
+fn key(browser: &mut Browser, kind: &str, code: &str) {
+    browser.ask("Input.dispatchKeyEvent", json!({"type": kind, "code": code}));
+}
+
 /// Presses and releases a key.
-fn press(browser: &mut Browser, code: &str, seconds: f64) {
-    for kind in ["rawKeyDown", "keyUp"] {
-        browser.ask("Input.dispatchKeyEvent", json!({"type": kind, "code": code}));
-        std::thread::sleep(Duration::from_secs_f64(seconds));
+fn press(browser: &mut Browser, code: &str) {
+    key(browser, "rawKeyDown", code);
+    key(browser, "keyUp", code);
+}
+
+/// Holds a key until the camera has moved.
+#[track_caller]
+fn hold(browser: &mut Browser, code: &str) {
+    let place = "camera.position.join()";
+    let (before, begun) = (browser.eval(place), Instant::now());
+    key(browser, "rawKeyDown", code);
+    while browser.eval(place) == before {
+        assert!(begun.elapsed() < Duration::from_secs(60), "{code} does not move the camera");
+        std::thread::sleep(Duration::from_millis(20));
     }
+    key(browser, "keyUp", code);
+    settle(browser);
 }
 
 #[test]
@@ -162,25 +179,22 @@ fn visitors_fly_switch_lights_and_share_links() {
     let retained = Path::new(env!("CARGO_TARGET_TMPDIR")).join("page-panel.png");
     start.save(&retained).unwrap();
     eprintln!("the page with its panel is in {}", retained.display());
-    let place = "camera.position.join()";
     let at = |browser: &mut Browser, what: &str| browser.eval(what);
-    let before = at(&mut browser, place);
-    press(&mut browser, "KeyW", 0.4);
-    settle(&mut browser);
+    hold(&mut browser, "KeyW");
     let ahead = "(() => { const v = scene.views[camera.view]; return dot(v.rotation[2], \
                  camera.position.map((p, k) => p - v.position[k])); })()";
-    assert!(at(&mut browser, place) != before && at(&mut browser, ahead).as_f64().unwrap() > 0.0);
+    assert!(at(&mut browser, ahead).as_f64().unwrap() > 0.0);
     // A drag to the right turns the camera to the left.
     let turned = "dot(camera.rotation[2], scene.views[camera.view].rotation[0])";
     browser.drag([300.0, 300.0], [360.0, 300.0]);
     settle(&mut browser);
     assert!(at(&mut browser, turned).as_f64().unwrap() < -0.05);
-    press(&mut browser, "ArrowRight", 0.0);
+    press(&mut browser, "ArrowRight");
     assert_eq!(
         (at(&mut browser, "camera.view"), at(&mut browser, turned).as_f64().unwrap().abs() < 1e-6),
         (2.into(), true)
     );
-    press(&mut browser, "Home", 0.0);
+    press(&mut browser, "Home");
     assert_eq!(at(&mut browser, "$('view').textContent"), "1 / 8  000");
     // Lights of the run, in order; a switch shows the light of emitters instead of the photographs' colors.
     let names = "[...document.querySelectorAll('#list label')].map((l) => l.textContent.trim()).join('|')";
@@ -190,8 +204,7 @@ fn visitors_fly_switch_lights_and_share_links() {
     browser.eval("$('exposure').value = 1; $('exposure').oninput()");
     settle(&mut browser);
     assert_eq!(at(&mut browser, "state.relit && $('relit').checked && scene.lights[2].on"), true);
-    press(&mut browser, "KeyE", 0.2);
-    settle(&mut browser);
+    hold(&mut browser, "KeyE");
     assert!(at(&mut browser, "$('frame').textContent").as_str().unwrap().contains("ms"));
     browser.eval("$('link').click()");
     let link = at(&mut browser, "location.hash").as_str().unwrap().to_owned();

@@ -8,7 +8,7 @@ use sgs_tests::cli::sgs;
 use std::path::Path;
 use std::process::Command;
 
-/// Copies the room of the tests without its priors, so that photographs and depth alone count.
+/// Copies the room of the tests without its priors. Photographs and depth alone count.
 fn room() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room");
@@ -18,7 +18,7 @@ fn room() -> tempfile::TempDir {
     folder
 }
 
-/// Writes the true depths of the training views as priors, after `change` by view and depth.
+/// Writes the true depths of the training views as priors. `change` maps view and depth.
 fn write_priors(scene: &Path, settings: &str, change: impl Fn(usize, f32) -> f32) {
     let opened = Scene::open(scene, &SceneOptions::default()).unwrap();
     let truth = GroundTruth::of(&opened);
@@ -73,7 +73,9 @@ fn prior_depths_of_every_meaning_improve_geometry() {
     assert!(scale < 0.8 * without && shift < 0.8 * without);
 }
 
-/// Tests that a scene without a point cloud starts from depth, and that its sensor is measured at test views.
+/// Tests that a scene without a point cloud starts from depth.
+///
+/// The sensor is measured at test views.
 #[test]
 fn sensor_depth_gives_points_and_is_measured() {
     let folder = room();

@@ -23,7 +23,9 @@ pub enum DepthMeaning {
     Metric,
     /// Camera z up to a factor for each view.
     Scale,
-    /// Inverse camera z up to a factor and a shift for each view, as networks of relative depth return it.
+    /// Inverse camera z up to a factor and a shift for each view.
+    ///
+    /// Networks of relative depth return it.
     InverseScaleShift,
 }
 
@@ -60,8 +62,8 @@ impl Scene {
         }
     }
 
-    /// Loads the prior depth of a view, at the size of the view's camera, and its confidence from 0 to 1. Values mean
-    /// what [`Scene::depth_meaning`] says. Returns `None` if there is none.
+    /// Loads the prior depth of a view and its confidence from 0 to 1. Returns `None` if there is none. The size is that
+    /// of the view's camera. Values mean what [`Scene::depth_meaning`] says.
     ///
     /// Maps in `priors/depth` replace those of a sensor, which the layout names (`depth_file_path`). The folder
     /// `priors/depth/confidence` may hold maps of confidence. Depths are not averaged, because a mean of two surfaces
@@ -123,7 +125,7 @@ impl Scene {
         self.root.join("priors/depth").is_dir()
     }
 
-    /// Returns up to `count` points on the surfaces that the training views' prior depths show, with the colors of the
+    /// Returns up to `count` points on the surfaces of the training views' depths. They have the colors of the
     /// photographs. Pixels are drawn uniformly; `seed` chooses them. Returns `None` if there are no metric depths.
     pub fn depth_points(&self, count: usize, seed: u64) -> Result<Option<PointCloud>> {
         if self.depth_meaning() != DepthMeaning::Metric {

@@ -13,10 +13,12 @@ use sgs_scene::linear_to_srgb;
 /// Number of iterations.
 const ITERATIONS: usize = 24;
 
-/// Weights of the distance from the start, by band, over the diagonal of the normal equations.
+/// Weights of the distance from the start over the diagonal, by band.
 const DAMPING: [f32; 2] = [1e-3, 3e-2];
 
-/// The same weight over the mean of the diagonal. It keeps Gaussians that hardly show at their start.
+/// Weight of that distance over the mean of the diagonal.
+///
+/// It keeps Gaussians that hardly show at their start.
 const FAINT: f32 = 1e-4;
 
 /// Numbers of unknowns that are solved together.
@@ -97,7 +99,7 @@ impl FitView {
         self.pixels.len()
     }
 
-    /// Calls `each` with the place in the view, the Gaussian, and its pixels and weights.
+    /// Calls `each` with the place in the view, the Gaussian, its pixels and weights.
     fn each(&self, mut each: impl FnMut(usize, usize, &[u32], &[f32])) {
         for (at, &i) in self.gaussians.iter().enumerate() {
             let range = self.starts[at] as usize..self.starts[at + 1] as usize;
@@ -123,7 +125,9 @@ impl FitView {
         image
     }
 
-    /// Adds the transposed product of an image of `[pixel][column]`, weighted, to `out`.
+    /// Adds the transposed product of a weighted image to `out`.
+    ///
+    /// The image is `[pixel][column]`.
     fn back(&self, mut image: Vec<f32>, terms: usize, columns: usize, out: &mut [f32]) {
         for (row, squares) in image.chunks_exact_mut(columns).zip(self.squares.chunks_exact(3)) {
             row.iter_mut().enumerate().for_each(|(c, v)| *v *= squares[c % 3]);
@@ -228,7 +232,7 @@ impl Fit {
         found
     }
 
-    /// Returns colors with the texture of the albedo and the mean light of each Gaussian.
+    /// Returns colors of the albedo under the mean light of each Gaussian.
     fn start(&self, lights: std::ops::Range<usize>) -> Vec<f32> {
         let columns = 3 * lights.len();
         let received = self.sum(columns * self.albedo.len(), |view, out| {

@@ -1,4 +1,6 @@
-//! Light of single emitters as colors of Gaussians, for viewers that switch, dim and recolor lights.
+//! Light of single emitters as colors of Gaussians.
+//!
+//! Viewers switch, dim and recolor lights with them.
 //!
 //! Shading takes blended materials, so no color of a single Gaussian is exact ([`crate::bake`]). But linear light is the sum of
 //! the light of all emitters. A color per Gaussian and emitter, fitted to images of that emitter alone, therefore follows every
@@ -41,7 +43,9 @@ pub struct LightResponse {
     pub on: bool,
     /// Linear color in the run, over its largest component.
     pub color: [f32; 3],
-    /// Harmonics of linear light under white light as bright as the largest component of the color.
+    /// Harmonics of linear light under the light in white.
+    ///
+    /// White light is as bright as the largest component of the color.
     ///
     /// By Gaussian, function and channel, `3 (RESPONSE_DEGREE + 1)²` numbers per Gaussian.
     pub values: Vec<f32>,

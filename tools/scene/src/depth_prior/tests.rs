@@ -127,7 +127,11 @@ fn missing_depth_files_cause_a_warning() {
     write(root, "");
     std::fs::remove_file(root.join("d.png")).unwrap();
     let scene = open(root);
-    assert!(scene.warnings.iter().any(|w| w.contains("depth_file_path") && w.contains("d.png")), "{:?}", scene.warnings);
+    assert!(
+        scene.warnings.iter().any(|w| w.contains("depth_file_path") && w.contains("d.png")),
+        "{:?}",
+        scene.warnings
+    );
     assert!(!scene.has_depth() && scene.points_are_random);
     for unit in ["0", "-1", "1e999"] {
         write(root, &format!(r#""depth_unit_scale_factor": {unit},"#));

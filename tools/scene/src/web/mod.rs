@@ -38,7 +38,7 @@ pub struct PageLight {
     pub on: bool,
     /// Linear color at first, 1 at most.
     pub color: [f32; 3],
-    /// Harmonics of the linear light of each splat under a white light of intensity 1, ordered as [`Splats::sh`].
+    /// Harmonics of the linear light of each splat under this light in white.
     ///
     /// `3 (degree + 1)²` numbers per splat: by function, then by channel.
     pub response: Vec<f32>,
@@ -180,7 +180,9 @@ fn described(page: &Page<'_>, kept: &[usize], bytes: u64) -> serde_json::Value {
     })
 }
 
-/// Returns the median distance of the splats from their center, which sets the speed of flight.
+/// Returns the median distance of the splats from their center.
+///
+/// It sets the speed of flight.
 fn radius(s: &Splats, kept: &[usize]) -> f64 {
     let median = |mut values: Vec<f64>| {
         let middle = values.len() / 2;

@@ -115,7 +115,9 @@ fn cameras_of(export: &PageExport<'_>, splats: &Splats, scene: Option<&Scene>) -
     Ok(vec![overview(splats, near)])
 }
 
-/// Returns a camera in front of the middle of the Gaussians, with y down and z forward.
+/// Returns a camera in front of the middle of the Gaussians.
+///
+/// Its axes are those of the world.
 fn overview(splats: &Splats, near: f64) -> Camera {
     let at = |k: usize, share: f64| {
         let mut all: Vec<f32> = splats.means.iter().map(|m| m[k]).filter(|v| v.is_finite()).collect();
