@@ -4,7 +4,6 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use crate::depth_prior::DepthSettings;
 use crate::error::{Result, SceneError};
 use crate::json::read_json;
 use crate::map_file::NormalFrame;
@@ -23,6 +22,45 @@ pub(crate) struct PriorSettings {
 pub(crate) struct NormalSettings {
     /// Frame of the vectors.
     pub(crate) frame: NormalFrame,
+}
+
+/// Meaning of prior depths.
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "kebab-case")]
+pub enum DepthMeaning {
+    /// Camera z in units of the scene.
+    #[default]
+    Metric,
+    /// Camera z up to a factor for each view.
+    Scale,
+    /// Inverse camera z up to a factor and a shift for each view.
+    ///
+    /// Networks of relative depth return it.
+    InverseScaleShift,
+}
+
+/// Settings of the maps in `priors/depth`.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct DepthSettings {
+    /// What the values mean.
+    #[serde(default)]
+    pub(crate) meaning: DepthMeaning,
+    /// Scene units per unit of metric files.
+    #[serde(default = "one")]
+    pub(crate) unit: f64,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+impl DepthSettings {
+    /// Describes what is wrong with the settings; `None` if nothing is.
+    pub(crate) fn problem(self) -> Option<String> {
+        let valid = self.unit.is_finite() && self.unit > 0.0;
+        (!valid).then(|| format!("the unit of depth is {}; it must be a positive number of scene units", self.unit))
+    }
 }
 
 impl PriorSettings {
