@@ -289,7 +289,7 @@ mod tests {
             transmittance: (0..n).map(|_| rng.range(0.1, 0.9)).collect(),
             priors: Some((0..n).map(|_| octahedral_encode(normal(&mut rng).map(|x| x as f32))).collect()),
             depth_priors: Some((0..n).map(|_| random_depth(&mut rng)).collect()),
-            depth_line: (width % 2 == 0).then_some([0.7, -0.05]),
+            depth_line: (width.is_multiple_of(2)).then_some([0.7, -0.05]),
             photo: (0..n).map(|_| rng.next_u32()).collect(),
         }
     }

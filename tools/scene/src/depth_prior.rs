@@ -106,7 +106,7 @@ impl Scene {
         let count = count.min(pixels.len());
         for i in 0..count {
             let left = (pixels.len() - i) as u64;
-            pixels.swap(i, i + (u64::from(rng.next_u32()) * left >> 32) as usize);
+            pixels.swap(i, i + ((u64::from(rng.next_u32()) * left) >> 32) as usize);
         }
         let mut chosen = vec![Vec::new(); views.len()];
         pixels.iter().take(count).for_each(|(view, at)| chosen[*view].push(*at));

@@ -354,7 +354,7 @@ mod tests {
                 assert!((shown - color[c]).abs() < 0.01 * color[c].max(0.1), "{shown} {}", color[c]);
             }
         }
-        assert!(fit.psnr(&[found.clone()], &[[1.0; 3]]) > 50.0);
+        assert!(fit.psnr(std::slice::from_ref(&found), &[[1.0; 3]]) > 50.0);
         // A wrong color is noticed.
         let wrong: Vec<f32> = found.iter().map(|v| 1.2 * v).collect();
         assert!(fit.psnr(&[wrong], &[[1.0; 3]]) < 30.0);
