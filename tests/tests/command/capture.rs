@@ -1,4 +1,4 @@
-//! `sgs capture`: refusals and stopping. `tools/capture/tests` makes scenes.
+//! `sgs capture`: refusals and stopping. [`crate::captured`] makes scenes.
 //!
 //! Tests that need COLMAP, or photographs beside the repository, are skipped without them.
 
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Returns photographs of a fox with their cameras, beside the repository. They are not part of it.
-fn fox() -> Option<PathBuf> {
+pub fn fox() -> Option<PathBuf> {
     let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
     let folder = std::env::var_os("SGS_TEST_DATA").map_or_else(beside, PathBuf::from).join("fox");
     if folder.join("images").is_dir() {
@@ -19,7 +19,7 @@ fn fox() -> Option<PathBuf> {
 }
 
 /// Returns whether a program is installed.
-fn has(program: &str) -> bool {
+pub fn has(program: &str) -> bool {
     let found = Command::new(program).arg("-version").env("QT_QPA_PLATFORM", "offscreen").output().is_ok();
     if !found {
         println!("skipped: {program} is not installed");
@@ -28,7 +28,7 @@ fn has(program: &str) -> bool {
 }
 
 /// Returns the names of the entries of a folder.
-fn entries(folder: &Path) -> Vec<String> {
+pub fn entries(folder: &Path) -> Vec<String> {
     let mut names: Vec<String> =
         std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();

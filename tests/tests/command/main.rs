@@ -1,6 +1,7 @@
 //! Commands, files and reports: refusals, formats, measures.
 
 mod capture;
+mod captured;
 mod classes;
 mod cli;
 mod emitters;

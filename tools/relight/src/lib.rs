@@ -36,7 +36,7 @@ pub use environment::{EnvironmentEdit, Turn};
 pub use error::{RelightError, Result};
 pub use light_table::LightParameters;
 pub use live::{Relighter, source_of};
-pub use responses::{LightResponse, LightResponses, RESPONSE_DEGREE, fit_responses};
+pub use responses::{LightResponses, RESPONSE_DEGREE, fit_responses};
 pub use select::Selector;
 pub use truth::{LightOfRun, evaluate_relit, skip_relit};
 

@@ -27,12 +27,12 @@ pub(crate) struct Beside {
 
 /// Depth map that a sensor measured with a photograph.
 #[derive(Clone, Debug, PartialEq)]
-pub struct SensorDepth {
+pub(crate) struct SensorDepth {
     /// Map over the field of the photograph, distortion included: EXR, NPY, or gray PNG of 8 or 16 bits, in which 0 and
     /// 65535 are unknown.
-    pub path: PathBuf,
+    pub(crate) path: PathBuf,
     /// Camera z of the value 1, in units of the scene; the sensor's are meters.
-    pub unit: f64,
+    pub(crate) unit: f64,
 }
 
 /// Kinds of ground-truth maps.

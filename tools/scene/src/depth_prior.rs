@@ -51,7 +51,7 @@ impl Scene {
     fn load_depth(&self, file: &SensorDepth, view: &View, meaning: DepthMeaning) -> Result<MaskedMap> {
         let SensorDepth { path, unit } = file;
         let stored = read(path)?;
-        // A shift turns the sign of inverse depths around.
+        // With a shift, inverse depths may be negative.
         let relative = meaning == DepthMeaning::InverseScaleShift;
         let unit = unit / self.length;
         let camera = &view.camera;
@@ -65,12 +65,6 @@ impl Scene {
             }
         }
         Ok(MaskedMap { image, valid })
-    }
-
-    /// Returns whether any training view has a prior depth.
-    pub fn has_depth(&self) -> bool {
-        let mut train = self.split.train.iter().filter_map(|&i| self.views.get(i));
-        train.any(|view| self.depth_file(view).is_some())
     }
 
     fn depth_file(&self, view: &View) -> Option<SensorDepth> {

@@ -45,7 +45,7 @@ mod view;
 mod web;
 
 pub use atomic::atomic_write;
-pub use beside::{GroundTruthKind, SensorDepth};
+pub use beside::GroundTruthKind;
 pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR};
 pub use depth::DepthDefinition;
 pub use dot_splat::{read_splat, write_splat};

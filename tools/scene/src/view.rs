@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::beside::{Beside, SensorDepth, check_size};
+use crate::beside::{Beside, check_size};
 use crate::camera::{Camera, Distortion};
 use crate::error::{Result, SceneError};
 use crate::image::{
@@ -154,11 +154,6 @@ impl View {
         }
         check_size(path, (mask.width, mask.height), &self.image_path, (width, height))?;
         Ok(Some(mask))
-    }
-
-    /// Returns the depth map that a sensor measured with the photograph.
-    pub fn sensor_depth(&self) -> Option<&SensorDepth> {
-        self.beside.depth.as_ref()
     }
 
     /// Returns whether the photograph stores linear light.

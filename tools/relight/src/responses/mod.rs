@@ -17,7 +17,7 @@ use sgs_passes::Tuning;
 use sgs_passes::pipeline::{FrameEmitter, Surface, SurfaceBuilder};
 use sgs_passes::transport::AreaLight;
 use sgs_run::{EmitterRow, Shading, camera};
-use sgs_scene::{ALBEDO_RANGE, Camera, Splats, Unit};
+use sgs_scene::{ALBEDO_RANGE, Camera, PageLight, Splats, Unit};
 
 /// Degree of the harmonics of responses.
 pub const RESPONSE_DEGREE: usize = 1;
@@ -34,28 +34,13 @@ const SIDE: u32 = 480;
 /// Maximum number of pairs of pixel and Gaussian in all views of the fit.
 const PAIRS: usize = 60_000_000;
 
-/// Response of the Gaussians to a light.
-#[derive(Clone, Debug, PartialEq)]
-pub struct LightResponse {
-    /// Name of the emitter, or the number of emitters that share the light.
-    pub name: String,
-    /// Whether the light is on in the run.
-    pub on: bool,
-    /// Linear color in the run, over its largest component.
-    pub color: [f32; 3],
-    /// Harmonics of linear light under the light in white.
-    ///
-    /// White light is as bright as the largest component of the color.
-    ///
-    /// By Gaussian, function and channel, `3 (RESPONSE_DEGREE + 1)²` numbers per Gaussian.
-    pub values: Vec<f32>,
-}
-
 /// Responses to all lights of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LightResponses {
-    /// Lights, in the order of the emitters.
-    pub lights: Vec<LightResponse>,
+    /// Lights with the responses of the Gaussians, in the order of the emitters.
+    ///
+    /// Responses have [`RESPONSE_DEGREE`]. Emitters that share a light have their number as name.
+    pub lights: Vec<PageLight>,
     /// Number of views of the fit.
     pub views: usize,
     /// Mean PSNR of display values at these views under the lights of the run.
@@ -95,6 +80,8 @@ pub fn fit_responses(
     let tuning = Tuning::for_device(device.info());
     let mut builder = SurfaceBuilder::new(device, tuning, &shading.scene().gaussians, largest)?;
     let unit = Unit::of_length(f64::from(shading.scene().unit));
+    // Light of the run.
+    let shares: Vec<[f32; 3]> = lights.iter().map(|l| l.color.map(|v| if l.on { v } else { 0.0 })).collect();
     let (mut views, mut pairs) = (Vec::new(), 0);
     for (i, view) in chosen.iter().enumerate() {
         let mut targets = Vec::new();
@@ -109,7 +96,6 @@ pub fn fit_responses(
         builder.fill(gaussians, &placed, &surface)?;
         builder.finish()?;
         let [_, _, coverage] = surface.download(device)?;
-        let shares: Vec<[f32; 3]> = lights.iter().map(|l| l.color.map(|v| if l.on { v } else { 0.0 })).collect();
         let fitted =
             FitView::new(&splats.means, view.position(), &surface.weights(device)?, &coverage, targets, &shares);
         pairs += fitted.pairs();
@@ -122,15 +108,10 @@ pub fn fit_responses(
     let shown = chosen.len();
     let fit = Fit::new(albedo(splats)?, views, (RESPONSE_DEGREE + 1).pow(2));
     let values = fit.solve(lights.len(), |done| on_report(shown + done, total));
-    let psnr =
-        fit.psnr(&values, &lights.iter().map(|l| l.color.map(|v| if l.on { v } else { 0.0 })).collect::<Vec<_>>());
-    let response = |(light, values): (Members, Vec<f32>)| LightResponse {
-        name: light.name,
-        on: light.on,
-        color: light.color,
-        values,
-    };
-    Ok(LightResponses { lights: lights.into_iter().zip(values).map(response).collect(), views: fit.views(), psnr })
+    let psnr = fit.psnr(&values, &shares);
+    let light =
+        |(Members { name, on, color, .. }, response): (Members, Vec<f32>)| PageLight { name, on, color, response };
+    Ok(LightResponses { lights: lights.into_iter().zip(values).map(light).collect(), views: fit.views(), psnr })
 }
 
 /// Returns the lights of the emitters.

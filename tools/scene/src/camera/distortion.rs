@@ -7,7 +7,7 @@
 //! the distorted image at the position of each ideal pixel.
 
 /// Distortion coefficients; all zero for an ideal lens.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distortion {
     /// Radial coefficient of r².
     pub k1: f64,
@@ -29,10 +29,29 @@ pub struct Distortion {
     pub fisheye: bool,
 }
 
+impl Default for Distortion {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
 impl Distortion {
+    /// Ideal lens.
+    pub const NONE: Self = Self {
+        k1: 0.0,
+        k2: 0.0,
+        k3: 0.0,
+        k4: 0.0,
+        p1: 0.0,
+        p2: 0.0,
+        rational: [0.0; 3],
+        prism: [0.0; 2],
+        fisheye: false,
+    };
+
     /// Returns whether the lens is ideal, that is, all coefficients are zero.
     pub fn is_none(&self) -> bool {
-        *self == Self::default()
+        *self == Self::NONE
     }
 
     /// Returns whether all coefficients are finite.
@@ -96,18 +115,14 @@ impl Distortion {
 mod tests {
     use super::*;
 
-    const LENS: Distortion =
-        Distortion { k1: 0.0578421, k2: -0.0805099, k3: 0.01, k4: -0.002, p1: -0.000980296, p2: 0.00015575, ..NONE };
-    const NONE: Distortion = Distortion {
-        k1: 0.0,
-        k2: 0.0,
-        k3: 0.0,
-        k4: 0.0,
-        p1: 0.0,
-        p2: 0.0,
-        rational: [0.0; 3],
-        prism: [0.0; 2],
-        fisheye: false,
+    const LENS: Distortion = Distortion {
+        k1: 0.0578421,
+        k2: -0.0805099,
+        k3: 0.01,
+        k4: -0.002,
+        p1: -0.000980296,
+        p2: 0.00015575,
+        ..Distortion::NONE
     };
 
     #[test]
@@ -152,7 +167,7 @@ mod tests {
         let (x, y): (f64, f64) = (1.5, -2.0);
         let close = |a: (f64, f64), b: (f64, f64)| assert!((a.0 - b.0).hypot(a.1 - b.1) < 1e-12, "{a:?} {b:?}");
         let angle = 2.5_f64.atan();
-        let fisheye = Distortion { fisheye: true, ..NONE };
+        let fisheye = Distortion { fisheye: true, ..Distortion::NONE };
         close(fisheye.distort(x, y), (angle * 0.6, angle * -0.8));
         close(fisheye.distort(0.0, 0.0), (0.0, 0.0));
         let lens = Distortion { k1: 0.05, k2: -0.01, k3: 0.003, k4: -0.001, ..fisheye };
@@ -162,7 +177,7 @@ mod tests {
         let prism = Distortion { prism: [0.01, -0.02], ..lens };
         close(prism.distort(x, y), (grown * 0.6 + 0.01 * t2, grown * -0.8 - 0.02 * t2));
         let (x, y) = (0.3, 0.4);
-        let full = Distortion { k1: 0.1, k2: 0.2, k3: 0.3, rational: [0.4, 0.5, 0.6], ..NONE };
+        let full = Distortion { k1: 0.1, k2: 0.2, k3: 0.3, rational: [0.4, 0.5, 0.6], ..Distortion::NONE };
         let factor =
             (1.0 + 0.1 * 0.25 + 0.2 * 0.0625 + 0.3 * 0.015625) / (1.0 + 0.4 * 0.25 + 0.5 * 0.0625 + 0.6 * 0.015625);
         close(full.distort(x, y), (x * factor, y * factor));
@@ -171,9 +186,9 @@ mod tests {
     #[test]
     fn folds_are_where_the_determinant_of_differences_changes_sign() {
         let lenses = [
-            Distortion { rational: [0.5, 0.2, 0.1], k1: -0.3, ..NONE },
-            Distortion { fisheye: true, k1: -0.3, prism: [0.05, -0.03], p1: 0.02, ..NONE },
-            Distortion { prism: [0.2, 0.1], k2: -0.4, p2: -0.05, ..NONE },
+            Distortion { rational: [0.5, 0.2, 0.1], k1: -0.3, ..Distortion::NONE },
+            Distortion { fisheye: true, k1: -0.3, prism: [0.05, -0.03], p1: 0.02, ..Distortion::NONE },
+            Distortion { prism: [0.2, 0.1], k2: -0.4, p2: -0.05, ..Distortion::NONE },
         ];
         for lens in lenses {
             let mut found = [0; 2];

@@ -67,7 +67,7 @@ fn maps_of_the_priors_replace_the_sensor() {
 
     settings(r#"{"depth": {"unit": 2.0}}"#);
     let scene = open(root);
-    assert!(scene.depth_prior(0).unwrap().is_none() && scene.has_depth());
+    assert!(scene.depth_prior(0).unwrap().is_none());
     assert!(scene.sensor_depth(0).unwrap().is_some());
     let map = scene.depth_prior(1).unwrap().unwrap();
     assert_eq!(map.image.data[..4], [0.0, 0.5, 0.0, 0.0]);
@@ -132,7 +132,7 @@ fn missing_depth_files_cause_a_warning() {
         "{:?}",
         scene.warnings
     );
-    assert!(!scene.has_depth() && scene.points_are_random);
+    assert!(scene.depth_prior(0).unwrap().is_none() && scene.points_are_random);
     for unit in ["0", "-1", "1e999"] {
         write(root, &format!(r#""depth_unit_scale_factor": {unit},"#));
         let error = Scene::open(root, &SceneOptions::default()).unwrap_err().to_string();

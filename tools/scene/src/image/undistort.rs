@@ -83,18 +83,7 @@ mod tests {
     use super::*;
     use crate::camera::tests::camera;
 
-    const NONE: Distortion = Distortion {
-        k1: 0.0,
-        k2: 0.0,
-        k3: 0.0,
-        k4: 0.0,
-        p1: 0.0,
-        p2: 0.0,
-        rational: [0.0; 3],
-        prism: [0.0; 2],
-        fisheye: false,
-    };
-    const LENS: Distortion = Distortion { k1: 0.12, k2: -0.08, p1: -0.004, p2: 0.003, ..NONE };
+    const LENS: Distortion = Distortion { k1: 0.12, k2: -0.08, p1: -0.004, p2: 0.003, ..Distortion::NONE };
 
     /// Returns a smooth pattern over ideal normalized coordinates.
     fn pattern(x: f64, y: f64) -> f64 {
@@ -140,7 +129,7 @@ mod tests {
         let right = error_inside(&LENS, &LENS);
         assert!(right < 0.01, "{right}");
         // The test must detect a wrong sign and a missing correction.
-        let negated = Distortion { k1: -0.12, k2: 0.08, p1: 0.004, p2: -0.003, ..NONE };
+        let negated = Distortion { k1: -0.12, k2: 0.08, p1: 0.004, p2: -0.003, ..Distortion::NONE };
         assert!(error_inside(&LENS, &negated) > 0.1);
         assert!(error_inside(&LENS, &Distortion::default()) > 0.05);
         let swapped = Distortion { p1: LENS.p2, p2: LENS.p1, ..LENS };
@@ -150,8 +139,8 @@ mod tests {
     #[test]
     fn undistortion_recovers_the_image_of_wide_lenses() {
         for lens in [
-            Distortion { fisheye: true, k1: 0.05, k2: -0.02, prism: [0.01, -0.02], p1: 0.003, ..NONE },
-            Distortion { k1: 0.1, k2: 0.02, k3: -0.01, rational: [0.2, 0.05, 0.01], ..NONE },
+            Distortion { fisheye: true, k1: 0.05, k2: -0.02, prism: [0.01, -0.02], p1: 0.003, ..Distortion::NONE },
+            Distortion { k1: 0.1, k2: 0.02, k3: -0.01, rational: [0.2, 0.05, 0.01], ..Distortion::NONE },
         ] {
             let right = error_inside(&lens, &lens);
             assert!(right < 0.02, "{right}");

@@ -11,7 +11,7 @@ use glam::{DMat3, DVec3};
 use sgs_config::Settings;
 use sgs_relight::{Emitting, LightResponses, RESPONSE_DEGREE, bake_cameras, fit_responses};
 use sgs_run::{Contents, RunDirectory};
-use sgs_scene::{Camera, NEAR, Page, PageLight, Scene, Splats, Unit, write_page};
+use sgs_scene::{Camera, NEAR, Page, Scene, Splats, Unit, write_page};
 use std::path::Path;
 
 /// Source and target of a page.
@@ -51,7 +51,7 @@ pub fn run(common: &Common, export: &PageExport<'_>) -> anyhow::Result<()> {
         (Some(scene), Some(settings), true) => responses_of(common, source, &splats, scene, settings)?,
         _ => None,
     };
-    let lights: Vec<PageLight> = responses.iter().flat_map(|r| &r.lights).map(light).collect();
+    let lights = responses.as_ref().map_or(&[][..], |r| &r.lights);
     let title = source.file_stem().map(|s| s.to_string_lossy().into_owned()).filter(|s| !s.is_empty());
     let page = Page {
         title: title.as_deref().unwrap_or("SGS"),
@@ -59,7 +59,7 @@ pub fn run(common: &Common, export: &PageExport<'_>) -> anyhow::Result<()> {
         cameras: &cameras,
         up: up.unwrap_or_else(|| up_of(&cameras)),
         background: [0.0; 3],
-        lights: &lights,
+        lights,
         light_degree: RESPONSE_DEGREE,
     };
     let written = write_page(folder, &page)?;
@@ -76,11 +76,6 @@ pub fn run(common: &Common, export: &PageExport<'_>) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-fn light(response: &sgs_relight::LightResponse) -> PageLight {
-    let sgs_relight::LightResponse { name, on, color, values } = response.clone();
-    PageLight { name, on, color, response: values }
 }
 
 /// Returns the scene of a run. Without it, a run without emitters has a camera of its own.

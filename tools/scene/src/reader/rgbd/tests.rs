@@ -59,7 +59,7 @@ fn frames_of_seven_scenes_have_poses_and_depth() {
     let camera = &read(root).unwrap().frames[0].camera;
     assert_eq!([camera.fx, camera.fy, camera.cx, camera.cy], [300.0, 301.0, 161.0, 121.0]);
     let scene = Scene::open(root, &SceneOptions::default()).unwrap();
-    assert_eq!(scene.views[1].sensor_depth().unwrap().unit, 0.001);
+    assert_eq!(scene.views[1].beside.depth.as_ref().unwrap().unit, 0.001);
 }
 
 #[test]

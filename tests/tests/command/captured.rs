@@ -2,6 +2,7 @@
 //!
 //! Tests are skipped without these programs, or without the photographs beside the repository.
 
+use crate::capture::{entries, fox, has};
 use glam::DVec3;
 use sgs_capture::{CaptureOptions, Captured, Matcher, capture};
 use sgs_scene::{Camera, Image, Layout, Scene, SceneOptions, read_upright, resize, write_png};
@@ -10,40 +11,12 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
-/// Returns photographs of a fox with their cameras, beside the repository. They are not part of it.
-fn fox() -> Option<PathBuf> {
-    let beside = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
-    let folder = std::env::var_os("SGS_TEST_DATA").map_or_else(beside, PathBuf::from).join("fox");
-    if folder.join("images").is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: there are no photographs in {}", folder.display());
-    None
-}
-
-/// Returns whether a program is installed.
-fn has(program: &str) -> bool {
-    let found = Command::new(program).arg("-version").env("QT_QPA_PLATFORM", "offscreen").output().is_ok();
-    if !found {
-        println!("skipped: {program} is not installed");
-    }
-    found
-}
-
 /// Returns the first photographs of the fox.
 fn photographs(fox: &Path, count: usize) -> Vec<PathBuf> {
     let mut all: Vec<PathBuf> = std::fs::read_dir(fox.join("images")).unwrap().map(|e| e.unwrap().path()).collect();
     all.sort();
     all.truncate(count);
     all
-}
-
-/// Returns the names of the entries of a folder.
-fn entries(folder: &Path) -> Vec<String> {
-    let mut names: Vec<String> =
-        std::fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
 }
 
 /// Returns the largest relative difference between two shapes: of their pairwise distances at a common scale.
