@@ -35,7 +35,7 @@ pub(super) struct FitView {
     starts: Vec<u32>,
     pixels: Vec<u32>,
     weights: Vec<f32>,
-    /// Harmonics in the direction of each Gaussian that shows, 16 at most.
+    /// First four harmonics in the direction of each Gaussian that shows.
     harmonics: Vec<[f32; 4]>,
     /// Linear images of each light.
     targets: Vec<Vec<f32>>,
