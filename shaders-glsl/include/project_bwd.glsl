@@ -12,6 +12,7 @@ struct SplatGradient {
     vec2 mean2d;        // pixels; for densification
     mat3 camera_rows;   // d/d(rotation part of world-to-camera), as rows
     vec3 camera_translation;
+    vec3 lens;          // d/d(logarithm of the focal lengths), d/d(shift of the principal point in focal lengths)
     vec3 camera_turn;   // d/d(turn of the camera about its center, world axes), by the splat's axes alone
 };
 
@@ -59,6 +60,10 @@ SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_
     vec2 dslope = vec2(-f.x * dot(dt0, r2), -f.y * dot(dt1, r2));
     vec2 free_slope = o.point.xy * inverse_z;
     vec2 dfree = camera.focal * g.mean2d + vec2(o.clamped.x ? 0.0 : dslope.x, o.clamped.y ? 0.0 : dslope.y);
+    // Limits of the slope go with the principal point, and against the focal length.
+    vec2 of_limit = vec2(o.clamped.x ? dslope.x : 0.0, o.clamped.y ? dslope.y : 0.0);
+    g.lens.x = dot(dt0, o.t0) + dot(dt1, o.t1) + dot(g.mean2d, camera.focal * free_slope) - dot(of_limit, o.slope);
+    g.lens.yz = g.mean2d * camera.focal - of_limit;
     vec3 dpoint = vec3(dfree * inverse_z, 0.0);
     dpoint.z = depth - dot(dfree, free_slope) * inverse_z - dlog_f * inverse_z;
     // Camera space to world.

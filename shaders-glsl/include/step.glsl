@@ -59,4 +59,5 @@ struct Step {
     float lr_turn;           // radians
     float lr_shift;          // lengths
     float lr_gain;           // of the logarithms of the colors' factors
+    float lr_lens;           // of the logarithm of focal lengths, and of the principal point in focal lengths
 };

@@ -27,6 +27,7 @@ layout(constant_id = 10) const bool PRIOR = true; // whether there are prior nor
 layout(constant_id = 11) const bool REUSE = false; // see tile_filters.glsl
 layout(constant_id = 12) const bool DEPTH_PRIOR = false; // whether there are prior depths
 layout(constant_id = 13) const bool DEPTH_FIT = false;   // whether a line leads from their values to inverse depths
+layout(constant_id = 14) const bool SENSOR = false;      // whether they belong to the given lens, not to the learned one
 
 // Sobel filters, without the factor of an eighth.
 const float SIDE = 1.0, MIDDLE = 2.0, SCALE = 1.0;
@@ -38,6 +39,7 @@ const bool TILE_XYZ = NORMALS != 0u, TILE_W = DEPTH != 0u;
 #include "tile_filters.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
+layout(scalar) uniform GivenBlock { Step step; } given;
 
 IN(float, image);
 IN(float, transmittance);
@@ -96,6 +98,18 @@ Signs transposed_row(uint at, float low, float high) {
 ivec2 tile_origin, tile_last; // first pixel of the tile, last one of the view
 vec4 tile_sum = vec4(0.0);
 float depth_sum = 0.0;
+
+// Prior depth at a pixel. A sensor measures along the rays of the given lens.
+vec2 depth_prior(uint pixel) {
+    if (SENSOR) {
+        Camera camera = params.step.camera, sensor = given.step.camera;
+        vec2 center = vec2(pixel % camera.size.x, pixel / camera.size.x) + 0.5;
+        vec2 at = floor((center - camera.center) / camera.focal * sensor.focal + sensor.center);
+        if (any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(camera.size)))) return vec2(0.0);
+        pixel = uint(at.y) * camera.size.x + uint(at.x);
+    }
+    return unpackHalf2x16(depth_priors[params.step.target_offset + pixel]);
+}
 
 struct March {
     FilterRow above, here;
@@ -162,7 +176,7 @@ void finish(uint pixel, vec4 smoothness, float mean) {
         float by_variance = variance > VARIANCE_MIN ? 0.5 * s.weight_depth_variance * mean / deviation : 0.0;
         float by_depth = smoothness.w - 2.0 * depth * by_variance;
         if (DEPTH_PRIOR) {
-            vec2 prior = unpackHalf2x16(depth_priors[s.target_offset + pixel]);
+            vec2 prior = depth_prior(pixel);
             if (DEPTH_FIT) prior.x = depth_line[0] * prior.x + depth_line[1];
             if (prior.x > 0.0) {
                 float error = depth * prior.x - 1.0;

@@ -1,10 +1,11 @@
-// Step of a view with its learned camera. Zero corrections leave every bit of the camera.
+// Step of a view with its learned camera and lens. Zero corrections leave every bit of the camera.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
 #include "learned_view.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 32;
+layout(constant_id = 1) const bool LENS = false;
 layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -25,5 +26,11 @@ void main() {
         result.camera.world_to_camera[r] = row;
     }
     result.camera.position += shift;
+    if (LENS) {
+        LearnedView lens = views[views.length() - 1u];
+        vec2 focal = result.camera.focal;
+        result.camera.center += focal * vec2(lens.values[LENS_CENTER], lens.values[LENS_CENTER + 1u]);
+        result.camera.focal = focal * exp(lens.values[LENS_FOCAL]);
+    }
     placed[0] = result;
 }

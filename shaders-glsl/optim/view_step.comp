@@ -1,4 +1,4 @@
-// Adam for what is learned of the step's view, and the gauge: the mean over all views is zero.
+// Adam for what is learned of the step's view and of the lens, and the gauge: the mean over all views is zero.
 //
 // One workgroup. Gradients come in parts, of workgroups of earlier kernels, and are added in order. A raised flag leaves
 // everything unchanged.
@@ -12,6 +12,7 @@
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const bool CAMERAS = true;
 layout(constant_id = 2) const bool GAINS = true;
+layout(constant_id = 3) const bool LENS = false;
 layout(local_size_x_id = 0) in;
 
 layout(push_constant, scalar) uniform Push {
@@ -23,8 +24,8 @@ layout(push_constant, scalar) uniform Push {
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
 IN(uint, flags);
-IN(float, camera_parts);  // [parts * 6]: by turn and shift
-IN(float, gain_parts);    // [parts * 3]
+IN(float, camera_parts);  // [parts * 6], or 9 with the lens: by turn and shift, and by focal lengths and principal point
+IN(float, gain_parts);    // [parts * 3], or 4 with the lens: by the vignetting at last
 INOUT(LearnedView, views);
 INOUT(uint, skipped);     // gradients that were not finite
 
@@ -33,10 +34,16 @@ const uint ROWS = WORKGROUP / 16u;
 shared float sums[WORKGROUP];
 shared float means[VIEW_VALUES];
 
-// Sum over the parts of number `k` of `width`; of all rows of sixteen invocations together.
+// Numbers of a step: those of the view, then those of the lens.
+const uint NUMBERS = VIEW_VALUES + LENS_VIGNETTING + 1u;
+const uint CAMERA_WIDTH = LENS ? 9u : 6u, GAIN_WIDTH = LENS ? 4u : 3u;
+
+// Sum over the parts of number `k`; of all rows of sixteen invocations together.
 float part(uint first, uint k, uint parts, bool cameras) {
     float sum = 0.0;
-    for (uint p = first; p < parts; p += ROWS) sum += cameras ? camera_parts[6u * p + k] : gain_parts[3u * p + k];
+    for (uint p = first; p < parts; p += ROWS) {
+        sum += cameras ? camera_parts[CAMERA_WIDTH * p + k] : gain_parts[GAIN_WIDTH * p + k];
+    }
     return sum;
 }
 
@@ -54,35 +61,46 @@ void main() {
     if (by_workgroup(flags[0]) != 0u) return;
     uint lane = gl_LocalInvocationID.x, k = lane % 16u, row = lane / 16u;
     uint splats = visible[0].count;
-    uint camera_count = CAMERAS ? splats / push.per_group + uint(splats % push.per_group != 0u) : 0u;
+    uint camera_count = CAMERAS || LENS ? splats / push.per_group + uint(splats % push.per_group != 0u) : 0u;
     float mine = 0.0;
     if (CAMERAS && k < VIEW_GAIN) mine = part(row, k, camera_count, true);
     if (GAINS && k >= VIEW_GAIN && k < VIEW_VALUES) mine = part(row, k - VIEW_GAIN, push.gain_parts, false);
+    uint of_lens = k - VIEW_VALUES;
+    if (LENS && of_lens < LENS_POSES) mine = part(row, VIEW_GAIN + of_lens, camera_count, true);
+    if (LENS && GAINS && of_lens == LENS_VIGNETTING) mine = part(row, 3u, push.gain_parts, false);
     sums[lane] = mine;
+    // Gradients are by a shift in learned focal lengths; values are in given ones.
+    float shift_unit = LENS ? exp(-views[push.count].values[LENS_FOCAL]) : 1.0;
     barrier();
-    uint at = params.step.view;
-    if (lane < VIEW_VALUES) {
+    bool shared_by_all = lane >= VIEW_VALUES;
+    uint at = shared_by_all ? push.count : params.step.view;
+    if (lane < NUMBERS) {
         float gradient = 0.0;
         for (uint r = 0u; r < ROWS; ++r) gradient += sums[16u * r + lane];
-        bool learned = lane < VIEW_GAIN ? CAMERAS : GAINS;
-        float rate = lane < VIEW_SHIFT  ? params.step.lr_turn
-                     : lane < VIEW_GAIN ? params.step.lr_shift
-                                        : params.step.lr_gain;
+        uint value_at = shared_by_all ? lane - VIEW_VALUES : lane;
+        bool color = shared_by_all ? value_at == LENS_VIGNETTING : lane >= VIEW_GAIN;
+        bool learned = (color ? GAINS : CAMERAS || shared_by_all) && (LENS || !shared_by_all);
+        float rate = color           ? params.step.lr_gain
+                     : shared_by_all ? params.step.lr_lens
+                     : lane < VIEW_SHIFT ? params.step.lr_turn
+                                         : params.step.lr_shift;
+        if (shared_by_all && !color && value_at >= LENS_CENTER) gradient *= shift_unit;
         if (learned && !is_finite(gradient)) {
             atomicAdd(skipped[0], 1u);
         } else if (learned && rate > 0.0) {
             // A view's own steps count: most steps are of other views.
             float t = float(views[at].steps + 1u);
-            float value = views[at].values[lane];
-            vec2 moments = views[at].moments[lane];
+            float value = views[at].values[value_at];
+            vec2 moments = views[at].moments[value_at];
             adam(value, moments, gradient, rate, 1.0 / share_of(t, LOG_BETA1), 1.0 / share_of(t, LOG_BETA2));
-            views[at].values[lane] = value;
-            views[at].moments[lane] = moments;
+            views[at].values[value_at] = value;
+            views[at].moments[value_at] = moments;
         }
     }
     memoryBarrierBuffer();
     barrier();
     if (lane == 0u) views[at].steps += 1u;
+    if (LENS && lane == VIEW_VALUES) views[at].steps += 1u;
     // The only view of a graph is not among others whose mean it could keep.
     if (push.count < 2u) return;
     // Rows of sixteen add the values of every ROWS-th view.

@@ -1,4 +1,5 @@
 // Gradient of a view's loss by its camera's pose: a turn about the camera's center and a shift of the center, world axes.
+// With the lens, also by the logarithm of the focal lengths and the shift of the principal point in focal lengths.
 //
 // Reads what the backward pass of projection reads, before that changes the parameters. Relative to the center, so that
 // nothing cancels in scenes far from the origin.
@@ -20,6 +21,7 @@ layout(constant_id = 4) const bool HAS_NORMALS = false;
 layout(constant_id = 5) const bool HAS_DEPTH = false;
 layout(constant_id = 6) const uint WEIGHTS = 0;
 layout(constant_id = 8) const uint FEATURES = 0; // if their gradients reach opacities and footprints
+layout(constant_id = 9) const bool LENS = false; // whether the lens is learned
 layout(constant_id = 12) const bool REDUCED = false; // whether gradients are by splat, not by entry
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
@@ -36,20 +38,22 @@ IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);
 IN(uvec4, parameters);
-OUT(float, camera_parts); // [workgroups * 6]: by the turn and by the shift
+OUT(float, camera_parts); // [workgroups * VALUES]: by the turn, by the shift, by focal lengths and principal point
 
 #include "splat_sum.glsl"
 
 const uint SUBGROUPS = (WORKGROUP + SUBGROUP - 1u) / SUBGROUP;
 
-shared float camera_sums[6 * SUBGROUPS];
+const uint VALUES = LENS ? 9u : 6u;
+
+shared float camera_sums[VALUES * SUBGROUPS];
 
 void main() {
     uint v = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;
     bool there = v < visible[0].count;
     float sums[SUMS];
     sum_entries(v, there, sums);
-    vec3 turn = vec3(0.0), shift = vec3(0.0);
+    vec3 turn = vec3(0.0), shift = vec3(0.0), lens = vec3(0.0);
     if (there) {
         Visible s = visible_splat(v, sums);
         uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
@@ -67,19 +71,21 @@ void main() {
         }
         turn = s.gradient.camera_turn + cross(s.gradient.mean, s.mean - params.step.camera.position);
         shift = -(s.gradient.mean + direction_to_mean(s, degree, s_dot));
+        if (LENS) lens = s.gradient.lens;
         // As the Gaussians are: those without a gradient, or with one that is not finite, say nothing.
-        if (!s.touched || !is_finite(dot(turn, vec3(1.0)) + dot(shift, vec3(1.0)))) turn = shift = vec3(0.0);
+        float all = dot(turn, vec3(1.0)) + dot(shift, vec3(1.0)) + dot(lens, vec3(1.0));
+        if (!s.touched || !is_finite(all)) turn = shift = lens = vec3(0.0);
     }
-    [[unroll]] for (uint j = 0u; j < 6u; ++j) {
-        float sum = subgroupAdd(j < 3u ? turn[j % 3u] : shift[j % 3u]);
+    [[unroll]] for (uint j = 0u; j < VALUES; ++j) {
+        float sum = subgroupAdd(j < 3u ? turn[j % 3u] : j < 6u ? shift[j % 3u] : lens[j % 3u]);
         if (subgroupElect()) camera_sums[j * SUBGROUPS + gl_SubgroupID] = sum;
     }
     barrier();
-    if (gl_LocalInvocationID.x < 6u) {
+    if (gl_LocalInvocationID.x < VALUES) {
         float sum = 0.0;
         for (uint s = 0u; s < gl_NumSubgroups; ++s) sum += camera_sums[gl_LocalInvocationID.x * SUBGROUPS + s];
         // Folded grids have empty workgroups at their end.
-        uint at = 6u * folded_workgroup() + gl_LocalInvocationID.x;
+        uint at = VALUES * folded_workgroup() + gl_LocalInvocationID.x;
         if (at < camera_parts.length()) camera_parts[at] = sum;
     }
 }

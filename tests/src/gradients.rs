@@ -4,7 +4,7 @@
 
 use crate::Gpu;
 use crate::scenes::{self, Rng};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
 use sgs_passes::optim::{camera_bwd, camera_part_bytes};
@@ -43,6 +43,26 @@ pub struct Case {
 /// The pixels are scattered, so that tiles have a few, all or none of them.
 fn wants(pixel: usize) -> bool {
     pixel % 7 < 3 || (100..230).contains(&pixel)
+}
+
+/// Numbers of a camera with gradients: the rotation's rows, the translation, the logarithm of the focal lengths, and the
+/// shift of the principal point in focal lengths.
+pub const CAMERA_NUMBERS: usize = 15;
+
+/// Returns the camera whose number `i` of [`CAMERA_NUMBERS`] is larger by `change`.
+pub fn changed_camera(camera: &Camera, i: usize, change: f64) -> Camera {
+    let mut camera = *camera;
+    match i {
+        0..9 => {
+            let mut m = camera.rotation.to_cols_array();
+            m[i % 3 * 3 + i / 3] += change;
+            camera.rotation = DMat3::from_cols_array(&m);
+        }
+        9..12 => camera.translation[i - 9] += change,
+        12 => camera.focal *= change.exp(),
+        _ => camera.center[i - 13] += change * camera.focal[i - 13],
+    }
+    camera
 }
 
 /// Background color, linear RGB.
@@ -133,16 +153,17 @@ impl Case {
         }
     }
 
-    /// Tests the gradient by turn and shift against that by the pose's numbers.
+    /// Tests the gradient by turn and shift against that by the pose's numbers. Returns that by the lens.
     ///
     /// Parts of workgroups without visible splats must stay unwritten.
-    fn check_camera(&self, pose: &[f32], parts: &[f32]) {
-        if !pose.iter().all(|x| x.is_finite()) {
-            return;
-        }
+    fn check_camera(&self, pose: &[f32], parts: &[f32]) -> [f32; 3] {
         let written: Vec<&[f32]> =
-            parts.chunks_exact(6).take_while(|part| part.iter().any(|x| x.to_bits() != u32::MAX)).collect();
-        assert!(!written.is_empty() && parts[6 * written.len()..].iter().all(|x| x.to_bits() == u32::MAX));
+            parts.chunks_exact(9).take_while(|part| part.iter().any(|x| x.to_bits() != u32::MAX)).collect();
+        assert!(!written.is_empty() && parts[9 * written.len()..].iter().all(|x| x.to_bits() == u32::MAX));
+        let lens = [6, 7, 8].map(|i| written.iter().map(|part| part[i]).sum());
+        if !pose.iter().all(|x| x.is_finite()) {
+            return lens;
+        }
         let found = |i: usize| written.iter().map(|part| f64::from(part[i])).sum::<f64>();
         let number = |i: usize| f64::from(pose[i]);
         let vector = |i: usize| DVec3::new(number(i), number(i + 1), number(i + 2));
@@ -158,9 +179,10 @@ impl Case {
             let found = found(i);
             assert!((found - expected).abs() <= slack, "camera[{i}] is {found} and not {expected}, to {slack}");
         }
+        lens
     }
 
-    /// Computes gradients on the GPU: every group, then the twelve numbers of the pose.
+    /// Computes gradients on the GPU: every group, then the [`CAMERA_NUMBERS`].
     ///
     /// # Panics
     /// If the entries overflow, if features are wrong, or if pixels that are not requested are written.
@@ -216,8 +238,8 @@ impl Case {
         let means2d = g.external("means2d", 8 * u64::from(n));
         let into = Gradients { parameters: into_parameters, means2d, pose: Some(pose) };
         project_bwd(&mut g, &t, &screen, &handles, &visible, &sums, &into).unwrap();
-        let moved = g.external("camera_parts", camera_part_bytes(&t, &visible));
-        camera_bwd(&mut g, &t, &screen, &handles, &visible, &sums, moved).unwrap();
+        let moved = g.external("camera_parts", camera_part_bytes(&t, &visible, true));
+        camera_bwd(&mut g, &t, &screen, &handles, &visible, &sums, true, moved).unwrap();
         if let Some((_, _, left, _)) = &wide {
             features_bwd(&mut g, &t, &visible, left, into_features).unwrap();
         }
@@ -257,12 +279,13 @@ impl Case {
         if let Some((.., image)) = wide {
             self.check_features(&out.get::<f32>(image));
         }
-        self.check_camera(&out.get::<f32>(pose), &out.get::<f32>(moved));
+        let pose = out.get::<f32>(pose);
+        let lens = self.check_camera(&pose, &out.get::<f32>(moved));
         let mut all = model.from_columns(&out.get::<f32>(into_parameters), n as usize);
         if model.semantics {
             all.groups[Group::Semantics as usize] = out.get(into_features);
         }
-        (all.groups.to_vec(), out.get(pose))
+        (all.groups.to_vec(), [pose, lens.to_vec()].concat())
     }
 }
 

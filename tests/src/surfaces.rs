@@ -58,7 +58,7 @@ pub fn run(gpu: &Gpu, tuning: Tuning, s: &Scene, largest: [u32; 2], weights: &Te
     transmittance.resize(pixels + SPARE, f32::NAN);
 
     let mut g = Graph::new("geometry_loss");
-    let step = g.uniform("step", size_of::<Step>() as u64);
+    let [step, lens] = ["step", "lens"].map(|name| g.uniform(name, size_of::<Step>() as u64));
     let image_buffer = g.input("image", 4 * image.len() as u64);
     let transmittance_buffer = g.input("transmittance", 4 * transmittance.len() as u64);
     let words = 4 * (OFFSET + pixels + SPARE) as u64;
@@ -78,6 +78,7 @@ pub fn run(gpu: &Gpu, tuning: Tuning, s: &Scene, largest: [u32; 2], weights: &Te
         priors: s.priors.as_ref().map(|_| priors),
         depth_priors: s.depth_priors.as_ref().map(|_| depth_priors),
         depth_line: s.depth_line.map(|_| depth_line),
+        depth_lens: s.depth_lens.map(|_| lens),
         largest,
     };
     let geometry = geometry_loss(&mut g, tuning, &a, grad_image, grad_transmittance).unwrap();
@@ -93,8 +94,16 @@ pub fn run(gpu: &Gpu, tuning: Tuning, s: &Scene, largest: [u32; 2], weights: &Te
     values.weight_depth_smooth = weights.depth_smooth as f32;
     values.weight_depth_variance = weights.depth_variance as f32;
     values.weight_depth = weights.depth as f32;
+    let seen_by = |[fx, fy, cx, cy]: [f64; 4]| {
+        let mut seen = values;
+        seen.camera.focal = [fx as f32, fy as f32];
+        seen.camera.center = [cx as f32, cy as f32];
+        seen
+    };
+    let [view, sensor] = s.depth_lens.map_or([values; 2], |lenses| lenses.map(seen_by));
     let inputs = [
-        (step, bytes(&[values])),
+        (step, bytes(&[view])),
+        (lens, bytes(&[sensor])),
         (image_buffer, bytes(&image)),
         (transmittance_buffer, bytes(&transmittance)),
         (targets, bytes(&padded(s.photo.clone()))),

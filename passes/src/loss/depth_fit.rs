@@ -23,13 +23,22 @@ const PARTS: u32 = 64;
 /// How prior depths relate to depth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Fit {
-    /// They are inverse depths in scene units.
+    /// They are inverse depths in scene units, at the photograph's pixels.
     #[default]
     Metric,
+    /// They are inverse depths in scene units that a sensor measured, along the rays of the camera as given.
+    Sensor,
     /// They are inverse depths up to a factor for each view.
     Scale,
     /// They are inverse depths up to a factor and a shift for each view.
     ScaleShift,
+}
+
+impl Fit {
+    /// Returns whether depths need no fit.
+    pub fn is_metric(self) -> bool {
+        matches!(self, Fit::Metric | Fit::Sensor)
+    }
 }
 
 /// Inputs of the fit.

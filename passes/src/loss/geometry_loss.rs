@@ -50,6 +50,9 @@ pub struct GeometryLoss {
     pub depth_priors: Option<Buffer>,
     /// Fit of the prior depths ([`super::depth_fit()`]); without it they are inverse depths.
     pub depth_line: Option<Buffer>,
+    /// Uniform `Step` with the lens of the prior depths, if it differs from that of `step`. Each pixel takes the depth
+    /// of the nearest ray.
+    pub depth_lens: Option<Buffer>,
     /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],
 }
@@ -124,6 +127,7 @@ pub fn geometry_loss(
     let sums = g.transient("geometry_loss.sums", u64::from(count) * 16 * (1 + u64::from(depth)));
     let bindings = kernel::Bindings {
         params: a.step.into(),
+        given: a.depth_lens.unwrap_or(a.step).into(),
         image: a.image.into(),
         transmittance: a.transmittance.into(),
         targets: a.targets.into(),
@@ -148,6 +152,7 @@ pub fn geometry_loss(
         reuse,
         depth_prior: depth,
         depth_fit: depth && a.depth_line.is_some(),
+        sensor: depth && a.depth_lens.is_some(),
     };
     stage(g, "geometry_loss", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(count), 1))?;

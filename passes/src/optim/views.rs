@@ -1,13 +1,13 @@
 //! `view_place`, `view_gain`, `camera_bwd`, `view_step`: cameras and colors of views that training corrects.
 //!
 //! The camera of a step is placed on the device before projection, and its gradient is taken before the Gaussians change. Cost
-//! per step: a uniform and 112 bytes a view, read and written. With cameras, what [`project_bwd`](crate::splat::project_bwd)
+//! per step: a uniform and 112 bytes a view, read and written. With cameras or the lens, what [`project_bwd`](crate::splat::project_bwd)
 //! reads, read once more. With colors, 24 bytes read and 12 written a pixel, and an image of gradients beside the image.
 
 use crate::Tuning;
 use crate::kernel::{groups, stage};
 use crate::prim::Records;
-use crate::scene::{Handles, ViewHandles};
+use crate::scene::{Handles, ViewHandles, ViewKinds};
 use crate::splat::{EntryGradients, Screen, Visible, backward_specs};
 use sgs_engine::graph::{Buffer, Graph, GraphError};
 use sgs_shaders::structs::Step;
@@ -16,20 +16,20 @@ use sgs_shaders::{camera_bwd as bwd, view_gain, view_gain_bwd, view_place, view_
 /// Gradients by what is learned of a view, in parts.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewGradients {
-    /// `[parts * 6]` by turn and shift, of workgroups of visible splats.
+    /// `[parts * 6]` by turn and shift, of workgroups of visible splats; `[parts * 9]` with the lens.
     pub cameras: Option<Buffer>,
-    /// `[parts * 3]` by the logarithms of color factors, of workgroups of pixels.
+    /// `[parts * 3]` by the logarithms of color factors, of workgroups of pixels; `[parts * 4]` with the lens.
     pub gains: Option<(Buffer, u32)>,
 }
 
-/// Returns a step with the learned camera of its view. Later passes use it in place of `step`.
+/// Returns a step with the learned camera and lens of its view. Later passes use it in place of `step`.
 ///
 /// # Errors
 /// If a buffer does not belong to the graph or is too small to be bound.
 pub fn view_place(g: &mut Graph, step: Buffer, views: &ViewHandles) -> Result<Buffer, GraphError> {
     let placed = g.transient("placed_step", size_of::<Step>() as u64);
     let bindings = view_place::Bindings { params: step.into(), views: views.views.into(), placed: placed.into() };
-    let specs = view_place::Specs::default();
+    let specs = view_place::Specs { lens: views.kinds.lens, ..Default::default() };
     stage(g, "view_place", &view_place::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])?;
     Ok(placed)
 }
@@ -47,7 +47,7 @@ pub fn view_gain(
     image: Buffer,
 ) -> Result<(), GraphError> {
     let bindings = view_gain::Bindings { params: screen.step.into(), views: views.views.into(), image: image.into() };
-    let specs = view_gain::Specs { workgroup: t.workgroup, channels };
+    let specs = view_gain::Specs { workgroup: t.workgroup, channels, lens: views.kinds.lens };
     stage(g, "view_gain", &view_gain::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(screen.pixels(), t.workgroup))
 }
@@ -67,7 +67,8 @@ pub fn view_gain_bwd(
     grad_image: Buffer,
 ) -> Result<(Buffer, u32), GraphError> {
     let count = screen.pixels().div_ceil(u64::from(t.workgroup)) as u32;
-    let parts = g.transient("gain_parts", 12 * u64::from(count));
+    let width = if views.kinds.lens { 16 } else { 12 };
+    let parts = g.transient("gain_parts", width * u64::from(count));
     let bindings = view_gain_bwd::Bindings {
         params: screen.step.into(),
         views: views.views.into(),
@@ -75,7 +76,7 @@ pub fn view_gain_bwd(
         grad_image: grad_image.into(),
         gain_parts: parts.into(),
     };
-    let specs = view_gain_bwd::Specs { workgroup: t.workgroup, channels };
+    let specs = view_gain_bwd::Specs { workgroup: t.workgroup, channels, lens: views.kinds.lens };
     stage(g, "view_gain_bwd", &view_gain_bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(screen.pixels(), t.workgroup))?;
@@ -83,7 +84,8 @@ pub fn view_gain_bwd(
 }
 
 /// Computes the gradient by the pose of the camera, before the parameters change: `[parts * 6]` into a buffer of
-/// [`camera_part_bytes`].
+/// [`camera_part_bytes`]. With `lens`, each part also has the derivatives by the logarithm of the focal lengths and by
+/// the shift of the principal point in focal lengths: `[parts * 9]`.
 ///
 /// # Errors
 /// If the graph rejects the pass.
@@ -94,6 +96,7 @@ pub fn camera_bwd(
     gaussians: &Handles,
     visible: &Visible,
     entries: &EntryGradients,
+    lens: bool,
     parts: Buffer,
 ) -> Result<(), GraphError> {
     let bindings = bwd::Bindings {
@@ -109,15 +112,15 @@ pub fn camera_bwd(
         parameters: gaussians.parameters.into(),
         camera_parts: parts.into(),
     };
-    let specs = backward_specs!(bwd, t, gaussians, visible, entries, {});
+    let specs = backward_specs!(bwd, t, gaussians, visible, entries, { lens });
     stage(g, "camera_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
 }
 
 /// Returns the bytes of the parts of a camera's gradient.
-pub fn camera_part_bytes(t: &Tuning, visible: &Visible) -> u64 {
-    24 * u64::from(visible.capacity).div_ceil(u64::from(t.workgroup)).max(1)
+pub fn camera_part_bytes(t: &Tuning, visible: &Visible, lens: bool) -> u64 {
+    if lens { 36 } else { 24 } * u64::from(visible.capacity).div_ceil(u64::from(t.workgroup)).max(1)
 }
 
 /// Status words of [`view_step()`].
@@ -152,8 +155,8 @@ pub fn view_step(
         views: views.views.into(),
         skipped: status.skipped.into(),
     };
-    let specs =
-        kernel::Specs { cameras: gradients.cameras.is_some(), gains: gradients.gains.is_some(), ..Default::default() };
+    let ViewKinds { cameras, lens, .. } = views.kinds;
+    let specs = kernel::Specs { cameras, gains: gradients.gains.is_some(), lens, ..Default::default() };
     let push = kernel::Push { count: views.count, per_group: t.workgroup, gain_parts };
     stage(g, "view_step", &kernel::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))
         .dispatch([1, 1, 1])

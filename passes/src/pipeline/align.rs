@@ -109,7 +109,7 @@ impl Aligner {
     pub fn align(&mut self, gaussians: &Gaussians, photograph: &[u32], steps: &[Step]) -> Result<LearnedView> {
         self.device.upload(&self.target, 0, bytemuck::cast_slice(photograph))?;
         loop {
-            self.views.upload(&self.device, &[LearnedView::default()])?;
+            self.views.upload(&self.device, &[LearnedView::default(); 2])?;
             self.device.fill(&self.flags, 0)?;
             for step in steps {
                 let mut step = *step;
@@ -175,8 +175,8 @@ fn declare(
     let cameras = match kinds.cameras {
         true => {
             let sums = blend_bwd(g, t, &screen, &visible, &entries, &owed, which, false)?;
-            let parts = g.transient("camera_parts", camera_part_bytes(t, &visible));
-            camera_bwd(g, t, &screen, &handles, &visible, &sums, parts)?;
+            let parts = g.transient("camera_parts", camera_part_bytes(t, &visible, false));
+            camera_bwd(g, t, &screen, &handles, &visible, &sums, false, parts)?;
             Some(parts)
         }
         false => None,

@@ -30,6 +30,8 @@ pub struct Scene {
     pub depth_priors: Option<Vec<u32>>,
     /// Slope and offset from prior values to inverse depths. A constant of the loss.
     pub depth_line: Option<[f64; 2]>,
+    /// Focal lengths and principal points of the view and of the prior depths, if they differ.
+    pub depth_lens: Option<[[f64; 4]; 2]>,
     /// Photograph, packed RGBA8.
     pub photo: Vec<u32>,
 }
@@ -80,7 +82,16 @@ impl Scene {
 
     /// Returns the inverse and the confidence of a pixel's prior depth.
     fn depth_prior(&self, p: usize) -> Option<[f64; 2]> {
-        let [value, confidence] = unpack_depth(self.depth_priors.as_ref()?[p])?;
+        let at = match self.depth_lens {
+            None => p,
+            Some([view, sensor]) => {
+                let pixel = [p % self.width, p / self.width].map(|n| n as f64 + 0.5);
+                let [x, y] = [0, 1].map(|i| (pixel[i] - view[2 + i]) / view[i] * sensor[i] + sensor[2 + i]);
+                let inside = (0.0..self.width as f64).contains(&x) && (0.0..self.height as f64).contains(&y);
+                inside.then_some(y as usize * self.width + x as usize)?
+            }
+        };
+        let [value, confidence] = unpack_depth(self.depth_priors.as_ref()?[at])?;
         let inverse = self.depth_line.map_or(value, |[slope, offset]| slope * value + offset);
         (inverse > 0.0).then_some([inverse, confidence])
     }
@@ -337,6 +348,7 @@ mod tests {
             priors: Some([vec![octahedral_encode([0.0, 0.0, -1.0]); 20], vec![0; 10]].concat()),
             depth_priors: Some([vec![pack_depth(2.0, 0.5); 20], vec![0; 10]].concat()),
             depth_line: None,
+            depth_lens: None,
             photo: (0..n as u32).collect(),
         };
         let t = geometry_loss(&s);

@@ -1,7 +1,8 @@
-//! What training learns of the views: corrections of their cameras, and factors on their colors.
+//! What training learns of the views: corrections of their cameras, factors on their colors, and the lens.
 //!
 //! A correction is a shift of the camera's center and a turn about it, in world axes; the factors are those of red, green
 //! and blue. The mean of each number over all views is zero: a motion or a tint of the whole scene shows in no photograph.
+//! All views share a lens: a factor on focal lengths, a shift of the principal point, and vignetting.
 
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
@@ -15,16 +16,23 @@ pub struct ViewKinds {
     pub cameras: bool,
     /// Factors on colors.
     pub gains: bool,
+    /// Focal length and principal point that all views share; with `gains`, also vignetting.
+    pub lens: bool,
 }
 
 impl ViewKinds {
     /// Returns whether anything is learned.
     pub fn any(self) -> bool {
-        self.cameras || self.gains
+        self.cameras || self.gains || self.lens
+    }
+
+    /// Returns whether cameras differ from those that were given.
+    pub fn moves_pixels(self) -> bool {
+        self.cameras || self.lens
     }
 }
 
-/// Learned numbers of all views, with their moments, in device memory.
+/// Learned numbers of all views and of the lens, with their moments, in device memory.
 #[derive(Debug)]
 pub struct LearnedViews {
     views: DeviceBuffer,
@@ -34,7 +42,7 @@ pub struct LearnedViews {
 /// Handle of [`LearnedViews`] in a graph.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewHandles {
-    /// `[views]` of `LearnedView`.
+    /// `[views + 1]` of `LearnedView`; the last is the lens.
     pub views: Buffer,
     /// Number of views.
     pub count: u32,
@@ -51,7 +59,7 @@ impl LearnedViews {
     /// # Errors
     /// If memory runs out.
     pub fn new(device: &Device, count: u32) -> Result<LearnedViews> {
-        let views = device.buffer("learned_views", BYTES * u64::from(count.max(1)), Location::Device)?;
+        let views = device.buffer("learned_views", LearnedViews::bytes(count), Location::Device)?;
         device.fill(&views, 0)?;
         Ok(LearnedViews { views, count })
     }
@@ -61,20 +69,20 @@ impl LearnedViews {
         self.count
     }
 
-    /// Returns the bytes of the numbers of `count` views.
+    /// Returns the bytes of the numbers of `count` views and of the lens.
     pub fn bytes(count: u32) -> u64 {
-        BYTES * u64::from(count.max(1))
+        BYTES * (u64::from(count) + 1)
     }
 
-    /// Downloads the numbers and moments of all views.
+    /// Downloads the numbers and moments of all views; those of the lens come last.
     ///
     /// # Errors
     /// If the device fails.
     pub fn download(&self, device: &Device) -> Result<Vec<LearnedView>> {
-        device.download_as(&self.views, self.count as usize)
+        device.download_as(&self.views, self.count as usize + 1)
     }
 
-    /// Replaces the numbers and moments of all views.
+    /// Replaces the numbers and moments of all views, and of the lens after them.
     ///
     /// # Errors
     /// If the device fails, or there are more views than fit.

@@ -25,6 +25,7 @@ fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
         priors: Some(vec![]),
         depth_priors: Some(vec![]),
         depth_line: None,
+        depth_lens: None,
         photo: vec![],
     };
     for p in 0..width * height {
@@ -112,6 +113,22 @@ fn geometry_loss_at_odd_sizes() {
         check(&gpu, &s, [width as u32, height as u32]);
     }
     check(&gpu, &random_scene(31, 9, 99), [64, 70]);
+}
+
+/// Tests prior depths of a sensor whose lens differs from that of the view.
+#[test]
+fn prior_depths_follow_the_rays_of_their_lens() {
+    let gpu = Gpu::new();
+    let s = random_scene(57, 33, 3);
+    // Rays of the view that fall between pixels of the sensor, outside of it, and far outside.
+    let view = [60.0, 59.0, 28.3, 16.9];
+    for sensor in [view, [66.1, 65.3, 28.7, 16.1], [40.0, 45.0, 20.0, 30.0], [60.0, 59.0, 300.0, -90.0]] {
+        let s = Scene { depth_lens: Some([view, sensor]), ..s.clone() };
+        let found = check(&gpu, &s, [57, 33]);
+        assert_eq!(found.stats.depth == 0.0, sensor[2] == 300.0);
+    }
+    let same = check(&gpu, &Scene { depth_lens: Some([view, view]), ..s.clone() }, [57, 33]);
+    assert_eq!(same.depths, check(&gpu, &s, [57, 33]).depths);
 }
 
 #[test]

@@ -195,6 +195,7 @@ impl Surfaces {
             transmittance,
             depth_priors: (self.priors && self.depths).then_some(depth_priors),
             depth_line: None,
+            depth_lens: None,
             priors: self.priors.then_some(priors),
             photo,
         }

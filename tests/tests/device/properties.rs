@@ -12,7 +12,7 @@ use sgs_passes::scene::Group;
 use sgs_passes::splat::BackwardKernel;
 use sgs_tests::drawn::runner;
 use sgs_tests::drawn::scenes::{blurred, few, rounded, scene};
-use sgs_tests::gradients::{Case, parameters};
+use sgs_tests::gradients::{CAMERA_NUMBERS, Case, changed_camera, parameters};
 use sgs_tests::whole::{BACKGROUND, rendered, steps};
 use sgs_tests::{Gpu, scenes};
 
@@ -104,12 +104,16 @@ fn differences(case: &Case) -> Vec<Vec<Option<f64>>> {
     GROUPS.iter().map(all).chain([pose_differences(case)]).collect()
 }
 
-/// Returns the step of a pose parameter, comparable to [`unit`]. Parameters are the rotation's rows and then the
-/// translation. The step is a pixel at the nearest Gaussian, or a radian.
+/// Returns the step of one of the [`CAMERA_NUMBERS`], comparable to [`unit`]. The step is a pixel at the nearest Gaussian,
+/// or a radian; for the lens it is a pixel.
 fn pose_unit(case: &Case, i: usize) -> f64 {
     let nearest = (0..case.gaussians.len()).map(|k| unit(case, Group::Means, 3 * k)).fold(f64::INFINITY, f64::min);
     let far = case.gaussians.means.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
-    if i < 9 { (nearest / far).min(1.0) } else { nearest }
+    match i {
+        0..9 => (nearest / far).min(1.0),
+        9..12 => nearest,
+        _ => 1.0 / case.camera.focal[0].max(case.camera.focal[1]),
+    }
 }
 
 /// Returns central differences of the reference per pose parameter. Steps are in [`pose_unit`]s.
@@ -117,22 +121,13 @@ fn pose_differences(case: &Case) -> Vec<Option<f64>> {
     let difference = |i: usize| {
         let unit = pose_unit(case, i);
         let at = |step: f64| {
-            let by = |change: f64| {
-                let (mut m, mut t) = (case.camera.rotation.to_cols_array(), case.camera.translation.to_array());
-                if i < 9 {
-                    m[i % 3 * 3 + i / 3] += change
-                } else {
-                    t[i - 9] += change
-                }
-                let (rotation, translation) = (DMat3::from_cols_array(&m), DVec3::from_array(t));
-                case.loss(&case.gaussians, &Camera { rotation, translation, ..case.camera })
-            };
+            let by = |change: f64| case.loss(&case.gaussians, &changed_camera(&case.camera, i, change));
             (by(step * unit) - by(-step * unit)) / (2.0 * step)
         };
         let (coarse, fine) = (at(2e-5), at(5e-6));
         ((coarse - fine).abs() <= 1e-4 * (1.0 + fine.abs())).then_some(fine)
     };
-    (0..12).map(difference).collect()
+    (0..CAMERA_NUMBERS).map(difference).collect()
 }
 
 /// Returns the case as single precision might round it; `way` selects the rounding.
@@ -221,6 +216,11 @@ fn checks_of_gradients_can_fail() {
     let mut wrong = pose.clone();
     wrong[5] *= 1.02;
     assert!(compare(&case, 1.0, &found, &wrong).is_err());
+    for i in 12..CAMERA_NUMBERS {
+        let mut wrong = pose.clone();
+        wrong[i] *= 1.1;
+        assert!(compare(&case, 1.0, &found, &wrong).is_err(), "number {i} of the camera");
+    }
 }
 
 #[test]

@@ -1,11 +1,10 @@
 //! Gradients of the whole render against central differences of the reference. The render consists of projection,
 //! harmonics and blending.
 
-use glam::{DMat3, DVec3};
 use sgs_passes::Accuracy;
 use sgs_passes::scene::Group;
 use sgs_passes::splat::BackwardKernel;
-use sgs_tests::gradients::{Case, parameters};
+use sgs_tests::gradients::{CAMERA_NUMBERS, Case, changed_camera, parameters};
 use sgs_tests::{Gpu, finite_difference, scenes};
 
 /// Returns the central difference at the smaller of two step sizes. Returns `None` where the two disagree because a
@@ -49,23 +48,10 @@ pub(crate) fn check(gpu: &Gpu, case: &Case, which: BackwardKernel) {
         }
     }
     assert!(skipped * 5 < compared, "{skipped} of {compared} lie at thresholds");
-    // The pose has the rotation's rows as nine independent numbers, and then the translation.
     let scale = pose.iter().fold(0.0_f64, |m, v| m.max(f64::from(v.abs())));
-    for i in 0..12 {
+    for i in 0..CAMERA_NUMBERS {
         let mut x = [0.0];
-        let by = |case: &Case, d: f64| {
-            let mut camera = case.camera;
-            if i < 9 {
-                let mut m = camera.rotation.to_cols_array();
-                m[i % 3 * 3 + i / 3] += d;
-                camera.rotation = DMat3::from_cols_array(&m);
-            } else {
-                let mut t = camera.translation.to_array();
-                t[i - 9] += d;
-                camera.translation = DVec3::from_array(t);
-            }
-            case.loss(&case.gaussians, &camera)
-        };
+        let by = |case: &Case, d: f64| case.loss(&case.gaussians, &changed_camera(&case.camera, i, d));
         let coarse = finite_difference(&mut x, 0, 2e-6, |x| by(case, x[0]));
         let fine = finite_difference(&mut x, 0, 5e-7, |x| by(case, x[0]));
         if (coarse - fine).abs() > 1e-3 * (1.0 + fine.abs()) {

@@ -8,7 +8,7 @@ use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use std::path::Path;
 
-const LEARN: [&str; 2] = ["--set", "geometry.rates.views=[1e-3, 5e-3]"];
+const LEARN: [&str; 2] = ["--set", "geometry.rates.views=[1e-3, 5e-3, 1e-3]"];
 
 #[test]
 fn killed_training_of_cameras_resumes_with_the_same_bits() {
@@ -19,7 +19,7 @@ fn killed_training_of_cameras_resumes_with_the_same_bits() {
     place.assert_same("straight", "killed");
     assert!(place.read("straight/cameras.json") == place.read("killed/cameras.json"));
     // A training without them removes the file of the one before.
-    let again = [&["--force"][..], &["--set", "geometry.rates.views=[0, 0]"]].concat();
+    let again = [&["--force"][..], &["--set", "geometry.rates.views=[0, 0, 0]"]].concat();
     sgs(&place.arguments("killed", 20, &again)).ok();
     assert!(!place.path("killed/cameras.json").exists());
 }
@@ -46,7 +46,7 @@ fn noisy_cameras_are_corrected() {
     let text = root.display().to_string();
     let lean = ["--set", "geometry.semantics=false", "--set", "noise.cameras=[0.5, 0.0]", "--no-densify", "-q"];
     let mut psnr = Vec::new();
-    for (name, learn) in [("given", "geometry.rates.views=[0, 0]"), ("learned", "geometry.rates.views=[5e-4, 0]")] {
+    for (name, learn) in [("given", "geometry.rates.views=[0, 0, 0]"), ("learned", "geometry.rates.views=[5e-4, 0, 0]")] {
         let run = path(name);
         let options = ["--stage", "geometry", "--geometry-steps", "500", "--set", learn];
         sgs(&[&["train", &text, "-o", &run], &options[..], &lean].concat()).ok();
@@ -62,7 +62,7 @@ fn noisy_cameras_are_corrected() {
     let noisy = settings.noise.on(&scene, settings.seed).unwrap();
     let given: Vec<_> =
         noisy.split.train.iter().map(|&i| LearnedViewRow::of(&noisy.views[i].camera, [1.0; 3])).collect();
-    let learned = run.learned_views().unwrap().unwrap();
+    let learned = run.learned_views().unwrap().unwrap().views;
     assert_eq!(learned.len(), given.len());
     println!("{psnr:?} {} -> {}", error(&scene, &given), error(&scene, &learned));
     assert!(error(&scene, &learned) < 0.6 * error(&scene, &given));

@@ -90,9 +90,8 @@ pub fn measure(
         images.begin(head.as_ref().map(|head| head.text.labels.as_slice()))?;
     }
     let background = settings.geometry.background;
-    let [cameras, gains] = settings.geometry.rates.views.map(|rate| rate > 0.0);
-    let learned = ViewKinds { cameras, gains };
-    let align = (align || learned.any()).then_some(ViewKinds { cameras: true, ..learned });
+    let [cameras, gains, _] = settings.geometry.rates.views.map(|rate| rate > 0.0);
+    let align = (align || cameras || gains).then_some(ViewKinds { cameras: true, gains, lens: false });
     let options = EvaluateOptions { views, background, head: head.as_ref(), lpips, align };
     let mut result = evaluate_classes(device, scene, &gaussians, &options, |name, rendered| match &mut images {
         Some(images) => images.rendered(scene, name, rendered),

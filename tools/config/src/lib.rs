@@ -197,9 +197,11 @@ pub struct Rates {
     pub means: f64,
     /// Rate of means at the last step, times the extent; log-linear between.
     pub means_final: f64,
-    /// Two rates of what is learned of each photograph. The first is that of its camera: the turn in radians, and the shift times
-    /// the extent. The second is that of its exposure: the logarithms of factors on red, green and blue. 0 learns neither.
-    pub views: [f64; 2],
+    /// Three rates of what is learned of the photographs; 0 learns nothing. The first is that of each camera: the turn in
+    /// radians, and the shift times the extent. The second is that of each exposure: the logarithms of factors on red, green
+    /// and blue. The third is that of the lens that all share: the logarithm of the focal length, and the principal point in
+    /// focal lengths. With the second and the third, vignetting is learned, too.
+    pub views: [f64; 3],
     /// Rate of log scales. Not a setting.
     #[serde(skip)]
     pub scales: f64,
@@ -232,7 +234,7 @@ impl Default for Rates {
             factor: 0.0,
             means: 1.6e-4,
             means_final: 1.6e-6,
-            views: [0.0; 2],
+            views: [0.0; 3],
             scales: 5e-3,
             rotations: 1e-3,
             opacities: 0.05,
@@ -380,6 +382,7 @@ impl Settings {
             ("rates.means_final", r.means_final),
             ("rates.views", r.views[0]),
             ("rates.views", r.views[1]),
+            ("rates.views", r.views[2]),
             ("losses.dssim", f64::from(l.dssim)),
             ("losses.normal", f64::from(l.normal)),
             ("losses.normal_smooth", f64::from(l.normal_smooth)),
@@ -445,7 +448,7 @@ mod tests {
         assert!(fail("[provider]\nseconds = [1, 0]").ends_with("but must be two finite numbers above 0."));
         assert!(fail("[intrinsic.automatic]\nlimits = [-1, 0]").ends_with("two finite numbers of at least 0."));
         assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
-        assert!(fail("[geometry.rates]\nviews = [0, -1]").contains("geometry.rates.views"));
+        assert!(fail("[geometry.rates]\nviews = [0, 0, -1]").contains("geometry.rates.views"));
         assert!(fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.factor, geometry.rates.means"));
         assert_eq!(fail("[geometry]\nsteps = \"many\""), "geometry.steps is \"many\", but must be a whole number.");
         assert_eq!(fail("[geometry]\nsteps = 4.5"), "geometry.steps is 4.5, but must be a whole number.");

@@ -1,4 +1,4 @@
-//! What training learned of the photographs' views: `cameras.json`.
+//! What training learned of the photographs' views and lens: `cameras.json`.
 
 use crate::directory::RunDirectory;
 use crate::error::{Result, error};
@@ -27,10 +27,39 @@ pub struct LearnedViewRow {
     pub gains: [f32; 3],
 }
 
+/// Lens that all views share, relative to the given one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LearnedLens {
+    /// Factor on the focal lengths.
+    pub focal: f64,
+    /// Shift of the principal point, in given focal lengths.
+    pub center: [f64; 2],
+    /// Logarithm of the factor on colors at the corners of photographs ([`sgs_scene::View::vignetting`]).
+    pub vignetting: f32,
+}
+
+impl Default for LearnedLens {
+    fn default() -> Self {
+        LearnedLens { focal: 1.0, center: [0.0; 2], vignetting: 0.0 }
+    }
+}
+
+/// What training learned of the photographs.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LearnedCameras {
+    /// Training views.
+    pub views: Vec<LearnedViewRow>,
+    /// Lens of all views, test views included.
+    pub lens: LearnedLens,
+}
+
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
     format: String,
+    #[serde(default)]
+    lens: LearnedLens,
     views: Vec<LearnedViewRow>,
 }
 
@@ -59,14 +88,26 @@ impl LearnedViewRow {
     }
 }
 
+impl LearnedLens {
+    fn problem(&self) -> Option<&'static str> {
+        if !(self.focal.is_finite() && self.focal > 0.0) {
+            return Some("a factor on focal lengths that is not positive");
+        }
+        let rest = self.center.iter().all(|c| c.is_finite()) && self.vignetting.is_finite();
+        (!rest).then_some("a lens with numbers that are not finite")
+    }
+}
+
 impl RunDirectory {
     /// Writes the learned views, or removes the file of an earlier training.
     ///
     /// # Errors
     /// If the file cannot be written or removed.
-    pub fn write_learned_views(&self, views: Option<&[LearnedViewRow]>) -> Result<()> {
-        match views {
-            Some(views) => self.write_json(FILE, &File { format: FORMAT.into(), views: views.to_vec() }),
+    pub fn write_learned_views(&self, learned: Option<&LearnedCameras>) -> Result<()> {
+        match learned.cloned() {
+            Some(LearnedCameras { views, lens }) => {
+                self.write_json(FILE, &File { format: FORMAT.into(), lens, views })
+            }
             None => self.remove([self.path(FILE)]),
         }
     }
@@ -75,7 +116,7 @@ impl RunDirectory {
     ///
     /// # Errors
     /// If the file is damaged.
-    pub fn learned_views(&self) -> Result<Option<Vec<LearnedViewRow>>> {
+    pub fn learned_views(&self) -> Result<Option<LearnedCameras>> {
         let path = self.path(FILE);
         if !path.is_file() {
             return Ok(None);
@@ -85,16 +126,26 @@ impl RunDirectory {
         if file.format != FORMAT {
             return Err(error(&path, format!("has the format \"{}\" and not \"{FORMAT}\"", file.format)));
         }
+        if let Some(problem) = file.lens.problem() {
+            return Err(error(&path, format!("has {problem}")));
+        }
         match file.views.iter().find_map(|view| view.problem().map(|problem| (view, problem))) {
             Some((view, problem)) => Err(error(&path, format!("has {problem}, at view \"{}\"", view.name))),
-            None => Ok(Some(file.views)),
+            None => Ok(Some(LearnedCameras { views: file.views, lens: file.lens })),
         }
     }
 }
 
-/// Gives a scene the learned cameras, and photographs without learned exposures.
-pub fn use_learned_views(scene: &mut Scene, learned: &[LearnedViewRow]) {
-    for row in learned {
+/// Gives a scene the learned cameras and lens, and photographs without learned exposures and vignetting.
+pub fn use_learned_views(scene: &mut Scene, learned: &LearnedCameras) {
+    let LearnedLens { focal, center, vignetting } = learned.lens;
+    for view in &mut scene.views {
+        let camera = &mut view.camera;
+        (camera.cx, camera.cy) = (camera.cx + center[0] * camera.fx, camera.cy + center[1] * camera.fy);
+        (camera.fx, camera.fy) = (focal * camera.fx, focal * camera.fy);
+        view.vignetting = vignetting;
+    }
+    for row in &learned.views {
         if let Some(view) = scene.views.iter_mut().find(|view| view.camera.name == row.name) {
             (view.camera.rotation, view.camera.translation) = row.pose();
             view.gains = row.gains;
@@ -121,8 +172,16 @@ mod tests {
     fn rows_are_read_as_written() {
         let (_folder, run) = run();
         assert_eq!(run.learned_views().unwrap(), None);
-        run.write_learned_views(Some(&[row()])).unwrap();
-        assert_eq!(run.learned_views().unwrap(), Some(vec![row()]));
+        let lens = LearnedLens { focal: 0.9, center: [0.01, -0.02], vignetting: -0.3 };
+        let learned = LearnedCameras { views: vec![row()], lens };
+        run.write_learned_views(Some(&learned)).unwrap();
+        assert_eq!(run.learned_views().unwrap(), Some(learned));
+        // A file without a lens leaves the given one.
+        let text = std::fs::read_to_string(run.path(FILE)).unwrap();
+        let mut file: serde_json::Value = serde_json::from_str(&text).unwrap();
+        file.as_object_mut().unwrap().remove("lens").unwrap();
+        std::fs::write(run.path(FILE), file.to_string()).unwrap();
+        assert_eq!(run.learned_views().unwrap().unwrap().lens, LearnedLens::default());
         run.write_learned_views(None).unwrap();
         assert_eq!(run.learned_views().unwrap(), None);
     }
@@ -135,9 +194,12 @@ mod tests {
         let mut dark = row();
         dark.gains[1] = 0.0;
         for (row, part) in [(crooked, "no rotation"), (dark, "not positive")] {
-            run.write_learned_views(Some(&[row])).unwrap();
+            run.write_learned_views(Some(&LearnedCameras { views: vec![row], ..Default::default() })).unwrap();
             assert!(run.learned_views().unwrap_err().to_string().contains(part));
         }
+        let lens = LearnedLens { focal: -1.0, ..Default::default() };
+        run.write_learned_views(Some(&LearnedCameras { lens, ..Default::default() })).unwrap();
+        assert!(run.learned_views().unwrap_err().to_string().contains("focal lengths"));
         std::fs::write(run.path("cameras.json"), "{").unwrap();
         assert!(run.learned_views().unwrap_err().to_string().contains("is not valid"));
     }

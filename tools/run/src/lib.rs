@@ -44,7 +44,7 @@ pub use export::{Export, ExportFormat, write_exchange, write_export};
 pub use gltf_lights::{gltf_leaves_out, read_light_source};
 pub use head::SemanticHead;
 pub use known::{KnownEmitters, MOST_KNOWN};
-pub use learned_views::{LearnedViewRow, use_learned_views};
+pub use learned_views::{LearnedCameras, LearnedLens, LearnedViewRow, use_learned_views};
 pub use light_list::{LightList, ListedLight, PhysicalRow, read_light_list, write_light_list};
 pub use lights::{LightFile, LightRow, LobeRow, MOST as MOST_LIGHTS, raw_lobe, write_lights};
 pub use lock::{DirectoryLock, LockHolder, process_start};

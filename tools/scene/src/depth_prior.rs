@@ -32,6 +32,9 @@ impl Scene {
         let view = self.view(view)?;
         let Some(file) = self.depth_file(view) else { return Ok(None) };
         let mut map = self.load_depth(&file, view, self.depth_meaning())?;
+        if self.depth_is_of_sensor() {
+            map = seen_by(map, view);
+        }
         if let Some(path) = self.prior_path("depth/confidence", view, &["exr", "npy", "png"]) {
             let confidence = maps::load(&path, view, Meaning::Scalar)?;
             let both = confidence.image.data.iter().zip(&confidence.valid.data);
@@ -45,7 +48,13 @@ impl Scene {
     /// Loads the depth that a sensor measured in a view, like [`Scene::depth_prior`]. Returns `None` if there is none.
     pub fn sensor_depth(&self, view: usize) -> Result<Option<MaskedMap>> {
         let view = self.view(view)?;
-        view.beside.depth.as_ref().map(|file| self.load_depth(file, view, DepthMeaning::Metric)).transpose()
+        let Some(file) = &view.beside.depth else { return Ok(None) };
+        self.load_depth(file, view, DepthMeaning::Metric).map(|map| Some(seen_by(map, view)))
+    }
+
+    /// Returns whether prior depths are those of a sensor. They belong to the rays of the cameras that the scene gives.
+    pub fn depth_is_of_sensor(&self) -> bool {
+        !self.has_depth_folder()
     }
 
     fn load_depth(&self, file: &SensorDepth, view: &View, meaning: DepthMeaning) -> Result<MaskedMap> {
@@ -57,7 +66,7 @@ impl Scene {
         let camera = &view.camera;
         let mut image = Image::new(camera.width, camera.height, 1);
         let mut valid = Image::new(camera.width, camera.height, 1);
-        let pixels = stored_pixels(camera, &view.distortion, (stored.width, stored.height));
+        let pixels = stored_pixels(&view.given_camera(), &view.distortion, (stored.width, stored.height));
         for ((z, known), at) in image.data.iter_mut().zip(&mut valid.data).zip(pixels) {
             let depth = (f64::from(stored.data.get(at).copied().unwrap_or(0.0)) * unit) as f32;
             if depth.is_finite() && depth != 0.0 && (relative || depth > 0.0) {
@@ -116,6 +125,32 @@ impl Scene {
         }
         Ok((!points.is_empty()).then_some(points))
     }
+}
+
+/// Returns what a sensor measured along the rays of a view's pixels. They differ from the sensor's own if training
+/// learned the intrinsics. Each pixel takes the depth of the nearest ray.
+fn seen_by(map: MaskedMap, view: &View) -> MaskedMap {
+    let (camera, sensor) = (&view.camera, view.given_camera());
+    let numbers = |c: &Camera| [c.fx, c.fy, c.cx, c.cy];
+    if numbers(camera) == numbers(&sensor) {
+        return map;
+    }
+    let mut seen = MaskedMap {
+        image: Image::new(camera.width, camera.height, 1),
+        valid: Image::new(camera.width, camera.height, 1),
+    };
+    for y in 0..camera.height {
+        for x in 0..camera.width {
+            let u = (f64::from(x) + 0.5 - camera.cx) / camera.fx * sensor.fx + sensor.cx;
+            let v = (f64::from(y) + 0.5 - camera.cy) / camera.fy * sensor.fy + sensor.cy;
+            if (0.0..f64::from(camera.width)).contains(&u) && (0.0..f64::from(camera.height)).contains(&v) {
+                let (u, v) = (u as u32, v as u32);
+                seen.image.pixel_mut(x, y)[0] = map.image.pixel(u, v)[0];
+                seen.valid.pixel_mut(x, y)[0] = map.valid.pixel(u, v)[0];
+            }
+        }
+    }
+    seen
 }
 
 /// Returns the position of a pixel's center at a depth.

@@ -18,7 +18,7 @@ const BRIGHTEST: f32 = 65_504.0;
 /// View of a scene: its camera, and the location and format of its photograph.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// Camera of the loaded image: undistorted, at the scene's scale.
+    /// Camera of the loaded image: undistorted, at the scene's scale. Training may have learned its numbers.
     pub camera: Camera,
     /// Path of the photograph.
     pub image_path: PathBuf,
@@ -28,6 +28,9 @@ pub struct View {
     pub stored_camera: Camera,
     /// Factors on red, green and blue that gave this photograph its exposure; loading divides by them. 1 if unknown.
     pub gains: [f32; 3],
+    /// Logarithm of the factor by which the lens changed colors at the corners of the photograph. It grows with the
+    /// square of the distance from the center of the image. Loading removes it. 0 if unknown.
+    pub vignetting: f32,
     declared_in: PathBuf,
     pub(crate) beside: Beside,
 }
@@ -61,8 +64,23 @@ impl View {
     pub(crate) fn new(frame: Frame, scale: f64) -> Self {
         let Frame { camera: stored_camera, lens, image, declared_in, beside } = frame;
         let camera = stored_camera.clone();
-        let gains = [1.0; 3];
-        Self { camera, image_path: image, distortion: lens, stored_camera, gains, declared_in, beside }.at_scale(scale)
+        Self {
+            camera,
+            image_path: image,
+            distortion: lens,
+            stored_camera,
+            gains: [1.0; 3],
+            vignetting: 0.0,
+            declared_in,
+            beside,
+        }
+        .at_scale(scale)
+    }
+
+    /// Returns the camera with the intrinsics that the scene gives, even if training learned others.
+    pub(crate) fn given_camera(&self) -> Camera {
+        let Camera { width, height, rotation, translation, .. } = self.camera;
+        Camera { rotation, translation, ..self.stored_camera.scaled(width, height) }
     }
 
     /// Returns the view at `scale` times its stored size; the pose is unchanged.
@@ -91,8 +109,18 @@ impl View {
         Ok(self.evenly_exposed(image))
     }
 
-    /// Divides by the view's factors.
+    /// Divides by the view's factors and those of the lens.
     fn evenly_exposed(&self, mut image: Image) -> Image {
+        if self.vignetting != 0.0 {
+            let middle = [0.5 * image.width as f32, 0.5 * image.height as f32];
+            let corner = middle[0] * middle[0] + middle[1] * middle[1];
+            for (at, pixel) in image.data.chunks_exact_mut(3).enumerate() {
+                let [x, y] = [at % image.width as usize, at / image.width as usize].map(|n| n as f32 + 0.5);
+                let share = ((x - middle[0]).powi(2) + (y - middle[1]).powi(2)) / corner;
+                let gain = (self.vignetting * share).exp();
+                pixel.iter_mut().for_each(|v| *v = (*v / gain).min(1.0));
+            }
+        }
         if self.gains != [1.0; 3] {
             let each = image.data.chunks_exact_mut(3);
             each.for_each(|p| p.iter_mut().zip(self.gains).for_each(|(v, gain)| *v = (*v / gain).min(1.0)));

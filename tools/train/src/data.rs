@@ -81,6 +81,7 @@ impl Packed {
             let meaning = scene.depth_meaning();
             packed.depths = packed.priors(train, |i| Ok(scene.depth_prior(i)?.map(|d| pack_depths(&d, meaning))))?;
             packed.fit = match meaning {
+                DepthMeaning::Metric if scene.depth_is_of_sensor() => Fit::Sensor,
                 DepthMeaning::Metric => Fit::Metric,
                 DepthMeaning::Scale => Fit::Scale,
                 DepthMeaning::InverseScaleShift => Fit::ScaleShift,

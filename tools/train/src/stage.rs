@@ -9,7 +9,7 @@ use sgs_config::Settings;
 use sgs_engine::exec::PassTime;
 use sgs_engine::graph::Plan;
 use sgs_passes::pipeline::DensifyStats;
-use sgs_run::{LearnedViewRow, RunDirectory, RunLight, StageKind};
+use sgs_run::{LearnedCameras, RunDirectory, RunLight, StageKind};
 use sgs_scene::{Camera, Image, Splats};
 use std::fmt;
 use std::path::Path;
@@ -145,7 +145,7 @@ pub trait Stage: Send {
     ///
     /// # Errors
     /// If the device fails.
-    fn learned_views(&self) -> Result<Option<Vec<LearnedViewRow>>> {
+    fn learned_views(&self) -> Result<Option<LearnedCameras>> {
         Ok(None)
     }
 

@@ -85,14 +85,14 @@ pub(super) fn build(
     o: &GeometryOptions,
 ) -> Built<()> {
     // Passes of this view use its learned camera; the uniforms of other views stay as they are.
-    let step = match inputs.views.as_ref().filter(|views| views.kinds.cameras) {
+    let step = match inputs.views.as_ref().filter(|views| views.kinds.moves_pixels()) {
         Some(views) => view_place(g, steps.step, views)?,
         None => steps.step,
     };
     let view = render(g, t, step, gaussians, status, o.channels, o, o.backward)?;
     let screen = view.screen;
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);
-    let (mut gradient, gains) = appearance(g, t, &view, inputs, o, stats)?;
+    let (mut gradient, gains) = appearance(g, t, &view, steps.step, inputs, o, stats)?;
     gradient.buckets = view.buckets;
     let meaning = match &inputs.semantics {
         Some(s) => Some(meaning(
@@ -114,10 +114,11 @@ pub(super) fn build(
     let statistics = o.statistics.is_some();
     let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics, seen, extra };
     if let Some(views) = &inputs.views {
-        let cameras = match views.kinds.cameras {
+        let cameras = match views.kinds.moves_pixels() {
             true => {
-                let parts = g.transient("camera_parts", camera_part_bytes(t, &view.visible));
-                camera_bwd(g, t, &screen, gaussians, &view.visible, &entry_gradients, parts)?;
+                let lens = views.kinds.lens;
+                let parts = g.transient("camera_parts", camera_part_bytes(t, &view.visible, lens));
+                camera_bwd(g, t, &screen, gaussians, &view.visible, &entry_gradients, lens, parts)?;
                 Some(parts)
             }
             false => None,
@@ -177,11 +178,12 @@ pub(super) fn build(
     stage(g, "report", &report::KERNEL, bindings.entries(), specs.entries(), &[]).dispatch([1, 1, 1])
 }
 
-/// Adds the losses of appearance: colors, normals, depth.
+/// Adds the losses of appearance: colors, normals, depth. `given` is the uniform of the step without learned numbers.
 fn appearance(
     g: &mut Graph,
     t: &Tuning,
     view: &Rendering,
+    given: Buffer,
     inputs: &InputHandles,
     o: &GeometryOptions,
     stats: Buffer,
@@ -218,6 +220,10 @@ fn appearance(
         priors: inputs.normals,
         depth_priors: inputs.depths.map(|d| d.0),
         depth_line: None,
+        depth_lens: match (inputs.depths, &inputs.views) {
+            (Some((_, Fit::Sensor)), Some(views)) if views.kinds.lens => Some(given),
+            _ => None,
+        },
         largest: o.largest,
     };
     let others = if color_alone {
@@ -225,7 +231,7 @@ fn appearance(
         None
     } else {
         let depth_line = match (inputs.depths, loss.depth) {
-            (Some((priors, fit)), Some(depth)) if fit != Fit::Metric => {
+            (Some((priors, fit)), Some(depth)) if !fit.is_metric() => {
                 let shift = fit == Fit::ScaleShift;
                 let GeometryLoss { image, transmittance, .. } = loss;
                 Some(depth_fit(g, *t, &DepthFit { step, image, channels, depth, transmittance, priors, shift })?)

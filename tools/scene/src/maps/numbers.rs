@@ -54,7 +54,7 @@ pub(crate) fn stored_pixels(camera: &Camera, lens: &Distortion, (w, h): (u32, u3
 /// Returns the stored cell at the center of every undistorted cell. Cells are in row-major order; each item is
 /// `[column, row]` in a stored map of the same size.
 pub(crate) fn cells(view: &View, width: usize, height: usize) -> impl Iterator<Item = [usize; 2]> {
-    let (camera, distortion) = (view.camera.clone(), view.distortion);
+    let (camera, distortion) = (view.given_camera(), view.distortion);
     let [w, h] = [width, height].map(|n| n as f64);
     let [across, down] = [f64::from(camera.width), f64::from(camera.height)];
     (0..width * height).map(move |i| {

@@ -96,7 +96,7 @@ pub(crate) fn save(path: &Path, state: &State) -> Result<()> {
 }
 
 /// Reads a checkpoint of a model. With `any_degree`, accepts any number of spherical-harmonics bands. `views` is the number of
-/// views of which something is learned.
+/// views of which something is learned; the lens follows them.
 pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool, views: Option<u32>) -> Result<State> {
     let bytes = std::fs::read(path).map_err(|e| error(path, e.to_string()))?;
     let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| error(path, format!("not a checkpoint: {e}")))?;
@@ -178,7 +178,7 @@ pub(crate) fn load(path: &Path, mut model: Model, any_degree: bool, views: Optio
             let numbers = floats("views")?;
             let wrong = || error(path, format!("damaged: \"views\" does not fit {count} training views"));
             let views: &[LearnedView] = bytemuck::try_cast_slice(&numbers).map_err(|_| wrong())?;
-            if views.len() != count as usize || views.iter().any(|v| v.values.iter().any(|x| !x.is_finite())) {
+            if views.len() != count as usize + 1 || views.iter().any(|v| v.values.iter().any(|x| !x.is_finite())) {
                 return Err(wrong());
             }
             let moments: Vec<f32> = views.iter().flat_map(|v| v.moments).flatten().collect();

@@ -33,8 +33,8 @@ impl GeometryInputs<'_> {
     pub fn learned(&self, g: &GeometrySettings) -> ViewKinds {
         match self {
             GeometryInputs::Scene(_) => {
-                let [cameras, gains] = g.rates.views.map(|rate| rate > 0.0);
-                ViewKinds { cameras, gains }
+                let [cameras, gains, lens] = g.rates.views.map(|rate| rate > 0.0);
+                ViewKinds { cameras, gains, lens }
             }
             GeometryInputs::Renderings(_) => ViewKinds::default(),
         }

@@ -51,7 +51,7 @@ use sgs_passes::pipeline::{
     PSEUDO_VIEWS, Status, Step, StepReport,
 };
 use sgs_passes::scene::{Decoder, Gaussians, LearnedViews, ViewKinds};
-use sgs_run::{LearnedViewRow, SemanticHead, splats};
+use sgs_run::{LearnedCameras, LearnedLens, LearnedViewRow, SemanticHead, splats};
 use sgs_scene::{Camera, Splats, Unit};
 pub use thin::{MANY_POINTS, MOST_THINNED};
 
@@ -378,20 +378,25 @@ impl Geometry {
         Ok(splats.in_unit(self.unit.inverse()))
     }
 
-    /// Returns the learned cameras and exposures of the training views, if any.
+    /// Returns the learned cameras and exposures of the training views, and the lens, if any.
     ///
     /// Lengths are in the scene's unit.
     ///
     /// # Errors
     /// If the device fails.
-    pub fn learned_views(&self) -> Result<Option<Vec<LearnedViewRow>>> {
+    pub fn learned_views(&self) -> Result<Option<LearnedCameras>> {
         let Some((views, _)) = &self.views else { return Ok(None) };
         let row = |(view, camera): (LearnedView, &Camera)| {
             let vector = |i: usize| DVec3::from([0, 1, 2].map(|k| f64::from(view.values[i + k])));
             let camera = camera.moved(vector(0), vector(3)).in_unit(self.unit.inverse());
             LearnedViewRow::of(&camera, [6, 7, 8].map(|i| view.values[i].exp()))
         };
-        Ok(Some(views.download(&self.device)?.into_iter().zip(&self.cameras).map(row).collect()))
+        let mut numbers = views.download(&self.device)?;
+        let lens = numbers.pop().map_or_else(LearnedLens::default, |lens| {
+            let [focal, x, y, vignetting, ..] = lens.values;
+            LearnedLens { focal: f64::from(focal).exp(), center: [x, y].map(f64::from), vignetting }
+        });
+        Ok(Some(LearnedCameras { views: numbers.into_iter().zip(&self.cameras).map(row).collect(), lens }))
     }
 
     /// Turns per-pass timestamps on or off.

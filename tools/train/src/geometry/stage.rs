@@ -13,7 +13,7 @@ use sgs_engine::graph::Plan;
 use sgs_passes::Tuning;
 use sgs_passes::pipeline::Renderer;
 use sgs_passes::splat::Channels;
-use sgs_run::{LearnedViewRow, RunDirectory, RunLight, StageKind, render_view};
+use sgs_run::{LearnedCameras, RunDirectory, RunLight, StageKind, render_view};
 use sgs_scene::{Camera, Image, Splats};
 use std::path::Path;
 
@@ -104,7 +104,7 @@ impl Stage for Geometry {
         Geometry::splats(self)
     }
 
-    fn learned_views(&self) -> Result<Option<Vec<LearnedViewRow>>> {
+    fn learned_views(&self) -> Result<Option<LearnedCameras>> {
         Geometry::learned_views(self)
     }
 
@@ -128,7 +128,7 @@ impl Stage for Geometry {
 
     fn write_results(&self, run: &RunDirectory) -> Result<()> {
         Geometry::splats(self)?.write_ply(&run.path("scene.ply"))?;
-        run.write_learned_views(Geometry::learned_views(self)?.as_deref())?;
+        run.write_learned_views(Geometry::learned_views(self)?.as_ref())?;
         if let Some(head) = self.head()? {
             head.save(&run.semantics())?;
         }
