@@ -7,7 +7,7 @@ use crate::scenes::{self, Rng};
 use glam::{DMat3, DVec3};
 use sgs_engine::graph::Graph;
 use sgs_passes::Accuracy;
-use sgs_passes::optim::{camera_bwd, camera_part_bytes};
+use sgs_passes::optim::{CameraParts, camera_bwd, camera_part_bytes};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::blend::{Blended as RenderedImage, blend_at};
 use sgs_passes::reference::project::{Camera, Gaussians, project_at};
@@ -239,7 +239,7 @@ impl Case {
         let into = Gradients { parameters: into_parameters, means2d, pose: Some(pose) };
         project_bwd(&mut g, &t, &screen, &handles, &visible, &sums, &into).unwrap();
         let moved = g.external("camera_parts", camera_part_bytes(&t, &visible, true));
-        camera_bwd(&mut g, &t, &screen, &handles, &visible, &sums, true, moved).unwrap();
+        camera_bwd(&mut g, &t, &screen, &handles, &visible, &sums, CameraParts { parts: moved, lens: true }).unwrap();
         if let Some((_, _, left, _)) = &wide {
             features_bwd(&mut g, &t, &visible, left, into_features).unwrap();
         }

@@ -15,5 +15,6 @@ pub use densify::{Densify, densify};
 pub use opacity_reset::opacity_reset;
 pub use trainable::{AdamRule, StepWords};
 pub use views::{
-    ViewGradients, ViewStatus, camera_bwd, camera_part_bytes, view_gain, view_gain_bwd, view_place, view_step,
+    CameraParts, ViewGradients, ViewStatus, camera_bwd, camera_part_bytes, view_gain, view_gain_bwd, view_place,
+    view_step,
 };

@@ -83,9 +83,17 @@ pub fn view_gain_bwd(
     Ok((parts, count))
 }
 
-/// Computes the gradient by the pose of the camera, before the parameters change: `[parts * 6]` into a buffer of
-/// [`camera_part_bytes`]. With `lens`, each part also has the derivatives by the logarithm of the focal lengths and by
-/// the shift of the principal point in focal lengths: `[parts * 9]`.
+/// Result of [`camera_bwd()`].
+#[derive(Clone, Copy, Debug)]
+pub struct CameraParts {
+    /// `[parts * 6]` by turn and shift, [`camera_part_bytes`]. With the lens, `[parts * 9]`: also by the logarithm of the
+    /// focal lengths, and by the shift of the principal point in focal lengths.
+    pub parts: Buffer,
+    /// Whether it includes the lens.
+    pub lens: bool,
+}
+
+/// Computes the gradient by the pose of the camera, before the parameters change.
 ///
 /// # Errors
 /// If the graph rejects the pass.
@@ -96,8 +104,7 @@ pub fn camera_bwd(
     gaussians: &Handles,
     visible: &Visible,
     entries: &EntryGradients,
-    lens: bool,
-    parts: Buffer,
+    into: CameraParts,
 ) -> Result<(), GraphError> {
     let bindings = bwd::Bindings {
         params: screen.step.into(),
@@ -110,9 +117,9 @@ pub fn camera_bwd(
         entry_features: entries.features.map_or(entries.gradients, |f| f.values).into(),
         entry_flags: entries.features.map_or(visible.ids, |f| f.flags).into(),
         parameters: gaussians.parameters.into(),
-        camera_parts: parts.into(),
+        camera_parts: into.parts.into(),
     };
-    let specs = backward_specs!(bwd, t, gaussians, visible, entries, { lens });
+    let specs = backward_specs!(bwd, t, gaussians, visible, entries, { lens: into.lens, });
     stage(g, "camera_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)
@@ -120,7 +127,8 @@ pub fn camera_bwd(
 
 /// Returns the bytes of the parts of a camera's gradient.
 pub fn camera_part_bytes(t: &Tuning, visible: &Visible, lens: bool) -> u64 {
-    if lens { 36 } else { 24 } * u64::from(visible.capacity).div_ceil(u64::from(t.workgroup)).max(1)
+    let bytes = if lens { 36 } else { 24 };
+    bytes * u64::from(visible.capacity).div_ceil(u64::from(t.workgroup)).max(1)
 }
 
 /// Status words of [`view_step()`].

@@ -7,7 +7,8 @@ use super::Step;
 use crate::Tuning;
 use crate::loss::{Photometric, photometric, photometric_bwd};
 use crate::optim::{
-    ViewGradients, ViewStatus, camera_bwd, camera_part_bytes, view_gain, view_gain_bwd, view_place, view_step,
+    CameraParts, ViewGradients, ViewStatus, camera_bwd, camera_part_bytes, view_gain, view_gain_bwd, view_place,
+    view_step,
 };
 use crate::scene::{Gaussians, Handles, LearnedViews, ViewHandles, ViewKinds};
 use crate::splat::{BackwardKernel, Blended, Channels, Screen, blend_bwd, blend_debt, blend_for, intersect, project};
@@ -176,7 +177,7 @@ fn declare(
         true => {
             let sums = blend_bwd(g, t, &screen, &visible, &entries, &owed, which, false)?;
             let parts = g.transient("camera_parts", camera_part_bytes(t, &visible, false));
-            camera_bwd(g, t, &screen, &handles, &visible, &sums, false, parts)?;
+            camera_bwd(g, t, &screen, &handles, &visible, &sums, CameraParts { parts, lens: false })?;
             Some(parts)
         }
         false => None,

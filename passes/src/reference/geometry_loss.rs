@@ -301,6 +301,7 @@ mod tests {
             priors: Some((0..n).map(|_| octahedral_encode(normal(&mut rng).map(|x| x as f32))).collect()),
             depth_priors: Some((0..n).map(|_| random_depth(&mut rng)).collect()),
             depth_line: (width.is_multiple_of(2)).then_some([0.7, -0.05]),
+            depth_lens: (width == 6).then_some([[7.0, 7.0, 3.0, 2.0], [7.7, 6.5, 3.2, 2.3]]),
             photo: (0..n).map(|_| rng.next_u32()).collect(),
         }
     }

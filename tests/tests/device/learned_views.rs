@@ -203,8 +203,14 @@ fn views_follow_adam_with_a_mean_of_zero() {
         let visible = Records::one(work, t.workgroup, splats);
         view_step(&mut g, &t, step, visible, &handles, &gradients, &ViewStatus { flags, skipped }).unwrap();
         let rate = if case == "no rate" { 0.0 } else { 0.01 };
-        let values =
-            Step { view: at as u32, lr_turn: rate, lr_shift: 2.0 * rate, lr_gain: 3.0 * rate, lr_lens: 4.0 * rate, ..Default::default() };
+        let values = Step {
+            view: at as u32,
+            lr_turn: rate,
+            lr_shift: 2.0 * rate,
+            lr_gain: 3.0 * rate,
+            lr_lens: 4.0 * rate,
+            ..Default::default()
+        };
         let inputs = [
             (step, bytes(&[values])),
             (handles.views, bytes(&all)),

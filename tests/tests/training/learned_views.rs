@@ -46,7 +46,8 @@ fn noisy_cameras_are_corrected() {
     let text = root.display().to_string();
     let lean = ["--set", "geometry.semantics=false", "--set", "noise.cameras=[0.5, 0.0]", "--no-densify", "-q"];
     let mut psnr = Vec::new();
-    for (name, learn) in [("given", "geometry.rates.views=[0, 0, 0]"), ("learned", "geometry.rates.views=[5e-4, 0, 0]")] {
+    for (name, learn) in [("given", "geometry.rates.views=[0, 0, 0]"), ("learned", "geometry.rates.views=[5e-4, 0, 0]")]
+    {
         let run = path(name);
         let options = ["--stage", "geometry", "--geometry-steps", "500", "--set", learn];
         sgs(&[&["train", &text, "-o", &run], &options[..], &lean].concat()).ok();

@@ -105,9 +105,7 @@ impl RunDirectory {
     /// If the file cannot be written or removed.
     pub fn write_learned_views(&self, learned: Option<&LearnedCameras>) -> Result<()> {
         match learned.cloned() {
-            Some(LearnedCameras { views, lens }) => {
-                self.write_json(FILE, &File { format: FORMAT.into(), lens, views })
-            }
+            Some(LearnedCameras { views, lens }) => self.write_json(FILE, &File { format: FORMAT.into(), lens, views }),
             None => self.remove([self.path(FILE)]),
         }
     }

@@ -66,7 +66,8 @@ impl Scene {
         let camera = &view.camera;
         let mut image = Image::new(camera.width, camera.height, 1);
         let mut valid = Image::new(camera.width, camera.height, 1);
-        let pixels = stored_pixels(&view.given_camera(), &view.distortion, (stored.width, stored.height));
+        let given = view.given_camera();
+        let pixels = stored_pixels(&given, &view.distortion, (stored.width, stored.height));
         for ((z, known), at) in image.data.iter_mut().zip(&mut valid.data).zip(pixels) {
             let depth = (f64::from(stored.data.get(at).copied().unwrap_or(0.0)) * unit) as f32;
             if depth.is_finite() && depth != 0.0 && (relative || depth > 0.0) {

@@ -13,8 +13,8 @@ use crate::loss::{
     wanted_samples,
 };
 use crate::optim::{
-    Adam, AdamUnseen, EPSILON, Rate, ViewGradients, ViewStatus, adam as adam_pass, adam_unseen, adam_unseen_features,
-    camera_bwd, camera_part_bytes, decoder_step, view_gain, view_gain_bwd, view_place, view_step,
+    Adam, AdamUnseen, CameraParts, EPSILON, Rate, ViewGradients, ViewStatus, adam as adam_pass, adam_unseen,
+    adam_unseen_features, camera_bwd, camera_part_bytes, decoder_step, view_gain, view_gain_bwd, view_place, view_step,
 };
 use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
@@ -118,7 +118,8 @@ pub(super) fn build(
             true => {
                 let lens = views.kinds.lens;
                 let parts = g.transient("camera_parts", camera_part_bytes(t, &view.visible, lens));
-                camera_bwd(g, t, &screen, gaussians, &view.visible, &entry_gradients, lens, parts)?;
+                let into = CameraParts { parts, lens };
+                camera_bwd(g, t, &screen, gaussians, &view.visible, &entry_gradients, into)?;
                 Some(parts)
             }
             false => None,
