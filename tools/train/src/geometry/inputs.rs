@@ -1,5 +1,6 @@
 //! Training data of the geometry stage. Photographs and priors of a scene, or images without a scene.
 
+use super::lens::{self, Lens};
 use crate::correspondence::Correspondence;
 use crate::data::{Packed, PixelPriors};
 use crate::error::Result;
@@ -37,6 +38,14 @@ impl GeometryInputs<'_> {
                 ViewKinds { cameras, gains, lens }
             }
             GeometryInputs::Renderings(_) => ViewKinds::default(),
+        }
+    }
+
+    /// Returns the first lens for training, if the depths of a sensor show one that is better than the given one.
+    pub fn first_lens(&self) -> Result<Option<Lens>> {
+        match self {
+            GeometryInputs::Scene(scene) => lens::from_depth(scene),
+            GeometryInputs::Renderings(_) => Ok(None),
         }
     }
 

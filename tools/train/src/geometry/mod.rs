@@ -15,6 +15,7 @@ mod fit;
 mod graphs;
 mod grow;
 mod inputs;
+mod lens;
 mod log;
 mod poll;
 mod prepare;

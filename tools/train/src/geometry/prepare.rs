@@ -14,7 +14,7 @@ use crate::schedule::{MOST_HALVINGS, Schedule};
 use crate::semantics::SemanticMaps;
 use sgs_config::{Settings, ShDegree};
 use sgs_engine::Device;
-use sgs_passes::pipeline::{GeometryOptions, InputSizes, Status};
+use sgs_passes::pipeline::{GeometryOptions, InputSizes, LearnedView, Status};
 use sgs_passes::scene::{Gaussians, Layout, LearnedViews, Model};
 use sgs_passes::splat::Channels;
 use sgs_run::gaussian_data;
@@ -175,7 +175,19 @@ impl Geometry {
         let gaussians = Gaussians::of(device, &layout)?;
         gaussians.upload(device, &gaussian_data(start, model))?;
         let views = match inputs.views {
-            Some((count, kinds)) => Some((LearnedViews::new(device, count)?, kinds)),
+            Some((count, kinds)) => {
+                let views = LearnedViews::new(device, count)?;
+                if let Some([focal, x, y]) = kinds.lens.then(|| source.first_lens()).transpose()?.flatten() {
+                    let percent = 100.0 * focal.exp();
+                    tracing::info!(
+                        "the color camera's focal length is {percent:.1} % of the given one, by the sensor's depth"
+                    );
+                    let mut numbers = vec![LearnedView::default(); count as usize + 1];
+                    numbers[count as usize].values[..3].copy_from_slice(&[focal, x, y].map(|n| n as f32));
+                    views.upload(device, &numbers)?;
+                }
+                Some((views, kinds))
+            }
             None => None,
         };
         let status = Status::new(device)?;

@@ -1,0 +1,274 @@
+//! First lens of a scene whose depths a sensor measured.
+//!
+//! The color camera of a hand-held sensor is often not calibrated to its depth camera: focal lengths differ by a tenth. Gradients
+//! of rendered images do not reach that far, because Gaussians soon repeat each photograph with the given lens. The
+//! depths are geometry without rendering: a point of a surface has the same color in all views that see it, if the lens
+//! is right. The search minimizes the variance of these colors.
+
+use crate::error::Result;
+use sgs_scene::{Camera, Image, Scene};
+
+/// Points of each view.
+const POINTS: usize = 600;
+/// Largest relative difference between a point's depth and the sensor's, where a view sees the point.
+const VISIBLE: f64 = 0.03;
+/// Width of the images of the first search and of the last.
+const WIDTHS: [u32; 3] = [40, 80, 160];
+/// Largest logarithm of the factor on focal lengths, and its steps on either side.
+const REACH: f64 = 0.25;
+const STEPS: i32 = 12;
+/// A lens is used if it leaves at most this share of the given lens's variance.
+const GAIN: f64 = 0.95;
+/// Views of a point at least, so that its colors have a variance.
+const VIEWS: usize = 2;
+
+/// Logarithm of the factor on focal lengths, and the shift of the principal point in given focal lengths.
+pub(super) type Lens = [f64; 3];
+
+/// Gray photograph with mean 0 and variance 1, so that exposures do not count.
+struct Gray {
+    width: usize,
+    height: usize,
+    data: Vec<f64>,
+}
+
+impl Gray {
+    /// Returns the photograph with about `width` columns. Each pixel is the mean of what it covers.
+    fn of(image: &Image, width: u32) -> Gray {
+        let factor = (image.width / width).max(1) as usize;
+        let (columns, rows) = (image.width as usize / factor, image.height as usize / factor);
+        let gray = |x: usize, y: usize| {
+            let at = 3 * (y * image.width as usize + x);
+            image.data[at..at + 3].iter().map(|v| f64::from(*v)).sum::<f64>() / 3.0
+        };
+        let cell = |i: usize| {
+            let (x, y) = (i % columns * factor, i / columns * factor);
+            let all = (0..factor * factor).map(|k| gray(x + k % factor, y + k / factor));
+            all.sum::<f64>() / (factor * factor) as f64
+        };
+        let mut data: Vec<f64> = (0..columns * rows).map(cell).collect();
+        let n = data.len().max(1) as f64;
+        let mean = data.iter().sum::<f64>() / n;
+        let deviation = (data.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt().max(1e-6);
+        data.iter_mut().for_each(|v| *v = (*v - mean) / deviation);
+        Gray { width: columns, height: rows, data }
+    }
+
+    /// Returns the value at a position in units of the image's width and height; none outside.
+    fn at(&self, x: f64, y: f64) -> Option<f64> {
+        let (x, y) = (x * self.width as f64 - 0.5, y * self.height as f64 - 0.5);
+        let (column, row) = (x.floor(), y.floor());
+        let inside = column >= 0.0 && row >= 0.0 && column + 1.0 < self.width as f64 && row + 1.0 < self.height as f64;
+        if !inside {
+            return None;
+        }
+        let (fx, fy) = (x - column, y - row);
+        let at = row as usize * self.width + column as usize;
+        let [a, b] = [at, at + self.width].map(|at| (1.0 - fx) * self.data[at] + fx * self.data[at + 1]);
+        Some((1.0 - fy) * a + fy * b)
+    }
+}
+
+/// View that sees a point, and the direction to it: x/z and y/z.
+struct Sight {
+    view: usize,
+    slope: [f64; 2],
+}
+
+/// Finds the lens with which the training views agree best about the colors of the sensor's points. Returns `None`
+/// without a sensor, or if no lens is clearly better than the given one.
+pub(super) fn from_depth(scene: &Scene) -> Result<Option<Lens>> {
+    if !scene.depth_is_of_sensor() {
+        return Ok(None);
+    }
+    let mut views = Vec::new();
+    for &i in &scene.split.train {
+        if let Some(depth) = scene.sensor_depth(i)? {
+            views.push((&scene.views[i].camera, depth, scene.load_image(i)?));
+        }
+    }
+    let mut points: Vec<Vec<Sight>> = Vec::new();
+    for (camera, depth, _) in &views {
+        let known: Vec<usize> = (0..depth.valid.data.len()).filter(|at| depth.valid.data[*at] > 0.0).collect();
+        for &at in known.iter().step_by((known.len() / POINTS).max(1)) {
+            let pixel = [at % camera.width as usize, at / camera.width as usize].map(|n| n as f64 + 0.5);
+            let point = camera.unproject(pixel.into(), f64::from(depth.image.data[at]));
+            let sight = |(view, (camera, depth, _)): (usize, &(&Camera, sgs_scene::MaskedMap, Image))| {
+                let p = camera.rotation * point + camera.translation;
+                let pixel = camera.project(point)?;
+                let inside = (0.0..f64::from(camera.width)).contains(&pixel.x)
+                    && (0.0..f64::from(camera.height)).contains(&pixel.y);
+                let at = inside.then(|| pixel.y as usize * camera.width as usize + pixel.x as usize)?;
+                let measured = f64::from(depth.image.data[at]);
+                let seen = depth.valid.data[at] > 0.0 && (p.z - measured).abs() < VISIBLE * measured;
+                seen.then_some(Sight { view, slope: [p.x / p.z, p.y / p.z] })
+            };
+            let sights: Vec<Sight> = views.iter().enumerate().filter_map(sight).collect();
+            if sights.len() >= VIEWS {
+                points.push(sights);
+            }
+        }
+    }
+    let (cameras, images): (Vec<&Camera>, Vec<Image>) = views.into_iter().map(|(c, _, image)| (c, image)).unzip();
+    Ok(search(&points, &cameras, &images))
+}
+
+/// Searches on ever finer photographs.
+fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image]) -> Option<Lens> {
+    let mut best = [0.0; 3];
+    let (mut given, mut found) = (0.0, 0.0);
+    for width in WIDTHS {
+        let images: Vec<Gray> = photographs.iter().map(|image| Gray::of(image, width)).collect();
+        let cost = |lens: &Lens| disagreement(points, cameras, &images, lens);
+        if width == WIDTHS[0] {
+            let grid = (-STEPS..=STEPS).map(|i| [REACH * f64::from(i) / f64::from(STEPS), 0.0, 0.0]);
+            best = grid.min_by(|a, b| cost(a).total_cmp(&cost(b))).unwrap_or(best);
+        }
+        best = descend(&cost, best, 0.8 / f64::from(width));
+        (given, found) = (cost(&[0.0; 3]), cost(&best));
+    }
+    tracing::debug!("lens from depth: {best:?}, disagreement {found:.4} instead of {given:.4}");
+    (found < GAIN * given).then_some(best)
+}
+
+/// Moves one number at a time while that lowers the cost, in ever smaller steps.
+fn descend(cost: &dyn Fn(&Lens) -> f64, mut best: Lens, mut step: f64) -> Lens {
+    let mut least = cost(&best);
+    for _ in 0..4 {
+        let mut moved = true;
+        while moved {
+            moved = false;
+            for (i, sign) in (0..3).flat_map(|i| [(i, 1.0), (i, -1.0)]) {
+                let mut lens = best;
+                lens[i] += sign * step;
+                let found = if lens[0].abs() <= REACH { cost(&lens) } else { f64::INFINITY };
+                if found < least {
+                    (best, least, moved) = (lens, found, true);
+                }
+            }
+        }
+        step *= 0.5;
+    }
+    best
+}
+
+/// Returns the mean variance of a point's colors in its views, relative to the variance of all colors.
+fn disagreement(points: &[Vec<Sight>], cameras: &[&Camera], images: &[Gray], lens: &Lens) -> f64 {
+    let factor = lens[0].exp();
+    let (mut within, mut count, mut sum, mut square, mut all) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    let mut values = Vec::new();
+    for sights in points {
+        values.clear();
+        for Sight { view, slope } in sights {
+            let c = cameras[*view];
+            let x = c.fx * (factor * slope[0] + lens[1]) + c.cx;
+            let y = c.fy * (factor * slope[1] + lens[2]) + c.cy;
+            values.extend(images[*view].at(x / f64::from(c.width), y / f64::from(c.height)));
+        }
+        if values.len() < VIEWS {
+            continue;
+        }
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        within += values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        count += n - 1.0;
+        sum += values.iter().sum::<f64>();
+        square += values.iter().map(|v| v * v).sum::<f64>();
+        all += n;
+    }
+    // A lens that leaves few points says nothing.
+    if all < 100.0 {
+        return f64::INFINITY;
+    }
+    let variance = square / all - (sum / all).powi(2);
+    within / count / variance.max(1e-12)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DMat3, DVec3};
+
+    /// Color at a point of the wall z = 3.
+    fn wall(x: f64, y: f64) -> f64 {
+        0.5 + 0.2 * (2.1 * x + 0.4 * y).sin() + 0.2 * (1.7 * y - 0.9 * x).cos() + 0.1 * (5.0 * x * y).sin()
+    }
+
+    /// Returns points of the wall with the views that see them, and the views' photographs through another lens.
+    fn captured(lens: &Lens) -> (Vec<Vec<Sight>>, Vec<Camera>, Vec<Image>) {
+        let cameras: Vec<Camera> = (0..6)
+            .map(|i| {
+                let angle = 0.1 * f64::from(i) - 0.25;
+                let rotation = DMat3::from_rotation_y(angle) * DMat3::from_rotation_x(0.5 * angle);
+                let center = DVec3::new(0.3 * f64::from(i) - 0.7, 0.2 * f64::from(i % 3), 0.1 * f64::from(i % 2));
+                Camera {
+                    name: i.to_string(),
+                    width: 160,
+                    height: 120,
+                    fx: 150.0,
+                    fy: 152.0,
+                    cx: 81.0,
+                    cy: 59.0,
+                    rotation,
+                    translation: -(rotation * center),
+                    near: 0.01,
+                }
+            })
+            .collect();
+        let photograph = |c: &Camera| {
+            let mut image = Image::new(c.width, c.height, 3);
+            let seen = Camera {
+                fx: c.fx * lens[0].exp(),
+                fy: c.fy * lens[0].exp(),
+                cx: c.cx + c.fx * lens[1],
+                cy: c.cy + c.fy * lens[2],
+                ..c.clone()
+            };
+            for y in 0..c.height {
+                for x in 0..c.width {
+                    let ray = seen.unproject((f64::from(x) + 0.5, f64::from(y) + 0.5).into(), 1.0) - c.position();
+                    let p = c.position() + ray * (3.0 - c.position().z) / ray.z;
+                    // Exposures differ.
+                    let value = wall(p.x, p.y) * (0.8 + 0.1 * c.position().x);
+                    image.pixel_mut(x, y).fill(value as f32);
+                }
+            }
+            image
+        };
+        let images = cameras.iter().map(photograph).collect();
+        let sights = |i: i32| {
+            let point = DVec3::new(f64::from(i % 40) * 0.1 - 2.0, f64::from(i / 40) * 0.1 - 1.5, 3.0);
+            let sight = |(view, c): (usize, &Camera)| {
+                let p = c.rotation * point + c.translation;
+                Sight { view, slope: [p.x / p.z, p.y / p.z] }
+            };
+            cameras.iter().enumerate().map(sight).collect()
+        };
+        ((0..1200).map(sights).collect(), cameras, images)
+    }
+
+    #[test]
+    fn lens_of_photographs_is_found() {
+        for lens in [[-0.108, 0.012, -0.02], [0.15, -0.01, 0.0], [0.0; 3]] {
+            let (points, cameras, images) = captured(&lens);
+            let cameras: Vec<&Camera> = cameras.iter().collect();
+            let found = search(&points, &cameras, &images);
+            if lens == [0.0; 3] {
+                assert_eq!(found, None);
+                continue;
+            }
+            let found = found.unwrap();
+            println!("{lens:?} {found:?}");
+            assert!(lens.iter().zip(found).all(|(a, b)| (a - b).abs() < 4e-3), "{lens:?} {found:?}");
+        }
+    }
+
+    #[test]
+    fn photographs_without_colors_keep_the_lens() {
+        let (points, cameras, images) = captured(&[0.1, 0.0, 0.0]);
+        let cameras: Vec<&Camera> = cameras.iter().collect();
+        let gray: Vec<Image> = images.iter().map(|image| Image::new(image.width, image.height, 3)).collect();
+        assert_eq!(search(&points, &cameras, &gray), None);
+        assert_eq!(search(&[], &cameras, &images), None);
+    }
+}
