@@ -1,4 +1,5 @@
-//! Cameras and exposures that training learns: the same bits after interruptions, and poses better than they were given.
+//! Cameras, exposures and the lens that training learns: the same bits after interruptions, and poses and focal lengths better
+//! than they were given.
 
 use glam::{DMat3, DQuat};
 use sgs_run::{LearnedViewRow, RunDirectory};
@@ -72,4 +73,48 @@ fn noisy_cameras_are_corrected() {
     let more = ["train", &text, "-o", &path("learned"), "--stage", "intrinsic", "--intrinsic-steps", "2", "-q"];
     sgs(&more).ok();
     assert!(run.learned_views().unwrap().is_some());
+}
+
+/// Returns the learned factor on focal lengths of a training.
+fn learned_focal(scene: &Path, run: &Path, more: &[&str]) -> f64 {
+    let (scene, text) = (scene.display().to_string(), run.display().to_string());
+    sgs(&[&["train", &scene, "-o", &text, "--stage", "geometry", "-q"], more].concat()).ok();
+    RunDirectory::open(run).unwrap().learned_views().unwrap().unwrap().lens.focal
+}
+
+/// Tests that training corrects a focal length that is 3 % too large.
+#[test]
+fn wrong_focal_length_is_corrected() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room");
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene");
+    std::fs::create_dir(&scene).unwrap();
+    for name in ["images", "points.ply", "priors", "split.json"] {
+        std::os::unix::fs::symlink(root.join(name), scene.join(name)).unwrap();
+    }
+    let text = std::fs::read_to_string(root.join("transforms.json")).unwrap();
+    let mut transforms: serde_json::Value = serde_json::from_str(&text).unwrap();
+    for name in ["fl_x", "fl_y"] {
+        transforms[name] = (1.03 * transforms[name].as_f64().unwrap()).into();
+    }
+    std::fs::write(scene.join("transforms.json"), transforms.to_string()).unwrap();
+    let more = ["--geometry-steps", "500", "--no-densify", "--set", "geometry.semantics=false"];
+    let learn = ["--set", "geometry.rates.views=[0, 0, 1e-3]"];
+    let focal = learned_focal(&scene, &folder.path().join("run"), &[&more[..], &learn].concat());
+    println!("{focal}");
+    assert!((1.03 * focal - 1.0).abs() < 0.01, "{focal}");
+}
+
+/// Tests that the depths of a sensor show the focal length of its color camera: 525 of 585 pixels in a recording with a Kinect.
+#[test]
+fn lens_of_a_color_camera_is_found_by_its_sensor() {
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/kitchen");
+    if !scene.is_dir() {
+        eprintln!("skipped: the recording is not there");
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let more = ["--geometry-steps", "2", "--scale", "0.5", "--set", "geometry.rates.views=[0, 0, 1e-3]"];
+    let focal = learned_focal(&scene, &folder.path().join("run"), &more);
+    assert!((focal * 585.0 / 525.0 - 1.0).abs() < 0.01, "{focal}");
 }
