@@ -1,6 +1,6 @@
 //! Prior depths of the photographs: from a sensor or a network.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::beside::SensorDepth;
 use crate::camera::Camera;
@@ -46,6 +46,13 @@ impl Scene {
     pub fn sensor_depth(&self, view: usize) -> Result<Option<MaskedMap>> {
         let view = self.view(view)?;
         view.beside.depth.as_ref().map(|file| self.load_depth(file, view, DepthMeaning::Metric)).transpose()
+    }
+
+    /// Reads a view's depth as stored, in the unit of the file, and its path. Zero depths are unknown.
+    pub(crate) fn stored_depth(&self, view: &View) -> Result<Option<(PathBuf, Image)>> {
+        let Some(SensorDepth { path, .. }) = self.depth_file(view) else { return Ok(None) };
+        let depth = read(&path)?;
+        Ok(Some((path, depth)))
     }
 
     fn load_depth(&self, file: &SensorDepth, view: &View, meaning: DepthMeaning) -> Result<MaskedMap> {
