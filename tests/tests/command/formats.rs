@@ -224,7 +224,9 @@ const one = (file) => validator.validateBytes(read(file), {
 Promise.all(process.argv.slice(1).map(one)).then((all) => console.log(JSON.stringify(all.map((report) => report.issues.messages))));
 "#;
 
-/// Installs Khronos' validator below the target directory. Returns `None` if node or npm is missing or nothing is installed.
+/// Installs Khronos' validator below the target directory.
+///
+/// Returns `None` if node or npm is missing, or npm installs nothing.
 fn validator() -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("gltf-validator");
     if !folder.join("node_modules/gltf-validator").is_dir() {

@@ -186,7 +186,9 @@ fn assert_masks(scene: &Scene, command: &str) {
     assert!(plain.frames[0][16 * 40 + 20] && plain.frames[1] == plain.frames[0]);
 }
 
-/// Tests depths of every meaning against ground truth, with the factor and shift that the meaning leaves open.
+/// Tests depths of every meaning against ground truth.
+///
+/// The factor and shift are those that the meaning leaves open.
 #[test]
 fn depth_priors_of_every_meaning_match_ground_truth() {
     let place = room();
@@ -197,7 +199,7 @@ fn depth_priors_of_every_meaning_match_ground_truth() {
     }
     let fill = |meaning: &str, more: &[&str]| {
         let how = stand_in(&place, &format!("--noise 0.25 --depth {meaning}"));
-        priors(&place, &how, &[&["--only", "depth"], more].concat())
+        priors(&place, &how, &[&["--only", "depth", "--quiet"], more].concat())
     };
     let exact = |meaning: &str, more: &[&str]| {
         let how = stand_in(&place, &format!("--noise 0 --depth {meaning}"));
@@ -288,7 +290,8 @@ fn normals_from_depth_match_ground_truth() {
     sgs_synth::generate(&scene, &options, &|_, _| {}).unwrap();
     std::fs::remove_dir_all(scene.join("priors")).unwrap();
     let path = scene.display().to_string();
-    sgs(&["priors", &path, "--normals-from-depth"]).refused(&["has no depth in its 3 views", "priors/depth"]);
+    sgs(&["priors", &path, "--normals-from-depth", "--quiet"])
+        .refused(&["has no depth in its 3 views", "priors/depth"]);
     name_sensor(&scene);
     let compute = |more: &[&str]| counts(sgs(&[&["priors", &path, "--normals-from-depth", "--json"], more].concat()));
     assert_eq!(compute(&[]), (3, 0));
@@ -334,7 +337,7 @@ fn normals_from_depth_match_ground_truth() {
     std::fs::copy(scene.join("gt/depth/000.exr"), scene.join("priors/depth/000.exr")).unwrap();
     let settings = r#"{"normal": {"frame": "world"}, "depth": {"meaning": "inverse-scale-shift"}}"#;
     std::fs::write(scene.join("priors/priors.json"), settings).unwrap();
-    sgs(&["priors", &path, "--normals-from-depth", "--force"]).refused(&["unknown shift have no normals"]);
+    sgs(&["priors", &path, "--normals-from-depth", "--force", "--quiet"]).refused(&["unknown shift have no normals"]);
     // The frame of existing normals is kept.
     std::fs::remove_dir_all(scene.join("priors/depth")).unwrap();
     std::fs::write(scene.join("priors/priors.json"), r#"{"normal": {"frame": "world"}}"#).unwrap();

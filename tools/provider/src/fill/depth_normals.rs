@@ -4,9 +4,9 @@ use super::view::turned;
 use super::write::Writer;
 use super::{FillError, FillOptions, Filled, NormalFrame, Prior, Scene};
 
-/// Writes normal priors of the views that have depth, by [`Scene::normals_of_depth`].
+/// Writes normal priors of the views that have depth.
 ///
-/// `step` is the distance in pixels of the neighbors whose differences are taken. `progress` receives the number of finished
+/// They are those of [`Scene::normals_of_depth`]. /// `step` is the distance in pixels of the neighbors whose differences are taken. `progress` receives the number of finished
 /// and of all views. `go_on` is called before each view; `false` interrupts the run.
 ///
 /// # Errors

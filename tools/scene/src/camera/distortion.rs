@@ -8,9 +8,9 @@
 
 use std::f64::consts::PI;
 
-/// Radius of an ideal lens as a function of the tangent `r` of the angle to the axis.
+/// Radius of an ideal lens.
 ///
-/// Each function grows with `r`.
+/// It is a function of the tangent `r` of the angle to the axis, and grows with `r`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Projection {
     /// `r`, for lenses that keep straight lines.
@@ -18,11 +18,17 @@ pub enum Projection {
     Perspective,
     /// `atan(r)`, for equidistant fisheye lenses.
     Equidistant,
-    /// `atan(2 r tan(ω/2)) / ω` with the angle `ω` in radians, by Devernay and Faugeras.
+    /// `atan(2 r tan(ω/2)) / ω` with the angle `ω` in radians.
+    ///
+    /// By Devernay and Faugeras.
     FieldOfView(f64),
-    /// `2 r / (1 + √(1 − 4 k r²))` with the coefficient `k`, by Fitzgibbon.
+    /// `2 r / (1 + √(1 − 4 k r²))` with the coefficient `k`.
+    ///
+    /// By Fitzgibbon.
     Division(f64),
-    /// `r / (α √(β r² + 1) + 1 − α)`, the enhanced unified model by Khomutenko and others.
+    /// `r / (α √(β r² + 1) + 1 − α)`, the enhanced unified model.
+    ///
+    /// By Khomutenko and others.
     Unified {
         /// Blend of perspective (0) and a sphere's projection (1).
         alpha: f64,
@@ -99,7 +105,9 @@ pub struct Distortion {
     pub rational: [f64; 3],
     /// Thin-prism coefficients of r² and r⁴, horizontal, then vertical.
     pub prism: [f64; 4],
-    /// Whether the tangential and prism terms apply to the position after the radial term, instead of before it.
+    /// Whether the tangential and prism terms apply after the radial term.
+    ///
+    /// Otherwise they apply to the position before it.
     pub after_radial: bool,
 }
 
