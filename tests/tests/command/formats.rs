@@ -170,7 +170,7 @@ fn document(path: &Path) -> Value {
 const SPLATTING: &str = "KHR_gaussian_splatting";
 const COMPRESSION: &str = "KHR_gaussian_splatting_compression_spz_2";
 
-/// Returns the attributes that `KHR_gaussian_splatting` defines for a degree, with the types of their accessors.
+/// Returns the attributes of splats of a degree and the types of their accessors.
 fn defined_attributes(degree: usize) -> Vec<(String, &'static str)> {
     let own = [("ROTATION", "VEC4"), ("SCALE", "VEC3"), ("OPACITY", "SCALAR")];
     let own = own.into_iter().map(|(name, kind)| (format!("{SPLATTING}:{name}"), kind));

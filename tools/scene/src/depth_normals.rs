@@ -10,8 +10,8 @@ use crate::scene::Scene;
 
 /// Largest second difference of inverse depth between neighbors.
 ///
-/// It is relative to the inverse depth. /// Inverse depth is linear in the pixels of a plane, whatever its slope, so that the difference is that of the surface
-/// from a plane. Depths that jump by this share are edges.
+/// It is relative to the inverse depth. Inverse depth is linear in the pixels of a plane, whatever its slope, so that the
+/// difference is that of the surface from a plane. Depths that jump by this share are edges.
 const EDGE: f64 = 0.03;
 
 impl Scene {

@@ -6,8 +6,9 @@ use super::{FillError, FillOptions, Filled, NormalFrame, Prior, Scene};
 
 /// Writes normal priors of the views that have depth.
 ///
-/// They are those of [`Scene::normals_of_depth`]. /// `step` is the distance in pixels of the neighbors whose differences are taken. `progress` receives the number of finished
-/// and of all views. `go_on` is called before each view; `false` interrupts the run.
+/// They are those of [`Scene::normals_of_depth`]. `step` is the distance in pixels of the neighbors whose differences are
+/// taken. `progress` receives the number of finished and of all views. `go_on` is called before each view; `false`
+/// interrupts the run.
 ///
 /// # Errors
 /// The first failure, or that no view has depth. Files written before it stay.
