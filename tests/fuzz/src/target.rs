@@ -62,7 +62,7 @@ pub const TARGETS: &[Target] = &[
     target("fipt_matrices", scenes::fipt_matrices, &[Numbers, Cameras]),
     target("fipt_transforms", scenes::fipt_transforms, &[Numbers, Json, Cameras]),
     target("exif", images::exif, &[]),
-    fixed("gltf", splats::gltf, &[Numbers, Json, Gltf], fix::glb),
+    image("gltf", splats::gltf, &[Numbers, Json, Gltf], Some(fix::glb)),
     fixed("head", tensors::head, &[Numbers, Json, Tensors], fix::safetensors),
     target("interiorverse", scenes::interiorverse, &[Numbers, Json, Cameras]),
     fixed("intrinsic_checkpoint", tensors::intrinsic_checkpoint, &[Numbers, Json, Tensors], fix::safetensors),

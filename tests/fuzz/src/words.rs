@@ -66,7 +66,8 @@ impl Words {
                 "\"cx\"" "\"cy\"" "\"camera_angle_x\"" "\"camera_angle_y\"" "\"camera_model\"" "\"is_fisheye\"" "\"k1\"" "\"k2\""
                 "\"k3\"" "\"k4\"" "\"p1\"" "\"p2\"" "\"split\"" "\"train\"" "\"test\"" "\"val\"" "\"ply_file_path\"" "\"OPENCV\""
                 "\"OPENCV_FISHEYE\"" "\"frame\"" "\"world\"" "\"camera-opencv\"" "\"normal\"" "\"labels\"" "\"dim\"" "\"images/000.png\""
-                "PINHOLE" "SIMPLE_PINHOLE" "SIMPLE_RADIAL" "RADIAL" "OPENCV" "FULL_OPENCV" "000.png" "001.png" "\n" " " "#" "\t"
+                "PINHOLE" "SIMPLE_PINHOLE" "SIMPLE_RADIAL" "RADIAL" "OPENCV" "FULL_OPENCV" "FOV" "SIMPLE_DIVISION" "DIVISION" "FISHEYE"
+                "EUCM" "RAD_TAN_THIN_PRISM_FISHEYE" "EQUIRECTANGULAR" "000.png" "001.png" "\n" " " "#" "\t"
                 "\"images/\"" "images\\\\000.png" "\"points.ply\"" "\"000\"" "\"001\""
             ),
             Words::Ply => words!(
@@ -83,7 +84,7 @@ impl Words {
                 "\"nodes\"" "\"scenes\"" "\"scene\"" "\"children\"" "\"mesh\"" "\"matrix\"" "\"translation\"" "\"rotation\"" "\"scale\""
                 "\"byteOffset\"" "\"byteLength\"" "\"byteStride\"" "\"count\"" "\"componentType\"" "\"type\"" "\"VEC3\"" "\"VEC4\""
                 "\"SCALAR\"" "5120" "5121" "5122" "5123" "5126" "\"normalized\":true" "\"uri\":\"data:;base64,AAAA\"" "\"uri\":\"scene.bin\""
-                "\"KHR_gaussian_splatting\"" "\"KHR_lights_punctual\"" "\"extras\"" "\"sgs\"" "\"lobes\"" "\"_RAW_SCALE\"" "\"_ALBEDO\""
+                "\"KHR_gaussian_splatting\"" "\"KHR_gaussian_splatting_compression_spz_2\"" "\"bufferView\"" "\"KHR_lights_punctual\"" "\"extras\"" "\"sgs\"" "\"lobes\"" "\"_RAW_SCALE\"" "\"_ALBEDO\""
                 "\"_SEMANTIC_0\"" "\"_NORMAL\"" "\"POSITION\"" "\"sparse\":{}" "\"mode\":0" "\"extensionsRequired\":[\"x\"]"
             ),
             Words::Npy => words!(

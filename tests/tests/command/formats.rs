@@ -1,15 +1,18 @@
 //! Splat files of every format: the same image after a round trip, transforms, refusals.
 //!
 //! USD is read by OpenUSD's own Python package (`pip install usd-core`) where `python3`, or the interpreter that
-//! `SGS_TEST_USD_PYTHON` names, has it.
+//! `SGS_TEST_USD_PYTHON` names, has it. Khronos' validator checks glTF where node and npm are installed.
 
+use serde_json::{Value, json};
+use sgs_config::VisibilityKind;
 use sgs_run::read_exchange;
-use sgs_scene::{Camera, SplatFile, SplatKind, Splats, read_exr};
+use sgs_scene::{Camera, Placement, SplatFile, SplatKind, Splats, read_exr};
 use sgs_tests::Place;
 use sgs_tests::cli::{Finished, sgs};
 use sgs_tests::foreign::{lights as foreign_lights, sample};
 use sgs_tests::rooms::{Room, transforms, write_json};
-use std::path::Path;
+use sgs_tests::runs::{Parts, fabricate};
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// Creates a room with `a.ply`, its lights, and a camera that sees it.
@@ -57,6 +60,8 @@ const BOUNDS: &[(&str, &str, f64)] = &[
     ("3dgs", "p.ply", 100.0),
     ("gltf", "o.gltf", 100.0),
     ("glb", "o.glb", 100.0),
+    ("glb-spz", "s.glb", 45.0),
+    ("gltf-spz", "s.gltf", 45.0),
     ("spz", "o.spz", 46.0),
     ("spz3", "o3.spz", 46.0),
     ("spz2", "o2.spz", 45.0),
@@ -152,6 +157,226 @@ fn gltf_is_upright_for_other_programs() {
         assert!(known, "{name}: {value}");
     }
     assert!(extension["kernel"].is_string() && extension["colorSpace"].is_string());
+}
+
+/// Returns the JSON of a glTF file.
+fn document(path: &Path) -> Value {
+    let bytes = std::fs::read(path).unwrap();
+    let json =
+        if bytes.starts_with(b"glTF") { gltf::binary::Glb::from_slice(&bytes).unwrap().json } else { (&bytes).into() };
+    serde_json::from_slice(&json).unwrap()
+}
+
+const SPLATTING: &str = "KHR_gaussian_splatting";
+const COMPRESSION: &str = "KHR_gaussian_splatting_compression_spz_2";
+
+/// Returns the attributes of splats of a degree and the types of their accessors.
+fn defined_attributes(degree: usize) -> Vec<(String, &'static str)> {
+    let own = [("ROTATION", "VEC4"), ("SCALE", "VEC3"), ("OPACITY", "SCALAR")];
+    let own = own.into_iter().map(|(name, kind)| (format!("{SPLATTING}:{name}"), kind));
+    let bands = (0..=degree).flat_map(|d| (0..2 * d + 1).map(move |n| format!("{SPLATTING}:SH_DEGREE_{d}_COEF_{n}")));
+    own.chain(bands.map(|name| (name, "VEC3"))).chain([("POSITION".to_owned(), "VEC3")]).collect()
+}
+
+/// Checks what the schemas and texts of both splat extensions require of a file.
+fn check_extensions(path: &Path, degree: usize, compressed: bool) {
+    let file = document(path);
+    let at = path.display();
+    let listed = |list: &str| file[list].as_array().cloned().unwrap_or_default();
+    assert!(listed("extensionsUsed").contains(&json!(SPLATTING)), "{at}");
+    for list in ["extensionsUsed", "extensionsRequired"] {
+        assert_eq!(listed(list).contains(&json!(COMPRESSION)), compressed, "{at}: {list}");
+    }
+    let primitive = &file["meshes"][0]["primitives"][0];
+    assert_eq!(primitive["mode"], 0, "{at}");
+    let extension = &primitive["extensions"][SPLATTING];
+    assert!(extension["kernel"].is_string() && extension["colorSpace"].is_string(), "{at}");
+    let attributes = primitive["attributes"].as_object().unwrap();
+    let accessor = |name: &str| &file["accessors"][attributes[name].as_u64().unwrap() as usize];
+    let count = accessor("POSITION")["count"].as_u64().unwrap();
+    for (name, kind) in defined_attributes(degree) {
+        let found = accessor(&name);
+        assert_eq!((&found["type"], &found["componentType"]), (&json!(kind), &json!(5126)), "{at}: {name}");
+        assert_eq!(found["count"], count, "{at}: {name}");
+        assert_eq!(found.get("bufferView").is_none(), compressed, "{at}: {name}");
+    }
+    let known = defined_attributes(degree);
+    let others = attributes.keys().filter(|name| !known.iter().any(|(known, _)| known == *name));
+    others.for_each(|name| assert!(name == "COLOR_0" || name.starts_with('_'), "{at}: {name}"));
+    let Some(payload) = extension["extensions"].get(COMPRESSION) else {
+        assert!(!compressed, "{at}");
+        return;
+    };
+    let properties: Vec<&String> = payload.as_object().unwrap().keys().collect();
+    assert_eq!(properties, ["bufferView"], "{at}");
+    let view = &file["bufferViews"][payload["bufferView"].as_u64().unwrap() as usize];
+    assert!(compressed && view["byteLength"].as_u64().unwrap() > 16 && view.get("target").is_none(), "{at}");
+}
+
+/// Prints the issues of glTF files, as Khronos' validator finds them.
+const VALIDATE: &str = r#"
+const validator = require("gltf-validator"), fs = require("fs"), path = require("path");
+const read = (file) => new Uint8Array(fs.readFileSync(file));
+const one = (file) => validator.validateBytes(read(file), {
+    uri: file, maxIssues: 0, writeTimestamp: false,
+    externalResourceFunction: async (uri) => read(path.join(path.dirname(file), decodeURIComponent(uri))),
+});
+Promise.all(process.argv.slice(1).map(one)).then((all) => console.log(JSON.stringify(all.map((report) => report.issues.messages))));
+"#;
+
+/// Installs Khronos' validator below the target directory.
+///
+/// Returns `None` if node or npm is missing, or npm installs nothing.
+fn validator() -> Option<PathBuf> {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("gltf-validator");
+    if !folder.join("node_modules/gltf-validator").is_dir() {
+        std::fs::create_dir_all(&folder).ok()?;
+        let mut npm = Command::new("npm");
+        npm.args([
+            "install",
+            "--no-audit",
+            "--no-fund",
+            "--ignore-scripts",
+            "gltf-validator@2.0.0-dev.3.10",
+            "--prefix",
+        ]);
+        npm.arg(&folder).output().ok().filter(|output| output.status.success())?;
+    }
+    let version = Command::new("node").arg("--version").output().ok()?;
+    version.status.success().then_some(folder)
+}
+
+#[test]
+fn gltf_is_valid_to_khronos() {
+    let place = place();
+    fabricate(&place.path("run"), Parts { visibility: VisibilityKind::Traced, ..Parts::ALL });
+    let splats = Splats::read_ply(&place.path("a.ply")).unwrap();
+    let mut files = Vec::new();
+    for degree in 0..4 {
+        let mut lower = splats.clone();
+        (degree + 1..4).for_each(|band| lower.sh[band].clear());
+        let (source, bare) = (format!("d{degree}.ply"), degree == 2);
+        if bare {
+            (lower.normals, lower.albedo, lower.roughness, lower.metallic) = (None, None, None, None);
+        }
+        lower.write_ply(&place.path(&source)).unwrap();
+        for format in ["glb", "gltf", "glb-spz", "gltf-spz"] {
+            let file = format!("{degree}-{format}.{}", &format[..if format.starts_with("glb") { 3 } else { 4 }]);
+            export(&place, &source, &file, &["--format", format, "--up", "z", "--scale", "0.5"]).ok();
+            check_extensions(&place.path(&file), degree, format.ends_with("spz"));
+            files.push(file);
+        }
+    }
+    for (source, file, format) in
+        [("a.ply", "a.glb", "glb"), ("run", "run.glb", "glb"), ("run", "run-spz.glb", "glb-spz")]
+    {
+        export(&place, source, file, &["--format", format]).ok();
+        files.push(file.to_owned());
+    }
+    let Some(folder) = validator() else {
+        println!("left out: node or npm is missing, or npm installs no gltf-validator");
+        return;
+    };
+    // A file whose positions leave the bounds of their accessor.
+    let mut wrong = document(&place.path("0-gltf.gltf"));
+    wrong["accessors"][0]["max"][0] = json!(-100.0);
+    std::fs::write(place.path("wrong.gltf"), wrong.to_string()).unwrap();
+    files.push("wrong.gltf".to_owned());
+    let paths = files.iter().map(|file| place.text(file));
+    let output = Command::new("node").args(["-e", VALIDATE, "--"]).args(paths).current_dir(&folder).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let reports: Vec<Vec<Value>> = serde_json::from_slice(&output.stdout).unwrap();
+    let problems = |issues: &[Value]| -> Vec<Value> {
+        // The validator knows neither extension, and so not the attributes that the ratified one defines.
+        let known = defined_attributes(3);
+        let unknown = |issue: &Value| {
+            let name = issue["pointer"].as_str().and_then(|at| at.rsplit('/').next()).unwrap_or_default();
+            issue["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE" && known.iter().any(|(known, _)| known == name)
+        };
+        // Severities 0 and 1 are errors and warnings.
+        let severe = issues.iter().filter(|issue| issue["severity"].as_u64() < Some(2));
+        severe.filter(|issue| !unknown(issue)).cloned().collect()
+    };
+    assert_eq!(reports.len(), files.len());
+    for (file, issues) in files.iter().zip(&reports) {
+        assert_eq!(problems(issues).is_empty(), file != "wrong.gltf", "{file}: {:?}", problems(issues));
+    }
+}
+
+#[test]
+fn compressed_gltf_keeps_materials_and_light() {
+    let place = place();
+    export(&place, "a.ply", "s.glb", &["--format", "glb-spz"]).ok();
+    let [source, packed] = ["a.ply", "s.glb"].map(|file| read_exchange(&place.path(file)).unwrap());
+    let near = |a: &[f32], b: &[f32], step: f32| {
+        assert!(a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= step));
+    };
+    let (a, b) = (&source.splats, &packed.splats);
+    near(a.means.as_flattened(), b.means.as_flattened(), 1e-5);
+    assert_eq!((&a.normals, &a.semantic), (&b.normals, &b.semantic));
+    near(a.albedo.as_ref().unwrap().as_flattened(), b.albedo.as_ref().unwrap().as_flattened(), 1e-3);
+    near(a.roughness.as_ref().unwrap(), b.roughness.as_ref().unwrap(), 1e-3);
+    near(a.metallic.as_ref().unwrap(), b.metallic.as_ref().unwrap(), 1e-3);
+    assert_eq!(source.lights.unwrap().published().unwrap().lights, packed.lights.unwrap().published().unwrap().lights);
+    // The payload is an SPZ file in the axes of SPZ, half a turn about y from those of glTF.
+    let bytes = std::fs::read(place.path("s.glb")).unwrap();
+    let blob = gltf::binary::Glb::from_slice(&bytes).unwrap().bin.unwrap().into_owned();
+    let file = document(&place.path("s.glb"));
+    let view = file["bufferViews"].as_array().unwrap().last().unwrap();
+    let [from, length] = ["byteOffset", "byteLength"].map(|name| view[name].as_u64().unwrap() as usize);
+    std::fs::write(place.path("payload.spz"), &blob[from..from + length]).unwrap();
+    let spz = sgs_scene::read_spz(&place.path("payload.spz")).unwrap().splats;
+    let turn = Placement { rotation: [0.0, 0.0, 1.0, 0.0], ..Placement::NONE };
+    let expected = sgs_run::placed(a.clone(), &turn);
+    near(spz.means.as_flattened(), expected.means.as_flattened(), 1e-5);
+    (1..4).for_each(|band| {
+        near(&spz.sh[band], &expected.sh[band].iter().map(|v| v.clamp(-1.0, 127.0 / 128.0)).collect::<Vec<_>>(), 0.01)
+    });
+    let whole = std::fs::metadata({
+        export(&place, "a.ply", "o.glb", &[]).ok();
+        place.path("o.glb")
+    })
+    .unwrap()
+    .len();
+    println!("glTF of {whole} bytes, compressed {}", bytes.len());
+    assert!((bytes.len() as u64) < whole / 2, "{} of {whole}", bytes.len());
+}
+
+#[test]
+fn damaged_compressed_gltf_is_refused() {
+    let place = place();
+    export(&place, "a.ply", "s.gltf", &["--format", "gltf-spz"]).ok();
+    let refused = |change: &dyn Fn(&mut Value), words: &[&str]| {
+        let mut file = document(&place.path("s.gltf"));
+        change(&mut file);
+        std::fs::write(place.path("t.gltf"), file.to_string()).unwrap();
+        std::fs::copy(place.path("s.bin"), place.path("t.bin")).unwrap();
+        export(&place, "t.gltf", "g.ply", &[]).refused(words);
+    };
+    fn extension(file: &mut Value) -> &mut Value {
+        &mut file["meshes"][0]["primitives"][0]["extensions"][SPLATTING]["extensions"]
+    }
+    refused(&|d| extension(d)[COMPRESSION] = json!({}), &["t.gltf", COMPRESSION, "bufferView"]);
+    refused(&|d| extension(d)[COMPRESSION]["bufferView"] = json!(99), &["buffer view 99 is not there"]);
+    refused(&|d| extension(d)[COMPRESSION]["bufferView"] = json!(0), &["compressed splats", "NGSP"]);
+    refused(&|d| extension(d)["EXT_other"] = json!({}), &["EXT_other"]);
+    refused(&|d| d["accessors"][0]["count"] = json!(3), &["400 compressed splats", "POSITION has 3"]);
+    refused(
+        &|d| {
+            let length = d["buffers"][0]["byteLength"].as_u64().unwrap();
+            let payload = d["bufferViews"].as_array().unwrap().last().unwrap()["byteLength"].as_u64().unwrap();
+            let copies = vec![d["meshes"][0]["primitives"][0].clone(); (length / payload + 1) as usize];
+            d["meshes"][0]["primitives"] = json!(copies);
+        },
+        &["bytes are used twice"],
+    );
+    // The earlier name of the extension is read.
+    let mut file = document(&place.path("s.gltf"));
+    let payload = extension(&mut file)[COMPRESSION].take();
+    *extension(&mut file) = json!({"KHR_gaussian_splatting_compression_spz": payload});
+    file["extensionsRequired"] = json!([SPLATTING, "KHR_gaussian_splatting_compression_spz"]);
+    std::fs::write(place.path("s.gltf"), file.to_string()).unwrap();
+    assert_eq!(read_exchange(&place.path("s.gltf")).unwrap().splats.len(), 400);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `sgs priors`: a provider runs over a scene's photographs and writes files that training reads.
 
 use sgs_provider::{Provider, ProviderImage, ProviderOptions};
-use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene, SceneOptions, read_exr, write_npy_f32};
+use sgs_scene::{DepthMeaning, GroundTruth, GroundTruthKind, Image, Scene, SceneOptions, read_exr, write_npy_f32};
 use sgs_synth::{SceneName, SynthOptions};
 use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
 use sgs_tests::priors::provider;
@@ -186,6 +186,166 @@ fn assert_masks(scene: &Scene, command: &str) {
     assert!(plain.frames[0][16 * 40 + 20] && plain.frames[1] == plain.frames[0]);
 }
 
+/// Tests depths of every meaning against ground truth.
+///
+/// The factor and shift are those that the meaning leaves open.
+#[test]
+fn depth_priors_of_every_meaning_match_ground_truth() {
+    let place = room();
+    for path in files(&place.path("scene/gt/depth")).keys() {
+        let image = read_exr(path).unwrap().image;
+        write_npy_f32(&path.with_extension("npy"), &[image.height as usize, image.width as usize], &image.data)
+            .unwrap();
+    }
+    let fill = |meaning: &str, more: &[&str]| {
+        let how = stand_in(&place, &format!("--noise 0.25 --depth {meaning}"));
+        priors(&place, &how, &[&["--only", "depth", "--quiet"], more].concat())
+    };
+    let exact = |meaning: &str, more: &[&str]| {
+        let how = stand_in(&place, &format!("--noise 0 --depth {meaning}"));
+        counts(priors(&place, &how, &[&["--only", "depth"], more].concat()))
+    };
+    for (meaning, expected) in [
+        ("metric", DepthMeaning::Metric),
+        ("scale", DepthMeaning::Scale),
+        ("inverse-scale-shift", DepthMeaning::InverseScaleShift),
+    ] {
+        // Depth and confidence of four views.
+        assert_eq!(exact(meaning, &["--force"]), (8, 0));
+        let scene = open(&place);
+        assert_eq!(scene.depth_meaning(), expected);
+        assert!(scene.depth_prior(1).unwrap().is_none(), "view 1 is a test view");
+        let mut factors = Vec::new();
+        for view in [0, 2, 3, 4] {
+            let truth = GroundTruth::of(&scene).load(GroundTruthKind::Depth, view).unwrap().unwrap();
+            let found = scene.depth_prior(view).unwrap().unwrap();
+            assert!(found.valid.data.iter().all(|v| *v == 1.0));
+            let of = |at: usize| match expected {
+                DepthMeaning::InverseScaleShift => 1.0 / truth.data[at],
+                _ => truth.data[at],
+            };
+            // The factor and shift of two pixels hold for all.
+            let far = (0..truth.data.len()).max_by(|a, b| of(*a).total_cmp(&of(*b))).unwrap();
+            let (a, b) = (&found.image.data[0], &found.image.data[far]);
+            let factor = match expected {
+                DepthMeaning::InverseScaleShift => (b - a) / (of(far) - of(0)),
+                _ => a / of(0),
+            };
+            let shift = a - factor * of(0);
+            for (at, value) in found.image.data.iter().enumerate() {
+                assert!((value - factor * of(at) - shift).abs() < 1e-4, "{meaning}, view {view}, pixel {at}");
+            }
+            factors.push(factor);
+        }
+        let same = factors.iter().all(|f| (f - factors[0]).abs() < 1e-5);
+        assert_eq!(same, expected == DepthMeaning::Metric, "{meaning}: {factors:?}");
+    }
+    // Other meanings do not fit what is there, unless all of it is replaced.
+    fill("scale", &["--views", "all"]).refused(&["inverse-scale-shift depths", "are scale", "--force"]);
+    assert_eq!(exact("inverse-scale-shift", &["--views", "all"]), (2, 4));
+    fill("scale", &["--force"]).refused(&["inverse-scale-shift depths", "are scale"]);
+    fill("scale", &["--views", "all", "--force"]).ok();
+    assert_eq!(open(&place).depth_meaning(), DepthMeaning::Scale);
+    // Confidence of the stand-in is 1 / (1 + noise).
+    let confident = open(&place).depth_prior(1).unwrap().unwrap().valid.data;
+    assert!(confident.iter().all(|v| (v - 0.8).abs() < 0.01), "{:?}", confident[0]);
+    // A unit that a person wrote for metric depths stays, and belongs to no other meaning.
+    std::fs::write(place.path("scene/priors/priors.json"), r#"{"depth": {"meaning": "metric", "unit": 0.5}}"#).unwrap();
+    assert_eq!(exact("metric", &["--force", "--views", "all"]), (10, 0));
+    let settings = String::from_utf8(place.read("scene/priors/priors.json")).unwrap();
+    assert!(settings.contains("0.5"), "{settings}");
+    assert_eq!(exact("scale", &["--force", "--views", "all"]), (10, 0));
+    let settings = String::from_utf8(place.read("scene/priors/priors.json")).unwrap();
+    assert!(settings.contains("scale") && !settings.contains("0.5"), "{settings}");
+}
+
+/// Names the synthesized depths of a scene as those of a sensor.
+fn name_sensor(scene: &Path) {
+    let path = scene.join("transforms.json");
+    let mut listing: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    listing["depth_unit_scale_factor"] = 1.0.into();
+    for frame in listing["frames"].as_array_mut().unwrap() {
+        let stem = Path::new(frame["file_path"].as_str().unwrap()).file_stem().unwrap().to_str().unwrap().to_owned();
+        let file = ["npy", "exr"].map(|e| format!("gt/depth/{stem}.{e}")).into_iter().find(|f| scene.join(f).is_file());
+        frame["depth_file_path"] = file.unwrap().into();
+    }
+    std::fs::write(&path, listing.to_string()).unwrap();
+}
+
+/// Tests normals of sensor depth in a furnished room against the truth.
+#[test]
+fn normals_from_depth_match_ground_truth() {
+    let place = room();
+    let scene = place.path("living");
+    let options = SynthOptions {
+        scene: SceneName::LivingRoom,
+        views: 3,
+        test_views: 1,
+        width: 160,
+        height: 120,
+        samples_per_pixel: 1,
+        relit: false,
+        ..SynthOptions::default()
+    };
+    sgs_synth::generate(&scene, &options, &|_, _| {}).unwrap();
+    std::fs::remove_dir_all(scene.join("priors")).unwrap();
+    let path = scene.display().to_string();
+    sgs(&["priors", &path, "--normals-from-depth", "--quiet"])
+        .refused(&["has no depth in its 3 views", "priors/depth"]);
+    name_sensor(&scene);
+    let compute = |more: &[&str]| counts(sgs(&[&["priors", &path, "--normals-from-depth", "--json"], more].concat()));
+    assert_eq!(compute(&[]), (3, 0));
+    assert_eq!(compute(&["--views", "all"]), (1, 3));
+    let text = std::fs::read_to_string(scene.join("priors/priors.json")).unwrap();
+    assert!(text.contains("camera-opencv"), "{text}");
+    let errors = || {
+        let opened = Scene::open(&scene, &SceneOptions::default()).unwrap();
+        let (mut sum, mut known, mut all) = (0.0, 0, 0);
+        for view in 0..4 {
+            let truth = GroundTruth::of(&opened).load(GroundTruthKind::Normal, view).unwrap().unwrap();
+            let found = opened.normal_prior(view).unwrap().unwrap();
+            for (a, b) in found.data.as_chunks::<3>().0.iter().zip(truth.data.as_chunks::<3>().0) {
+                let [a, b] = [a, b].map(|v| glam::Vec3::from(*v).as_dvec3());
+                if b.length() > 0.5 {
+                    all += 1;
+                    if a.length() > 0.5 {
+                        known += 1;
+                        sum += a.dot(b).clamp(-1.0, 1.0).acos().to_degrees();
+                    }
+                }
+            }
+        }
+        (sum / f64::from(known), f64::from(known) / f64::from(all))
+    };
+    let (error, share) = errors();
+    println!("normals from depth: {error:.2} degrees off on {:.1} % of the pixels", 100.0 * share);
+    assert!(error < 3.0 && share > 0.7, "{error} {share}");
+    // A larger step reaches over more edges.
+    assert_eq!(compute(&["--views", "all", "--force", "2"]).0, 4);
+    let wide = errors();
+    println!("with a step of 2: {:.2} degrees, {:.1} %", wide.0, 100.0 * wide.1);
+    assert!(wide.1 < share);
+    sgs(&["priors", &path, "--normals-from-depth", "0"]).refused_with(2, &["--normals-from-depth is 0"]);
+    assert_eq!(sgs(&["priors", &path]).status, Some(2));
+    // Training reads them.
+    let run = place.text("run");
+    let log = sgs(&["train", &path, "-o", &run, "--stage", "geometry", "--geometry-steps", "2", "--no-densify"]).ok();
+    let decisions = std::fs::read_to_string(place.path("run/log.jsonl")).unwrap();
+    assert!(decisions.contains("normal priors"), "{decisions} {}", log.stderr);
+    // Inverse depths with a shift have no normals.
+    std::fs::create_dir_all(scene.join("priors/depth")).unwrap();
+    std::fs::copy(scene.join("gt/depth/000.exr"), scene.join("priors/depth/000.exr")).unwrap();
+    let settings = r#"{"normal": {"frame": "world"}, "depth": {"meaning": "inverse-scale-shift"}}"#;
+    std::fs::write(scene.join("priors/priors.json"), settings).unwrap();
+    sgs(&["priors", &path, "--normals-from-depth", "--force", "--quiet"]).refused(&["unknown shift have no normals"]);
+    // The frame of existing normals is kept.
+    std::fs::remove_dir_all(scene.join("priors/depth")).unwrap();
+    std::fs::write(scene.join("priors/priors.json"), r#"{"normal": {"frame": "world"}}"#).unwrap();
+    assert_eq!(compute(&["--views", "all", "--force"]).0, 4);
+    let again = errors();
+    assert!((again.0 - error).abs() < 0.01 && (again.1 - share).abs() < 1e-9, "{again:?}");
+}
+
 #[test]
 fn region_ids_of_single_images_are_distinct() {
     let place = room();
@@ -240,7 +400,11 @@ fn failed_prior_extraction_reports_one_error_and_leaves_no_files() {
     command.refused(&["the provider \"/nowhere/at-all\" cannot be started"]);
     let wrong = priors(&place, "misbehave=nothing", &["--only", "normal,beauty"]);
     assert_eq!(wrong.status, Some(2));
-    assert!(wrong.stderr.contains("\"beauty\" is no kind of prior; there are normal, semantic"), "{}", wrong.stderr);
+    assert!(
+        wrong.stderr.contains("\"beauty\" is no kind of prior; there are normal, depth, semantic"),
+        "{}",
+        wrong.stderr
+    );
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Providers, each a real `python3`: each kind of misbehavior gets an error of one sentence. No process is left behind.
 
 use sgs_provider::{Encoding, Fallback, Helper, Provider, ProviderError, ProviderImage, ProviderOptions, Result};
-use sgs_scene::{Image, NormalFrame};
+use sgs_scene::{DepthMeaning, Image, NormalFrame};
 use sgs_tests::priors::provider;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -46,11 +46,14 @@ fn working_provider_answers() {
     let options = options("nothing");
     let mut provider = Provider::start(&options).unwrap();
     assert_eq!(provider.about().name, "misbehave nothing");
-    assert_eq!(provider.about().list(), "masks, materials, normals, regions, semantics, text");
+    assert_eq!(provider.about().list(), "depth, masks, materials, normals, regions, semantics, text");
     let rendered = image(6, 4);
     let rendered = ProviderImage::srgb(&rendered);
     let normals = provider.normals(&rendered).unwrap();
     assert_eq!((normals.frame, normals.image.pixel(5, 3)), (NormalFrame::CameraOpengl, &[0.0, 0.0, 1.0][..]));
+    let depth = provider.depth(&rendered).unwrap();
+    assert_eq!((depth.meaning, depth.image.data), (DepthMeaning::Scale, vec![2.0; 24]));
+    assert_eq!(depth.confidence.unwrap().data, [0.5; 24]);
     assert_eq!(provider.regions(&rendered).unwrap().ids, [1; 24]);
     assert_eq!(provider.semantics(&rendered).unwrap().shape, [1, 1, 512]);
     let frames = [rendered.clone(), rendered.clone(), rendered.clone()];
@@ -61,7 +64,7 @@ fn working_provider_answers() {
     let found = provider.materials(&rendered, &["albedo", "metallic"]).unwrap();
     assert!(!found.albedo_is_linear && found.albedo.is_some() && found.metallic.is_some() && found.roughness.is_none());
     let error = sentence(&options, provider.classes(std::slice::from_ref(&rendered)).unwrap_err());
-    let offers = "masks, materials, normals, regions, semantics, text";
+    let offers = "depth, masks, materials, normals, regions, semantics, text";
     assert_eq!(error, format!("the provider it does not offer classes; it offers {offers}"));
     let other = image(5, 4);
     let error =
@@ -184,8 +187,8 @@ fn malformed_answers_are_reported() {
         ("not-safetensors", "the message is no safetensors file ("),
         ("short-payload", "the message is no safetensors file ("),
         ("not-json", "the message's text is not JSON ("),
-        ("missing-array", "the array \"normals\" is missing; there is \"albedo\", \"embeddings\", "),
-        ("unknown-type", "the array \"normals\" is missing; there is \"albedo\", \"embeddings\", "),
+        ("missing-array", "the array \"normals\" is missing; there is \"albedo\", \"confidence\", "),
+        ("unknown-type", "the array \"normals\" is missing; there is \"albedo\", \"confidence\", "),
     ] {
         let message = fail(how);
         assert!(message.contains(&format!("nonsense and was stopped: {what}")), "{how}: {message}");
@@ -209,6 +212,12 @@ fn malformed_answers_of_other_kinds_are_reported() {
     assert!(message("wrong-names", error).contains("must be the names that were asked about"));
     let error = start("wrong-color").materials(&rendered, &["albedo"]).unwrap_err();
     assert!(message("wrong-color", error).ends_with("must be \"srgb\" or \"linear\", but is \"cmyk\""));
+    let error = start("wrong-meaning").depth(&rendered).unwrap_err();
+    let words = "\"metric\", \"scale\" or \"inverse-scale-shift\"";
+    assert!(message("wrong-meaning", error).ends_with(&format!("\"meaning\" must be {words}, but is \"near\"")));
+    let error = start("wrong-confidence").depth(&rendered).unwrap_err();
+    assert!(message("wrong-confidence", error).ends_with("holds 1.5 at index 0, but must hold numbers from 0 to 1"));
+    assert!(start("nan").depth(&rendered).unwrap().image.data[2].is_nan());
     // Where the protocol allows NaN, NaN marks unknown values.
     assert_eq!(start("nan").normals(&rendered).unwrap().image.data[..6], [0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
     let albedo = start("nan").materials(&rendered, &["albedo"]).unwrap().albedo.unwrap();

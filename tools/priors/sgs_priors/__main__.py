@@ -9,6 +9,8 @@ from . import misbehave, service
 #: Where each network's adapter is: its module and what it offers. Only the named ones are imported.
 NETWORKS = {
     "stable-normal": ("stable_normal", "normals"),
+    "depth-anything": ("depth_anything", "depth"),
+    "depth-anything-3": ("depth_anything_3", "depth"),
     "lseg": ("lseg", "semantics"),
     "clip": ("clip_text", "text"),
     "qwen-vl": ("qwen_vl", "classes"),
@@ -23,7 +25,7 @@ def make(networks, options):
     for name, path in networks:
         if name == "stand-in":
             from .stand_in import StandIn
-            services.append(StandIn(path, options.noise, options.frame, options.color, options.leak))
+            services.append(StandIn(path, options.noise, options.frame, options.color, options.leak, options.depth))
         else:
             module = importlib.import_module(f".networks.{NETWORKS[name][0]}", __package__)
             services.append(module.load(path, options))
@@ -45,6 +47,10 @@ def main(arguments=None):
     parser.add_argument("--frame", default="camera-stablenormal", help="frame of the stand-in's normals",
                         choices=["world", "camera-opencv", "camera-opengl", "camera-stablenormal"])
     parser.add_argument("--color", default="srgb", choices=["srgb", "linear"], help="of the stand-in's albedo")
+    parser.add_argument("--free-scale", action="store_true",
+                        help="metric depth counts up to a factor of each view, for scenes whose unit is not the meter")
+    parser.add_argument("--depth", default=None, choices=["metric", "scale", "inverse-scale-shift"],
+                        help="meaning of the stand-in's depth; without it, it offers none")
     options = parser.parse_args(arguments)
     networks = [n.partition("=")[::2] for n in options.network]
     for name, path in networks:

@@ -10,15 +10,17 @@ import time
 from . import protocol
 from .protocol import pack
 
-OFFERS = {"normals": {}, "semantics": {}, "text": {}, "masks": {}, "regions": {},
+OFFERS = {"depth": {}, "normals": {}, "semantics": {}, "text": {}, "masks": {}, "regions": {},
           "materials": {"maps": ["albedo", "roughness", "metallic"]}}
 
 
 def good(question, height, width):
     """An answer that nobody can complain about."""
     pixels = height * width
-    text = {"frame": "camera-opengl", "color": "srgb", "names": question.get("names", [])}
+    text = {"frame": "camera-opengl", "meaning": "scale", "color": "srgb", "names": question.get("names", [])}
     arrays = {
+        "depth": pack("F32", (height, width), [2.0] * pixels),
+        "confidence": pack("F32", (height, width), [0.5] * pixels),
         "normals": pack("F32", (height, width, 3), [0.0, 0.0, 1.0] * pixels),
         "features": pack("F16", (1, 1, 512), [0.5] * 512),
         "embeddings": pack("F32", (len(text["names"]), 512), [0.5] * 512 * len(text["names"])),
@@ -41,6 +43,8 @@ def spoil(how, text, arrays):
         "wrong-type": lambda: arrays.update(normals=protocol.Array("U8", shape, zeros[:len(zeros) // 4])),
         "unknown-type": lambda: arrays.update(normals=protocol.Array("I32", shape, zeros)),
         "wrong-frame": lambda: text.update(frame="sideways"),
+        "wrong-meaning": lambda: text.update(meaning="near"),
+        "wrong-confidence": lambda: arrays.update(confidence=pack("F32", shape[:2], [1.5] * (shape[0] * shape[1]))),
         "no-frame": lambda: text.pop("frame"),
         "wrong-color": lambda: text.update(color="cmyk"),
         "wrong-id": lambda: text.update(to=text["to"] + 1),
@@ -52,7 +56,7 @@ def spoil(how, text, arrays):
     }
     for number, value in (("nan", float("nan")), ("infinite", float("inf"))):
         def poison(value=value):
-            for name in ("normals", "features", "albedo"):
+            for name in ("normals", "depth", "features", "albedo"):
                 numbers = list(arrays[name].numbers())
                 numbers[2] = value
                 arrays[name] = pack(arrays[name].dtype, arrays[name].shape, numbers)

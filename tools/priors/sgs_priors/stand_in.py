@@ -22,13 +22,17 @@ class StandIn:
 
     ``leak`` makes albedo depend on the light that the image shows, as estimates of networks do: it is multiplied by the
     shading (image over albedo) relative to its mean, to the power of ``leak``. 1 gives the image itself, up to a gain.
+    ``meaning`` is that of the depths; without it there are none.
     """
 
     name = "stand-in"
 
-    def __init__(self, scene, noise=0.05, frame="camera-stablenormal", color="srgb", leak=0.0):
+    def __init__(self, scene, noise=0.05, frame="camera-stablenormal", color="srgb", leak=0.0, meaning=None):
         self.truth, self.noise, self.frame, self.color, self.leak = Truth(scene), noise, frame, color, leak
+        self.meaning = meaning
         self.offers = {"masks": {}}
+        if meaning and self.truth.has("depth"):
+            self.offers["depth"] = {}
         if self.truth.classes:
             self.offers.update(text={"channels": CHANNELS}, classes={})
         if self.truth.has("normal"):
@@ -74,6 +78,24 @@ class StandIn:
             # Zero stays zero: nothing is there.
             out.extend(v / length if length > 0.3 else 0.0 for v in n)
         return {"frame": self.frame}, {"normals": pack("F32", (height, width, 3), out)}
+
+    def depth(self, question):
+        """Depth with the factor and shift that its meaning leaves open, which differ between views; less confident with noise."""
+        name, width, height, pixels = self._view(question, "depth")
+        rng = self._random(question, name)
+        factor = 1.0 if self.meaning == "metric" else 0.5 + rng.random()
+        shift = rng.random() if self.meaning == "inverse-scale-shift" else 0.0
+        out = []
+        for z, *_ in pixels:
+            if not 0 < z < 1e6:
+                out.append(float("nan"))
+                continue
+            if self.noise:
+                z *= math.exp(rng.gauss(0, self.noise))
+            out.append(factor / z - shift if self.meaning == "inverse-scale-shift" else factor * z)
+        trust = [1 / (1 + self.noise)] * (width * height)
+        shape = (height, width)
+        return {"meaning": self.meaning}, {"depth": pack("F32", shape, out), "confidence": pack("F32", shape, trust)}
 
     def materials(self, question):
         """The maps that were asked for; albedo in the chosen color space."""

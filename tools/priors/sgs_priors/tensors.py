@@ -62,6 +62,19 @@ def resize(image, height, width):
     return out[0].permute(1, 2, 0).numpy()
 
 
+def known(depth, meaning):
+    """Depth as float32 with NaN where it is none: where it is not finite, and where it must be above 0 and is not."""
+    bad = ~np.isfinite(depth)
+    if meaning != "inverse-scale-shift":
+        bad |= ~(depth > 0)
+    return np.where(bad, np.nan, depth).astype(np.float32)
+
+
+def confidence(trust):
+    """Confidence from 0 to 1 of what networks give as 1 + exp(x): 1 at no confidence, and without a limit."""
+    return (1 - 1 / np.maximum(np.nan_to_num(trust, nan=1.0, posinf=3e38), 1)).astype(np.float32)
+
+
 def multiple(height, width, step, longest):
     """The size nearest in shape whose sides are multiples of ``step`` and at most ``longest``."""
     factor = min(1.0, longest / max(height, width))

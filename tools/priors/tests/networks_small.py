@@ -84,3 +84,28 @@ def qwen(folder):
         image_token_id=vocabulary["<|image_pad|>"], video_token_id=vocabulary["<|video_pad|>"],
         vision_start_token_id=vocabulary["<|vision_start|>"], vision_end_token_id=vocabulary["<|vision_end|>"])
     Qwen3VLForConditionalGeneration(config).save_pretrained(folder)
+
+
+def depth_anything(folder):
+    """A Depth Anything on a DINOv2 of two layers, for images of 28 pixels."""
+    import torch
+    from transformers import DepthAnythingConfig, DepthAnythingForDepthEstimation, Dinov2Config, DPTImageProcessor
+
+    torch.manual_seed(4)
+    backbone = Dinov2Config(hidden_size=16, num_hidden_layers=4, num_attention_heads=2, image_size=28, patch_size=14,
+                            out_indices=[1, 2, 3, 4], reshape_hidden_states=False, apply_layernorm=True)
+    config = DepthAnythingConfig(backbone_config=backbone, reassemble_hidden_size=16, neck_hidden_sizes=[8, 8, 8, 8],
+                                 fusion_hidden_size=8, head_hidden_size=4)
+    DepthAnythingForDepthEstimation(config).save_pretrained(folder)
+    DPTImageProcessor(size={"height": 56, "width": 56}, keep_aspect_ratio=True, ensure_multiple_of=14,
+                      image_mean=[0.5] * 3, image_std=[0.5] * 3).save_pretrained(folder)
+
+
+def other_depth(folder):
+    """A network of depth that is not Depth Anything."""
+    from transformers import DPTConfig, DPTForDepthEstimation
+
+    config = DPTConfig(hidden_size=16, num_hidden_layers=4, num_attention_heads=2, intermediate_size=16, image_size=32,
+                       backbone_out_indices=[0, 1, 2, 3], neck_hidden_sizes=[8, 8, 8, 8], fusion_hidden_size=8,
+                       is_hybrid=False)
+    DPTForDepthEstimation(config).save_pretrained(folder)

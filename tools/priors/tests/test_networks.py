@@ -5,6 +5,7 @@ without them everything is skipped. ``make test-priors`` runs it.
 
 import contextlib
 import io
+import json
 import os
 import subprocess
 import sys
@@ -31,7 +32,7 @@ except ImportError as e:
 from sgs_priors import protocol  # noqa: E402
 from sgs_priors.service import Question, Refusal  # noqa: E402
 
-OPTIONS = types.SimpleNamespace(device="cpu", code=None, steps=2, max_side=64)
+OPTIONS = types.SimpleNamespace(device="cpu", code=None, steps=2, max_side=64, free_scale=False)
 
 
 def ramp(height, width):
@@ -82,6 +83,7 @@ class Tensors(unittest.TestCase):
         self.assertEqual(tensors.multiple(120, 160, 14, 518), (126, 154))
         self.assertEqual(tensors.multiple(1000, 2000, 14, 518), (252, 518))
         self.assertEqual(tensors.multiple(3, 2000, 32, 480), (32, 480))
+        np.testing.assert_allclose(tensors.confidence(np.array([0.5, 1, 2, 5, np.inf, np.nan])), [0, 0, 0.5, 0.8, 1, 0])
         image = np.random.default_rng(0).random((8, 12, 3), np.float32)
         small = tensors.resize(image, 4, 6)
         self.assertAlmostEqual(float(small.mean()), float(image.mean()), 2)
@@ -98,7 +100,7 @@ class Real(unittest.TestCase):
 
         cls.folder = tempfile.TemporaryDirectory()
         with contextlib.redirect_stderr(io.StringIO()):
-            for name in ("clip", "sam2", "qwen"):
+            for name in ("clip", "sam2", "qwen", "depth_anything"):
                 os.mkdir(os.path.join(cls.folder.name, name))
                 getattr(networks_small, name)(os.path.join(cls.folder.name, name))
 
@@ -110,6 +112,32 @@ class Real(unittest.TestCase):
         import importlib
 
         return importlib.import_module(f"sgs_priors.networks.{module}").load(os.path.join(self.folder.name, name), OPTIONS)
+
+    def test_depth_anything(self):
+        service = self.load("depth_anything", "depth_anything")
+        self.assertEqual(service.offers, {"depth": {"max_side": 64}})
+        text, arrays = ask(service, "depth", ramp(40, 60))
+        self.assertEqual((text["meaning"], set(arrays)), ("inverse-scale-shift", {"depth"}))
+        depth = arrays["depth"]
+        self.assertEqual((depth.shape, depth.dtype), ((40, 60), np.float32))
+        self.assertTrue(np.isfinite(depth).all() and depth.std() > 0)
+        np.testing.assert_array_equal(ask(service, "depth", ramp(40, 60))[1]["depth"], depth)
+        # The library's own way from an image to depth of its size, up to how sizes are changed.
+        model, processor = service.model, service.processor
+        inputs = processor(images=Image.fromarray(ramp(40, 60)), return_tensors="pt")
+        with torch.no_grad():
+            made = processor.post_process_depth_estimation(model(**inputs), [(40, 60)])[0]["predicted_depth"].numpy()
+        self.assertLess(np.abs(made - depth).mean(), 0.1 * depth.std() + 1e-4)
+        with tempfile.TemporaryDirectory() as folder, self.assertRaisesRegex(Refusal, "no saved model"):
+            from sgs_priors.networks import depth_anything
+
+            depth_anything.load(folder, OPTIONS)
+        with self.assertRaisesRegex(Refusal, "not depth_anything"):
+            import networks_small
+
+            with tempfile.TemporaryDirectory() as folder:
+                networks_small.other_depth(folder)
+                depth_anything.load(folder, OPTIONS)
 
     def test_clip(self):
         service = self.load("clip_text", "clip")
@@ -208,6 +236,75 @@ class Fakes(unittest.TestCase):
         self.assertEqual((arrays["normals"].shape, arrays["normals"].dtype), ((20, 30, 3), np.float32))
         np.testing.assert_allclose(arrays["normals"].reshape(-1, 3), np.tile([0.6, 0.8, 0], (600, 1)), atol=0.01)
 
+    def test_depth_anything(self):
+        from sgs_priors.networks.depth_anything import DepthAnything
+
+        class Model:
+            device = torch.device("cpu")
+
+            def __init__(self, **config):
+                self.config = types.SimpleNamespace(**config)
+
+            def __call__(self, pixel_values):
+                depth = torch.arange(12.0).reshape(1, 3, 4) - 1
+                depth[0, 2, 3] = float("nan")
+                return types.SimpleNamespace(predicted_depth=depth)
+
+        class Inputs(dict):
+            def to(self, device):
+                return self
+
+        def processor(images, return_tensors):
+            self.assertEqual((images.size, return_tensors), ((4, 3), "pt"))
+            return Inputs(pixel_values=torch.zeros(1, 3, 3, 4))
+
+        def found(free_scale=False, **config):
+            text, arrays = ask(DepthAnything(Model(**config), processor, 64, free_scale), "depth", ramp(3, 4))
+            return text["meaning"], arrays["depth"]
+        meaning, depth = found(depth_estimation_type="relative")
+        self.assertEqual(meaning, "inverse-scale-shift")
+        np.testing.assert_array_equal(depth.ravel(), [-1, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, np.nan])
+        self.assertEqual(found(True, depth_estimation_type="relative")[0], "inverse-scale-shift")
+        self.assertEqual(found()[0], "inverse-scale-shift")
+        meaning, depth = found(depth_estimation_type="metric")
+        self.assertEqual(meaning, "metric")
+        np.testing.assert_array_equal(depth.ravel(), [np.nan, np.nan, 1, 2, 3, 4, 5, 6, 7, 8, 9, np.nan])
+        self.assertEqual(found(True, depth_estimation_type="metric")[0], "scale")
+
+    def test_depth_anything_3(self):
+        from sgs_priors.networks.depth_anything_3 import DepthAnything3
+
+        class Network:
+            def __init__(self, name, conf):
+                self.model_name, self.conf = name, conf
+
+            def inference(self, images):
+                (image,) = images
+                shape = (1, image.height // 2, image.width // 2)
+                conf = np.full(shape, 4.0, np.float32) if self.conf else None
+                return types.SimpleNamespace(depth=np.full(shape, 6.0, np.float32), conf=conf)
+
+        def found(name, conf=True, camera=None, free_scale=False):
+            views = [{"camera": camera}] if camera else [{}]
+            service = DepthAnything3(Network(name, conf), 64, free_scale)
+            self.assertEqual(service.offers, {"depth": {"max_side": 64}})
+            return ask(service, "depth", ramp(20, 30), views=views)
+        text, arrays = found("da3-large")
+        self.assertEqual((text["meaning"], arrays["depth"].shape), ("scale", (20, 30)))
+        np.testing.assert_allclose(arrays["depth"], 6, rtol=1e-6)
+        np.testing.assert_allclose(arrays["confidence"], 0.75, rtol=1e-6)
+        # Half of the focal length of the image, in units of 300 pixels.
+        camera = {"width": 30, "height": 20, "fx": 200.0, "fy": 200.0, "cx": 15.0, "cy": 10.0}
+        text, arrays = found("da3metric-large", False, camera)
+        self.assertEqual((text["meaning"], set(arrays)), ("metric", {"depth"}))
+        np.testing.assert_allclose(arrays["depth"], 6 * 100 / 300, rtol=1e-6)
+        with self.assertRaisesRegex(Refusal, "needs the focal length"):
+            found("da3metric-large")
+        text, arrays = found("da3metric-large", free_scale=True)
+        self.assertEqual((text["meaning"], float(arrays["depth"][0, 0])), ("scale", 6.0))
+        text, arrays = found("da3nested-giant-large")
+        self.assertEqual((text["meaning"], float(arrays["depth"][0, 0])), ("metric", 6.0))
+
     def test_lseg(self):
         from sgs_priors.networks.lseg import LSeg
 
@@ -284,7 +381,7 @@ class Fakes(unittest.TestCase):
         def network(images):
             seen.append(tuple(images.shape))
             _, n, _, h, w = images.shape
-            trust = torch.linspace(0, 1, h * w).reshape(1, 1, h, w).expand(1, n, h, w)
+            trust = torch.linspace(1, 5, h * w).reshape(1, 1, h, w).expand(1, n, h, w)
             return {"pose_enc": torch.zeros(1, n, 9), "depth": torch.full((1, n, h, w, 1), 4.0), "depth_conf": trust}
 
         def decode(encoding, size):
@@ -301,7 +398,21 @@ class Fakes(unittest.TestCase):
                 arguments = [photographs, "--weights", "none", "-o", scene, "--points", "500", "--device", "cpu"]
                 self.assertEqual(vggt.main(arguments, (network, decode)), 0)
                 self.assertEqual(vggt.main([folder, "--weights", "x", "-o", scene]), 1)
-            self.assertEqual(seen, [(1, 2, 3, 126, 154)])
+                self.assertFalse(os.path.exists(os.path.join(scene, "priors")))
+                os.makedirs(os.path.join(scene, "priors"))
+                priors = os.path.join(scene, "priors", "priors.json")
+                with open(priors, "w", encoding="utf-8") as f:
+                    f.write('{"normal": {"frame": "world"}}')
+                self.assertEqual(vggt.main([*arguments, "--depth"], (network, decode)), 0)
+            with open(priors, encoding="utf-8") as f:
+                self.assertEqual(json.load(f), {"normal": {"frame": "world"}, "depth": {"meaning": "scale"}})
+            for name in ("a", "b"):
+                depth, sure = (np.load(os.path.join(scene, "priors", "depth", *more, name + ".npy"))
+                               for more in ((), ("confidence",)))
+                self.assertEqual((depth.shape, sure.shape, depth.dtype, sure.dtype), ((126, 154),) * 2 + (np.float32,) * 2)
+                np.testing.assert_array_equal(depth, 4)
+                np.testing.assert_allclose([sure.min(), sure.max()], [0, 0.8], rtol=1e-6)
+            self.assertEqual(seen, [(1, 2, 3, 126, 154)] * 2)
             self.assertEqual(sorted(os.listdir(os.path.join(scene, "images"))), ["a.png", "b.png"])
 
             def lines(name):

@@ -159,6 +159,21 @@ class Answers(unittest.TestCase):
             self.assertEqual(text["color"], color)
             self.assertAlmostEqual(arrays["albedo"].numbers()[5], value, delta=1e-5)
 
+    def test_depth_of_every_meaning(self):
+        self.assertNotIn("depth", StandIn(self.root, 0).offers)
+        seen = {}
+        for meaning in ("metric", "scale", "inverse-scale-shift"):
+            service = StandIn(self.root, 0, meaning=meaning)
+            self.assertEqual(service.offers["depth"], {})
+            text, arrays = self.ask(service, "depth")
+            self.assertEqual((text["meaning"], arrays["depth"].shape), (meaning, (12, 16)))
+            self.assertEqual(set(arrays["confidence"].numbers()), {1.0})
+            (seen[meaning],) = set(arrays["depth"].numbers())
+            other = self.ask(service, "depth", ({"name": "001"},))[1]["depth"].numbers()[0]
+            self.assertEqual(other == seen[meaning], meaning == "metric")
+        self.assertEqual(seen["metric"], 2.0)
+        self.assertNotEqual(seen["scale"], 2.0)
+
     def test_leak_puts_shading_into_albedo(self):
         w, h = self.size
         # The left half has four times the light of the right half; the light is red.

@@ -8,11 +8,11 @@ use crate::message::Message;
 use crate::offer::{About, Offer};
 use crate::options::ProviderOptions;
 use crate::pipe::{Broken, Pipe};
-use crate::question::{Features, Masks, Materials, Normals, ProviderImage, Regions, stretch, unit};
+use crate::question::{Depth, Features, Masks, Materials, Normals, ProviderImage, Regions, stretch, unit};
 use crate::words::words;
 use serde::Deserialize;
 use serde_json::{Value, json};
-use sgs_scene::{Image, NormalFrame};
+use sgs_scene::{DepthMeaning, Image, NormalFrame};
 use std::time::Duration;
 
 /// Running provider.
@@ -106,6 +106,32 @@ impl Provider {
             let frame = frame.map_err(|_| answer.wrong("frame", known))?;
             let array = answer.take("normals", Kind::F32, &[size[1] as usize, size[0] as usize, 3])?;
             Ok(Normals { frame, image: unit(&array, size)? })
+        };
+        read(&mut answer).or_else(|what| self.nonsense(Q, what))
+    }
+
+    /// Returns the depth of an image, and its confidence if the provider has one.
+    pub fn depth(&mut self, rendered: &ProviderImage) -> Result<Depth> {
+        const Q: &str = "depth";
+        let offer = self.offer(Q)?;
+        let size = rendered.sent_size(&offer);
+        let mut answer = self.ask(Q, &offer, std::slice::from_ref(rendered), json!({}))?;
+        let read = |answer: &mut Message| {
+            let known = "\"metric\", \"scale\" or \"inverse-scale-shift\"";
+            let meaning =
+                DepthMeaning::deserialize(&answer.text["meaning"]).map_err(|_| answer.wrong("meaning", known))?;
+            let shape = [size[1] as usize, size[0] as usize];
+            let image = |array: &Array| Image { width: size[0], height: size[1], channels: 1, data: array.floats() };
+            let depth = answer.take("depth", Kind::F32, &shape)?;
+            depth.check("depth", "numbers that are not infinite", |v| !v.is_infinite())?;
+            let confidence = if answer.arrays.contains_key("confidence") {
+                let array = answer.take("confidence", Kind::F32, &shape)?;
+                array.check("confidence", "numbers from 0 to 1", |v| (0.0..=1.0).contains(&v))?;
+                Some(image(&array))
+            } else {
+                None
+            };
+            Ok(Depth { meaning, image: image(&depth), confidence })
         };
         read(&mut answer).or_else(|what| self.nonsense(Q, what))
     }

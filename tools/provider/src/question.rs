@@ -5,7 +5,7 @@ use crate::error::Nonsense;
 use crate::offer::{Encoding, Offer};
 use half::f16;
 use serde_json::{Value, json};
-use sgs_scene::{Camera, Image, NormalFrame, linear_to_srgb, resize, srgb_to_linear};
+use sgs_scene::{Camera, DepthMeaning, Image, NormalFrame, linear_to_srgb, resize, srgb_to_linear};
 
 /// Image of a question, with its encoding and hints.
 #[derive(Clone, Debug)]
@@ -119,6 +119,17 @@ pub struct Normals {
     ///
     /// The size is that of the image as sent.
     pub image: Image,
+}
+
+/// Depth of an image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Depth {
+    /// Meaning of the values.
+    pub meaning: DepthMeaning,
+    /// Depth in one channel; NaN where unknown. The size is that of the image as sent.
+    pub image: Image,
+    /// Confidence from 0 to 1 in one channel of the same size.
+    pub confidence: Option<Image>,
 }
 
 /// Features comparable with text embeddings.

@@ -8,7 +8,8 @@ use crate::placement::transformed;
 use crate::usd_lights::{usd_lights, usd_lights_left_out};
 use glam::DVec3;
 use sgs_scene::{
-    Placement, PlyDialect, Splats, SpzVersion, usd_leaves_out, write_gltf, write_sog, write_splat, write_spz, write_usd,
+    GltfCoding, Placement, PlyDialect, Splats, SpzVersion, usd_leaves_out, write_gltf, write_sog, write_splat,
+    write_spz, write_usd,
 };
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -19,7 +20,7 @@ pub enum ExportFormat {
     /// PLY of a dialect.
     Ply(PlyDialect),
     /// glTF, text or binary by its name.
-    Gltf,
+    Gltf(GltfCoding),
     /// SPZ of a version.
     Spz(SpzVersion),
     /// `.splat`.
@@ -52,20 +53,20 @@ impl ExportFormat {
     pub fn up(self) -> DVec3 {
         match self {
             ExportFormat::Ply(_) | ExportFormat::Splat | ExportFormat::Sog => DVec3::NEG_Y,
-            ExportFormat::Gltf | ExportFormat::Spz(_) | ExportFormat::Usd => DVec3::Y,
+            ExportFormat::Gltf(_) | ExportFormat::Spz(_) | ExportFormat::Usd => DVec3::Y,
         }
     }
 
     /// Returns whether the format itself defines which direction is up.
     pub fn defines_up(self) -> bool {
-        matches!(self, ExportFormat::Gltf | ExportFormat::Spz(_) | ExportFormat::Usd)
+        matches!(self, ExportFormat::Gltf(_) | ExportFormat::Spz(_) | ExportFormat::Usd)
     }
 
     /// Returns whether lights and environment map are written in the file or beside it.
     ///
     /// Light needs materials, which the others lack.
     pub fn holds_light(self) -> bool {
-        matches!(self, ExportFormat::Gltf | ExportFormat::Usd)
+        matches!(self, ExportFormat::Gltf(_) | ExportFormat::Usd)
             || matches!(self, ExportFormat::Ply(dialect) if dialect != PlyDialect::ThreeDgs)
     }
 
@@ -77,7 +78,7 @@ impl ExportFormat {
     /// Returns the number of lights that a file holds.
     pub fn lights_held(self, list: &LightList) -> usize {
         match self {
-            ExportFormat::Gltf => list.lights.len() - gltf_leaves_out(list).len(),
+            ExportFormat::Gltf(_) => list.lights.len() - gltf_leaves_out(list).len(),
             ExportFormat::Usd => list.lights.len() - usd_lights_left_out(list).len(),
             _ if self.holds_light() => list.lights.len(),
             _ => 0,
@@ -91,7 +92,7 @@ impl Export<'_> {
         let s = self.splats;
         let mut left_out: Vec<String> = match self.format {
             ExportFormat::Ply(dialect) => dialect.leaves_out(s).into_iter().map(str::to_owned).collect(),
-            ExportFormat::Gltf => {
+            ExportFormat::Gltf(_) => {
                 let emitters = s.emitters.iter().map(|_| "emitters of Gaussians".to_owned());
                 emitters.chain(self.lights.map(gltf_leaves_out).unwrap_or_default()).collect()
             }
@@ -135,7 +136,7 @@ pub fn write_export(path: &Path, export: &Export<'_>) -> Result<Vec<PathBuf>> {
     let environment = export.environment.filter(|_| format.holds_light());
     let splats = match transform {
         // A node above the splats holds the transform.
-        Some(transform) if !matches!(format, ExportFormat::Gltf | ExportFormat::Usd) => {
+        Some(transform) if !matches!(format, ExportFormat::Gltf(_) | ExportFormat::Usd) => {
             Cow::Owned(transformed(export.splats.clone(), transform))
         }
         _ => Cow::Borrowed(export.splats),
@@ -151,9 +152,9 @@ pub fn write_export(path: &Path, export: &Export<'_>) -> Result<Vec<PathBuf>> {
     }
     match format {
         ExportFormat::Ply(dialect) => splats.write_ply_placed(path, dialect, transform)?,
-        ExportFormat::Gltf => {
+        ExportFormat::Gltf(coding) => {
             let (lights, extras) = lights.map(punctual).unzip();
-            write_gltf(path, &splats, &lights.unwrap_or_default(), extras.as_ref(), transform)?;
+            write_gltf(path, &splats, coding, &lights.unwrap_or_default(), extras.as_ref(), transform)?;
             if ends("gltf") {
                 written.push(beside(path, "bin"));
             }
@@ -187,6 +188,6 @@ pub fn write_exchange(
     lights: Option<&LightList>,
     environment: Option<&Path>,
 ) -> Result<Vec<PathBuf>> {
-    let format = dialect.map_or(ExportFormat::Gltf, ExportFormat::Ply);
+    let format = dialect.map_or(ExportFormat::Gltf(GltfCoding::Floats), ExportFormat::Ply);
     write_export(path, &Export { splats, format, lights, environment, transform: None })
 }

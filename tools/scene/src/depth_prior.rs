@@ -1,6 +1,6 @@
 //! Prior depths of the photographs: from a sensor or a network.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::beside::SensorDepth;
 use crate::camera::Camera;
@@ -55,6 +55,13 @@ impl Scene {
     /// Returns whether prior depths are those of a sensor. They belong to the rays of the cameras that the scene gives.
     pub fn depth_is_of_sensor(&self) -> bool {
         !self.has_depth_folder()
+    }
+
+    /// Reads a view's depth as stored, in the unit of the file, and its path. Zero depths are unknown.
+    pub(crate) fn stored_depth(&self, view: &View) -> Result<Option<(PathBuf, Image)>> {
+        let Some(SensorDepth { path, .. }) = self.depth_file(view) else { return Ok(None) };
+        let depth = read(&path)?;
+        Ok(Some((path, depth)))
     }
 
     fn load_depth(&self, file: &SensorDepth, view: &View, meaning: DepthMeaning) -> Result<MaskedMap> {

@@ -13,6 +13,7 @@ mod atomic;
 mod beside;
 mod camera;
 mod depth;
+mod depth_normals;
 mod depth_prior;
 mod dot_splat;
 mod error;
@@ -46,11 +47,11 @@ mod web;
 
 pub use atomic::atomic_write;
 pub use beside::GroundTruthKind;
-pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR};
+pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR, Projection};
 pub use depth::DepthDefinition;
 pub use dot_splat::{read_splat, write_splat};
 pub use error::{Result, SceneError, is_storage_error};
-pub use gltf::{GltfScene, PunctualKind, PunctualLight, write_gltf};
+pub use gltf::{GltfCoding, GltfScene, PunctualKind, PunctualLight, write_gltf};
 pub use ground_truth::GroundTruth;
 pub use image::{
     Exif, ExrImage, Image, NpyArray, Upright, encode_jpeg, encode_png, linear_to_srgb, names_exr_layer,

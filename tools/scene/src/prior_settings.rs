@@ -39,6 +39,17 @@ pub enum DepthMeaning {
     InverseScaleShift,
 }
 
+impl DepthMeaning {
+    /// Returns the word in `priors.json`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Metric => "metric",
+            Self::Scale => "scale",
+            Self::InverseScaleShift => "inverse-scale-shift",
+        }
+    }
+}
+
 /// Settings of the maps in `priors/depth`.
 #[derive(Clone, Copy, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]

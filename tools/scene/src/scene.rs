@@ -146,13 +146,6 @@ impl Scene {
         let centers: Vec<DVec3> = cameras().map(|camera| camera.position()).collect();
         let extent = extent_of(&centers, points.as_ref());
         let points_are_random = points.is_none();
-        let random = || {
-            let count = options.random_points.clamp(100, 10_000_000);
-            let seen = if layout == Layout::Blender { RandomBox::looked_at(cameras()) } else { None };
-            let seen = seen.or_else(|| RandomBox::around(cameras(), extent));
-            seen.map(|seen| seen.sample(count, options.seed)).unwrap_or_default()
-        };
-        let points = points.unwrap_or_else(random);
         let near = NEAR * Unit::of_extent(extent).length();
         views.iter_mut().for_each(|view| view.camera.near = near);
         let mut options = options.clone();
@@ -172,7 +165,7 @@ impl Scene {
             layout,
             views,
             split,
-            points,
+            points: points.unwrap_or_default(),
             points_are_random,
             warnings,
             options,
@@ -182,13 +175,21 @@ impl Scene {
             extent,
             length: 1.0,
         };
-        if scene.points_are_random
-            && let Some(points) =
-                scene.depth_points(scene.options.random_points.clamp(100, 10_000_000), scene.options.seed)?
-        {
-            (scene.points, scene.points_are_random) = (points, false);
+        if scene.points_are_random {
+            let (count, seed) = (scene.options.random_points.clamp(100, 10_000_000), scene.options.seed);
+            let of_depth = scene.depth_points(count, seed)?;
+            scene.points_are_random = of_depth.is_none();
+            scene.points = of_depth.unwrap_or_else(|| scene.random_points(count, seed));
         }
         Ok(scene)
+    }
+
+    /// Returns random points in the part of space that training views may show.
+    fn random_points(&self, count: usize, seed: u64) -> PointCloud {
+        let cameras = || self.split.train.iter().filter_map(|&i| self.views.get(i)).map(|view| &view.camera);
+        let seen = if self.layout == Layout::Blender { RandomBox::looked_at(cameras()) } else { None };
+        let seen = seen.or_else(|| RandomBox::around(cameras(), self.extent));
+        seen.map(|seen| seen.sample(count, seed)).unwrap_or_default()
     }
 
     /// Returns warnings for training from the scene's points, one sentence each. Evaluation of a run does not need

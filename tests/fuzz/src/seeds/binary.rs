@@ -151,6 +151,23 @@ pub(super) fn colmap_cameras() -> Vec<u8> {
     camera(w, 3, 2, &[7.0, 4.0, 3.0, 0.1]).0
 }
 
+/// Returns cameras whose lenses are not polynomials of the tangent. Images have the first two of each file.
+pub(super) fn colmap_wide_cameras() -> Vec<(&'static str, Vec<u8>)> {
+    let mut rad_tan = [0.01; 16];
+    rad_tan[..4].copy_from_slice(&[7.0, 7.0, 4.0, 3.0]);
+    let files: [(&str, [(u32, &[f64]); 2]); 3] = [
+        ("fov.bin", [(7, &[7.0, 7.0, 4.0, 3.0, 0.9]), (16, &[7.0, 7.0, 4.0, 3.0, 0.6, 1.1])]),
+        ("division.bin", [(12, &[7.0, 4.0, 3.0, -0.2]), (13, &[7.0, 7.0, 4.0, 3.0, 0.3])]),
+        ("fisheye.bin", [(11, &rad_tan), (14, &[7.0, 4.0, 3.0])]),
+    ];
+    let file = |cameras: [(u32, &[f64]); 2]| {
+        let start = Words(Vec::new()).u64(2);
+        let all = (1..).zip(cameras);
+        all.fold(start, |w, (id, (model, p))| w.u32(id).u32(model).u64(8).u64(6).f64(p)).0
+    };
+    files.map(|(name, cameras)| (name, file(cameras))).into()
+}
+
 pub(super) fn colmap_images() -> Vec<u8> {
     let image = |w: Words, id, q: &[f64], name: &[u8], camera| w.u32(id).f64(q).u32(camera).bytes(name).bytes(&[0]);
     let w = image(Words(Vec::new()).u64(2), 1, &[1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0], b"000.png", 1);

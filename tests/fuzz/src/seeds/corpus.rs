@@ -13,7 +13,7 @@ use sgs_provider::{Array, Kind, Message};
 use sgs_run::{
     Export, ExportFormat, LightFile, SemanticHead, VisibilityFile, read_light_list, write_exchange, write_export,
 };
-use sgs_scene::{Placement, PlyDialect, Splats, SpzVersion};
+use sgs_scene::{GltfCoding, Placement, PlyDialect, Splats, SpzVersion};
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
@@ -59,6 +59,7 @@ fn texts() -> Files {
         ("priors", "none.json", "{}"),
         ("labels", "two.json", LABELS),
         ("colmap_cameras_txt", "three.txt", COLMAP_CAMERAS),
+        ("colmap_cameras_txt", "models.txt", COLMAP_MODELS),
         ("colmap_images_txt", "two.txt", COLMAP_IMAGES),
         ("colmap_rigs_txt", "two.txt", COLMAP_RIGS),
         ("colmap_frames_txt", "one.txt", COLMAP_FRAMES),
@@ -173,6 +174,9 @@ fn models() -> Files {
         ("upright_webp", "rgb.webp", binary::photograph(ImageFormat::WebP)),
         ("colmap_points_bin", "two.bin", binary::colmap_points()),
     ];
+    for (name, bytes) in binary::colmap_wide_cameras() {
+        files.push(("colmap_cameras_bin", name, bytes));
+    }
     // Files that this project writes.
     let folder = crate::Place::new();
     let ply = folder.put("own.ply", &splats(1, false, &own));
@@ -202,7 +206,8 @@ fn packed(splats: &Splats, folder: &crate::Place) -> Files {
         ("sog", "own.sog", ExportFormat::Sog),
         ("sog_meta", "meta.json", ExportFormat::Sog),
         ("splats_ply", "turned.ply", ExportFormat::Ply(PlyDialect::Own)),
-        ("gltf", "turned.glb", ExportFormat::Gltf),
+        ("gltf", "turned.glb", ExportFormat::Gltf(GltfCoding::Floats)),
+        ("gltf", "spz.glb", ExportFormat::Gltf(GltfCoding::Spz)),
     ];
     let own = formats.map(|(target, name, format)| {
         let path = folder.path(name);
@@ -341,7 +346,7 @@ fn provider_messages() -> Files {
     use serde_json::json;
     let hello = json!({"kind": "hello", "version": 1, "name": "a stand-in", "offers": {
         "masks": {}, "regions": {"ids": "scene", "max_side": 8}, "normals": {"image": "linear"}, "semantics": {"channels": 4},
-        "text": {"channels": 4}, "classes": {}, "materials": {"maps": ["albedo", "roughness", "metallic"]}}});
+        "text": {"channels": 4}, "classes": {}, "materials": {"maps": ["albedo", "roughness", "metallic"]}, "depth": {}}});
     let answer = |extra: serde_json::Value| {
         let mut text = json!({"kind": "answer", "to": 1});
         for (name, value) in extra.as_object().into_iter().flatten() {
@@ -359,9 +364,21 @@ fn provider_messages() -> Files {
         message(&answer(json!({"names": ["wall", "floor"]})), &[("embeddings", Kind::F32, &[2, 4])]),
         message(&answer(json!({"names": ["wall", "lamp"]})), &[]),
         message(&answer(json!({"color": "srgb"})), &materials),
+        message(
+            &answer(json!({"meaning": "scale"})),
+            &[("depth", Kind::F32, &[9, 12]), ("confidence", Kind::F32, &[9, 12])],
+        ),
     ];
-    let names =
-        ["masks.bin", "regions.bin", "normals.bin", "semantics.bin", "text.bin", "classes.bin", "materials.bin"];
+    let names = [
+        "masks.bin",
+        "regions.bin",
+        "normals.bin",
+        "semantics.bin",
+        "text.bin",
+        "classes.bin",
+        "materials.bin",
+        "depth.bin",
+    ];
     let hello = message(&hello, &[]);
     let framed = |payload: &[u8]| {
         let mut out = b"SGSP".to_vec();

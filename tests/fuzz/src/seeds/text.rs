@@ -50,6 +50,10 @@ pub(crate) const FIPT_MATRICES: &str = "2\n7 0 4\n0 7 3\n0 0 1\n7 0 4\n0 7.5 3\n
 pub(crate) const COLMAP_CAMERAS: &str =
     "# Camera list\n1 PINHOLE 8 6 7 7 4 3\n2 OPENCV 8 6 7 7 4 3 0.01 0 0.001 0\n3 SIMPLE_RADIAL 8 6 7 4 3 0.1\n";
 
+/// Cameras 1 and 2, which images have, with lenses that are not polynomials.
+pub(crate) const COLMAP_MODELS: &str = "1 FOV 8 6 7 7 4 3 0.9\n2 RAD_TAN_THIN_PRISM_FISHEYE 8 6 7 7 4 3 0.1 0 0 0 0 0 0.01 0 0 0 0.01 0\n\
+     3 SIMPLE_DIVISION 8 6 7 4 3 -0.2\n4 EUCM 8 6 7 7 4 3 0.6 1.1\n5 FISHEYE 8 6 7 7 4 3\n";
+
 pub(crate) const COLMAP_IMAGES: &str =
     "# Image list\n1 1 0 0 0 0 0 2 1 000.png\n1.5 2.5 3 2.5 3.5 -1\n2 0.96 0 0.28 0 0.5 0 2 2 001.png\n\n";
 

@@ -38,7 +38,7 @@ pub(crate) fn talk(bytes: &[u8]) -> String {
     let mut words = provider.about().list();
     // Two requests, so that data after the first reply is read.
     for _ in 0..2 {
-        words += &match choice % 7 {
+        words += &match choice % 8 {
             0 => text_of(provider.masks(&frames, Some([3.0, 2.0])), |masks| {
                 assert!(masks.frames.iter().all(|f| f.len() == 12 * 9), "masks fit");
                 "masks".into()
@@ -60,6 +60,11 @@ pub(crate) fn talk(bytes: &[u8]) -> String {
                 "text".into()
             }),
             5 => text_of(provider.classes(std::slice::from_ref(&rendered)), |names| format!("{}", names.len().min(3))),
+            7 => text_of(provider.depth(&rendered), |d| {
+                fits(&d.image);
+                d.confidence.iter().for_each(fits);
+                d.meaning.name().into()
+            }),
             _ => text_of(provider.materials(&rendered, &["albedo", "roughness", "metallic"]), |m| {
                 [&m.albedo, &m.roughness, &m.metallic].into_iter().flatten().for_each(fits);
                 "materials".into()

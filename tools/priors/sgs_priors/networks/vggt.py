@@ -1,11 +1,14 @@
 """VGGT (Wang et al. 2025): cameras and points of photographs, written as a scene: ``images/`` and COLMAP's ``sparse/0``.
 
-    python3 -m sgs_priors.networks.vggt FOLDER --weights model.pt -o SCENE
+    python3 -m sgs_priors.networks.vggt FOLDER --weights model.pt -o SCENE [--depth]
+
+With ``--depth`` also ``priors/depth`` with maps of confidence.
 
 This is no provider: it makes the scene that everything else begins with.
 """
 
 import argparse
+import json
 import os
 import shutil
 import sys
@@ -31,7 +34,7 @@ def load(path, options):
 
 
 def reconstruct(images, network, decode, device="cpu", most=100_000, doubtful=0.3, seed=0):
-    """Cameras and points of images, a list of uint8 [H, W, 3].
+    """Cameras, points, depth and trust [N, h, w] of images, a list of uint8 [H, W, 3].
 
     ``network`` takes [1, N, 3, h, w] in [0, 1] and gives ``pose_enc``, ``depth`` [1, N, h, w, 1] and ``depth_conf``
     [1, N, h, w]; ``decode(pose_enc, (h, w))`` gives world-to-camera matrices [1, N, 3, 4] and intrinsics [1, N, 3, 3].
@@ -54,7 +57,7 @@ def reconstruct(images, network, decode, device="cpu", most=100_000, doubtful=0.
         sx, sy = image.shape[1] / w, image.shape[0] / h
         views.append({"width": image.shape[1], "height": image.shape[0], "fx": k[0, 0] * sx, "fy": k[1, 1] * sy,
                       "cx": k[0, 2] * sx, "cy": k[1, 2] * sy, "world_to_camera": pose.tolist()})
-    return views, _points(small, poses, inner, depth, trust, most, doubtful, seed)
+    return views, _points(small, poses, inner, depth, trust, most, doubtful, seed), depth, trust
 
 
 def _points(small, poses, inner, depth, trust, most, doubtful, seed):
@@ -74,12 +77,34 @@ def _points(small, poses, inner, depth, trust, most, doubtful, seed):
     return [(*p, *c) for p, c in zip(world.tolist(), colors.tolist())]
 
 
+def write_depth(scene, names, depth, trust):
+    """Maps of depth and confidence for photographs with these names; what they mean goes into ``priors.json``.
+
+    The network's depths are consistent with its cameras only roughly, so each view has a factor of its own.
+    """
+    folder = os.path.join(scene, "priors", "depth")
+    os.makedirs(os.path.join(folder, "confidence"), exist_ok=True)
+    path = os.path.join(scene, "priors", "priors.json")
+    settings = {}
+    if os.path.isfile(path):
+        with open(path, encoding="utf-8") as f:
+            settings = json.load(f)
+    settings["depth"] = {"meaning": "scale"}
+    with open(path, "w", encoding="utf-8") as f:
+        json.dump(settings, f, indent=2)
+    for name, z, sure in zip(names, depth, trust):
+        stem = os.path.splitext(name)[0]
+        np.save(os.path.join(folder, "confidence", stem + ".npy"), tensors.confidence(sure))
+        np.save(os.path.join(folder, stem + ".npy"), tensors.known(z, "scale"))
+
+
 def main(arguments=None, loaded=None):
     """Reads a folder of photographs and writes a scene; ``loaded`` stands in for what ``load`` gives."""
     parser = argparse.ArgumentParser(prog="sgs_priors.networks.vggt", description=__doc__.splitlines()[0])
     parser.add_argument("folder", help="photographs, PNG or JPEG")
     parser.add_argument("--weights", required=True, help="file of the network's weights")
     parser.add_argument("-o", "--output", required=True, help="scene directory to make")
+    parser.add_argument("--depth", action="store_true", help="write priors/depth with confidence")
     parser.add_argument("--points", type=int, default=100_000, help="most points")
     parser.add_argument("--device", default=None, help="torch device")
     options = parser.parse_args(arguments)
@@ -94,7 +119,7 @@ def main(arguments=None, loaded=None):
 
     images = [np.asarray(Image.open(os.path.join(options.folder, n)).convert("RGB")) for n in names]
     network, decode = loaded or load(options.weights, options)
-    views, points = reconstruct(images, network, decode, tensors.device(options), options.points)
+    views, points, depth, trust = reconstruct(images, network, decode, tensors.device(options), options.points)
     folder = os.path.join(options.output, "images")
     os.makedirs(folder, exist_ok=True)
     for name, view in zip(names, views):
@@ -103,6 +128,8 @@ def main(arguments=None, loaded=None):
         if os.path.abspath(target) != os.path.abspath(os.path.join(options.folder, name)):
             shutil.copyfile(os.path.join(options.folder, name), target)
     colmap.write(options.output, views, points)
+    if options.depth:
+        write_depth(options.output, names, depth, trust)
     print(f"wrote {len(views)} cameras and {len(points)} points into {options.output}", file=sys.stderr)
     return 0
 

@@ -3,6 +3,7 @@
 //! Photographs are sent as stored, with their distortion, because priors are stored the same way. Each file is written
 //! completely or not at all. Existing files stay, so a second run continues an interrupted one.
 
+mod depth_normals;
 mod regions;
 mod view;
 mod write;
@@ -16,6 +17,8 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+pub use depth_normals::fill_normals_from_depth;
+
 /// Largest number of images in a question for class names.
 const SEEN: usize = 8;
 
@@ -24,6 +27,8 @@ const SEEN: usize = 8;
 pub enum Prior {
     /// Unit normals.
     Normal,
+    /// Depth, and its confidence.
+    Depth,
     /// Feature maps, and the names and embeddings of classes.
     Semantic,
     /// Region numbers.
@@ -38,13 +43,14 @@ pub enum Prior {
 
 impl Prior {
     /// All kinds.
-    pub const ALL: [Prior; 6] =
-        [Prior::Normal, Prior::Semantic, Prior::Masks, Prior::Albedo, Prior::Roughness, Prior::Metallic];
+    pub const ALL: [Prior; 7] =
+        [Prior::Normal, Prior::Depth, Prior::Semantic, Prior::Masks, Prior::Albedo, Prior::Roughness, Prior::Metallic];
 
     /// Returns the name of the folder.
     pub fn name(self) -> &'static str {
         match self {
             Prior::Normal => "normal",
+            Prior::Depth => "depth",
             Prior::Semantic => "semantic",
             Prior::Masks => "masks",
             Prior::Albedo => "albedo",
@@ -57,6 +63,7 @@ impl Prior {
     fn questions(self) -> &'static [&'static str] {
         match self {
             Prior::Normal => &["normals"],
+            Prior::Depth => &["depth"],
             Prior::Semantic => &["semantics", "text"],
             Prior::Masks => &["regions"],
             Prior::Albedo | Prior::Roughness | Prior::Metallic => &["materials"],

@@ -39,6 +39,11 @@ pub(super) fn fill(
         let frame = writer.frame(found.frame)?;
         writer.normal(name, &turned(found.image, found.frame, frame, view))?;
     }
+    if lacks.contains(&Prior::Depth) {
+        let found = provider.depth(&rendered)?;
+        writer.meaning(found.meaning)?;
+        writer.depth(name, &found)?;
+    }
     if lacks.contains(&Prior::Semantic) {
         let found = provider.semantics(&rendered)?;
         writer.features(name, &found)?;
@@ -61,7 +66,7 @@ pub(super) fn fill(
 }
 
 /// Rotates normals from one frame to another.
-fn turned(mut image: Image, from: NormalFrame, to: NormalFrame, view: &View) -> Image {
+pub(super) fn turned(mut image: Image, from: NormalFrame, to: NormalFrame, view: &View) -> Image {
     if from != to {
         let rotation = view.camera.rotation;
         let matrix: DMat3 = to.to_world(rotation).transpose() * from.to_world(rotation);

@@ -2,9 +2,11 @@
 
 use super::regions::Numbers;
 use super::{FillError, FillOptions, Filled, NormalFrame, Prior, Scene};
-use crate::question::{Features, Materials, Regions};
+use crate::question::{Depth, Features, Materials, Regions};
 use serde_json::{Map, Value, json};
-use sgs_scene::{Image, atomic_write, read_ids, write_exr, write_ids, write_npy_f16, write_npy_f32, write_png};
+use sgs_scene::{
+    DepthMeaning, Image, atomic_write, read_ids, write_exr, write_ids, write_npy_f16, write_npy_f32, write_png,
+};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -17,8 +19,12 @@ pub(super) struct Writer<'a> {
     force: bool,
     settings: Map<String, Value>,
     frame: Option<NormalFrame>,
+    /// Recorded meaning of depths.
+    meaning: Option<DepthMeaning>,
+    /// Whether depths are on disk that stay.
+    has_depths: bool,
     numbers: Option<Numbers>,
-    /// Views whose masks are overwritten, so that their old numbers become free.
+    /// Views whose files are overwritten.
     renewed: Vec<String>,
     channels: Option<usize>,
     filled: &'a mut Filled,
@@ -40,7 +46,14 @@ impl<'a> Writer<'a> {
             true => options.views.iter().filter_map(|&i| Some(scene.views.get(i)?.camera.name.clone())).collect(),
             false => Vec::new(),
         };
-        Ok(Writer { root, force: options.force, settings, frame, numbers: None, renewed, channels: None, filled })
+        let recorded = settings.get("depth").map(|depth| depth["meaning"].clone());
+        let mut meaning = recorded.and_then(|word| serde_json::from_value(word).ok());
+        let has_depths = has_others(&root.join(Prior::Depth.name()), &renewed);
+        if has_depths {
+            meaning = meaning.or(Some(DepthMeaning::default()));
+        }
+        let (force, numbers, channels) = (options.force, None, None);
+        Ok(Writer { root, force, settings, frame, meaning, has_depths, numbers, renewed, channels, filled })
     }
 
     /// Adds a warning for the user.
@@ -65,15 +78,61 @@ impl<'a> Writer<'a> {
             Some(frame) => frame,
             None => {
                 self.settings.insert("normal".into(), json!({ "frame": offered }));
-                make(&self.root)?;
-                let path = self.root.join("priors.json");
-                let text = format!("{:#}\n", Value::Object(self.settings.clone()));
-                atomic_write(&path, |f| f.write_all(text.as_bytes()))?;
+                self.write_settings()?;
                 offered
             }
         };
         self.frame = Some(frame);
         Ok(frame)
+    }
+
+    /// Records the meaning of the provider's depths before the first file.
+    ///
+    /// Fails if depths with another meaning are on disk and stay.
+    pub(super) fn meaning(&mut self, offered: DepthMeaning) -> Result<(), FillError> {
+        if self.meaning == Some(offered) {
+            return Ok(());
+        }
+        if let (true, Some(meaning)) = (self.has_depths, self.meaning) {
+            return Err(FillError::Unfit(format!(
+                "{} has {} depths, but those of the provider are {}; a scene has one kind, so remove the folder, or \
+                 replace all with --force",
+                self.root.join(Prior::Depth.name()).display(),
+                meaning.name(),
+                offered.name()
+            )));
+        }
+        // The unit of other depths does not apply.
+        self.settings.insert("depth".into(), json!({ "meaning": offered.name() }));
+        self.write_settings()?;
+        self.meaning = Some(offered);
+        Ok(())
+    }
+
+    fn write_settings(&self) -> Result<(), FillError> {
+        make(&self.root)?;
+        let path = self.root.join("priors.json");
+        let text = format!("{:#}\n", Value::Object(self.settings.clone()));
+        Ok(atomic_write(&path, |f| f.write_all(text.as_bytes()))?)
+    }
+
+    /// Writes depth, and its confidence into a folder of its own.
+    ///
+    /// Confidence is written first, so that no depth lacks its own.
+    pub(super) fn depth(&mut self, view: &str, found: &Depth) -> Result<(), FillError> {
+        let folder = self.root.join(Prior::Depth.name()).join("confidence");
+        for old in EXTENSIONS.map(|extension| folder.join(format!("{view}.{extension}"))) {
+            if old.is_file() {
+                std::fs::remove_file(&old).map_err(|cause| FillError::Write { path: old, cause })?;
+            }
+        }
+        if let Some(confidence) = &found.confidence {
+            make(&folder)?;
+            let path = folder.join(format!("{view}.png"));
+            write_png(&path, confidence)?;
+            self.filled.written.push(path);
+        }
+        self.place(Prior::Depth, view, "exr", |path| Ok(write_exr(path, &found.image, &["Z"])?))
     }
 
     /// Writes normals unchanged. Zero marks unknown pixels.
@@ -210,6 +269,15 @@ impl<'a> Writer<'a> {
         self.filled.written.push(path);
         Ok(())
     }
+}
+
+/// Returns true if a folder has files of other views than these.
+fn has_others(folder: &Path, views: &[String]) -> bool {
+    std::fs::read_dir(folder).into_iter().flatten().flatten().any(|entry| {
+        let path = entry.path();
+        let stem = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        path.is_file() && !views.contains(&stem)
+    })
 }
 
 fn make(folder: &Path) -> Result<(), FillError> {

@@ -45,6 +45,8 @@ pub struct LightResponses {
     pub views: usize,
     /// Mean PSNR of display values at these views under the lights of the run.
     pub psnr: f64,
+    /// Lowest mean PSNR of display values at these views with one light of the run off; `None` if fewer than two are on.
+    pub psnr_one_off: Option<f64>,
 }
 
 /// Emitters that a light consists of.
@@ -96,8 +98,7 @@ pub fn fit_responses(
         builder.fill(gaussians, &placed, &surface)?;
         builder.finish()?;
         let [_, _, coverage] = surface.download(device)?;
-        let fitted =
-            FitView::new(&splats.means, view.position(), &surface.weights(device)?, &coverage, targets, &shares);
+        let fitted = FitView::new(&splats.means, view.position(), &surface.weights(device)?, &coverage, targets);
         pairs += fitted.pairs();
         views.push(fitted);
         on_report(i + 1, total);
@@ -106,12 +107,13 @@ pub fn fit_responses(
         }
     }
     let shown = chosen.len();
-    let fit = Fit::new(albedo(splats)?, views, (RESPONSE_DEGREE + 1).pow(2));
-    let values = fit.solve(lights.len(), |done| on_report(shown + done, total));
-    let psnr = fit.psnr(&values, &shares);
+    let fit = Fit::new(albedo(splats)?, views, (RESPONSE_DEGREE + 1).pow(2), shares);
+    let values = fit.solve(|done| on_report(shown + done, total));
+    let (psnr, psnr_one_off) = (fit.psnr(&values), fit.psnr_one_off(&values));
     let light =
         |(Members { name, on, color, .. }, response): (Members, Vec<f32>)| PageLight { name, on, color, response };
-    Ok(LightResponses { lights: lights.into_iter().zip(values).map(light).collect(), views: fit.views(), psnr })
+    let lights = lights.into_iter().zip(values).map(light).collect();
+    Ok(LightResponses { lights, views: fit.views(), psnr, psnr_one_off })
 }
 
 /// Returns the lights of the emitters.
@@ -146,6 +148,8 @@ fn lights_of(emitting: &Emitting) -> Vec<Members> {
 }
 
 /// Returns the cameras of the fit, evenly chosen and of limited size.
+///
+/// The first ones of any number are spread evenly, too, because the limit of pairs may end the list early.
 fn spread(cameras: &[Camera]) -> Vec<Camera> {
     let every = cameras.len().div_ceil(VIEWS).max(1);
     let small = |c: &Camera| {
@@ -153,7 +157,18 @@ fn spread(cameras: &[Camera]) -> Vec<Camera> {
         let side = |s: u32| (f64::from(s) * by).round().max(1.0) as u32;
         if by < 1.0 { c.scaled(side(c.width), side(c.height)) } else { c.clone() }
     };
-    cameras.iter().step_by(every).map(small).collect()
+    let chosen: Vec<&Camera> = cameras.iter().step_by(every).collect();
+    halving(chosen.len()).map(|i| small(chosen[i])).collect()
+}
+
+/// Returns all numbers below `count`: both halves in turns, and so on within each half.
+///
+/// It is the order of the numbers with reversed bits.
+fn halving(count: usize) -> impl Iterator<Item = usize> {
+    let bits = count.next_power_of_two().trailing_zeros();
+    (0..1_usize << bits)
+        .map(move |i| if bits == 0 { 0 } else { i.reverse_bits() >> (usize::BITS - bits) })
+        .filter(move |i| *i < count)
 }
 
 /// Returns the linear albedo of each Gaussian.
@@ -167,4 +182,29 @@ fn albedo(splats: &Splats) -> Result<Vec<[f32; 3]>> {
 /// Returns the direction from a camera to a Gaussian.
 fn direction(mean: &[f32; 3], from: DVec3) -> DVec3 {
     (DVec3::from(mean.map(f64::from)) - from).normalize_or(DVec3::Z)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_beginning_of_the_views_is_spread_evenly() {
+        assert_eq!(halving(0).collect::<Vec<_>>(), [0; 0]);
+        assert_eq!(halving(1).collect::<Vec<_>>(), [0]);
+        assert_eq!(halving(6).collect::<Vec<_>>(), [0, 4, 2, 1, 5, 3]);
+        for count in [2, 7, 33, 64] {
+            let order: Vec<usize> = halving(count).collect();
+            let mut sorted = order.clone();
+            sorted.sort_unstable();
+            assert_eq!(sorted, (0..count).collect::<Vec<_>>());
+            for taken in 2..=count {
+                let mut first = order[..taken].to_vec();
+                first.sort_unstable();
+                first.push(count);
+                let gap = first.windows(2).map(|pair| pair[1] - pair[0]).max().unwrap();
+                assert!(gap <= 4 * count.div_ceil(taken), "{taken} of {count} leave {gap} views out");
+            }
+        }
+    }
 }

@@ -76,6 +76,14 @@ fn width(kind: &str) -> Option<usize> {
     ["SCALAR", "VEC2", "VEC3", "VEC4"].iter().position(|k| *k == kind).map(|at| at + 1)
 }
 
+/// Returns the bytes of a buffer view.
+pub(super) fn view<'a>(document: &Document, buffers: &'a [Vec<u8>], index: usize) -> Found<&'a [u8]> {
+    let view = document.buffer_views.get(index).ok_or_else(|| format!("its buffer view {index} is not there"))?;
+    let buffer = buffers.get(view.buffer).ok_or_else(|| format!("its buffer {} is not there", view.buffer))?;
+    let end = view.byte_offset.checked_add(view.byte_length);
+    end.and_then(|end| buffer.get(view.byte_offset..end)).ok_or_else(|| "its buffer view leaves the buffer".into())
+}
+
 /// Returns all numbers of an accessor, element by element.
 pub(super) fn numbers(document: &Document, buffers: &[Vec<u8>], accessor: &Accessor, wide: usize) -> Found<Vec<f32>> {
     if width(&accessor.kind) != Some(wide) {
@@ -90,13 +98,10 @@ pub(super) fn numbers(document: &Document, buffers: &[Vec<u8>], accessor: &Acces
         5126 => 4,
         other => return Err(format!("its components are of type {other}, which is not read")),
     };
-    let view = accessor.buffer_view.ok_or("it has no buffer view; compressed splats are not read")?;
-    let view = document.buffer_views.get(view).ok_or_else(|| format!("its buffer view {view} is not there"))?;
-    let buffer = buffers.get(view.buffer).ok_or_else(|| format!("its buffer {} is not there", view.buffer))?;
-    let end = view.byte_offset.checked_add(view.byte_length);
-    let bytes = end.and_then(|end| buffer.get(view.byte_offset..end)).ok_or("its buffer view leaves the buffer")?;
+    let index = accessor.buffer_view.ok_or("it has no buffer view, and no extension that is read has its numbers")?;
+    let bytes = view(document, buffers, index)?;
     let element = wide * size;
-    let stride = view.byte_stride.unwrap_or(element);
+    let stride = document.buffer_views[index].byte_stride.unwrap_or(element);
     let last = accessor.count.checked_sub(1).ok_or("it is empty")?;
     let need =
         last.checked_mul(stride).and_then(|n| n.checked_add(element)).and_then(|n| n.checked_add(accessor.byte_offset));

@@ -116,6 +116,13 @@ pub(super) struct Splatting {
     pub(super) extensions: BTreeMap<String, Value>,
 }
 
+/// The extension of compressed splats.
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Compressed {
+    pub(super) buffer_view: usize,
+}
+
 /// The light extension of a document.
 #[derive(Deserialize)]
 pub(super) struct Lights {

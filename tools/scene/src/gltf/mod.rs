@@ -1,6 +1,7 @@
 //! Splats and lights in glTF 2.0.
 //!
-//! Uses `KHR_gaussian_splatting` with this project's materials, and `KHR_lights_punctual` for lights.
+//! Uses `KHR_gaussian_splatting` with this project's materials, and `KHR_lights_punctual` for lights. Splats may be
+//! compressed by `KHR_gaussian_splatting_compression_spz_2`.
 //!
 //! Other programs read what the extensions define: scales, unit quaternions and opacities after activation, and
 //! spherical harmonics by coefficient. Application-specific attributes have names that begin with an underscore, as
@@ -9,6 +10,7 @@
 //! `extras`.
 
 mod buffer;
+mod compressed;
 mod document;
 mod nodes;
 mod read;
@@ -18,10 +20,14 @@ use crate::activation::{METALLIC_RANGE, logistic, material, unit, unlogistic, un
 use crate::placement::Placement;
 use crate::splats::Splats;
 
-pub use write::write_gltf;
+pub use write::{GltfCoding, write_gltf};
 
 /// Name of the splat extension.
 pub(crate) const SPLATTING: &str = "KHR_gaussian_splatting";
+/// Name of the compression extension; a part of the splat extension.
+const COMPRESSION: &str = "KHR_gaussian_splatting_compression_spz_2";
+/// Name of the compression extension in earlier drafts.
+const EARLY_COMPRESSION: &str = "KHR_gaussian_splatting_compression_spz";
 /// Name of the light extension.
 pub(crate) const LIGHTS: &str = "KHR_lights_punctual";
 

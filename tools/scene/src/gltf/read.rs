@@ -1,9 +1,9 @@
 //! Reader of splats and lights from glTF files of this or another program.
 
-use super::document::{Document, Light, Lights, NodeLight, Primitive, Splatting};
+use super::document::{Compressed, Document, Light, Lights, NodeLight, Primitive, Splatting};
 use super::{
-    GltfScene, LIGHTS, METALLIC_RANGE, Placement, PunctualKind, PunctualLight, SPLATTING, agrees, buffer, logistic,
-    material, nodes, sh_name, unit, unlogistic, unmaterial,
+    COMPRESSION, EARLY_COMPRESSION, GltfScene, LIGHTS, METALLIC_RANGE, Placement, PunctualKind, PunctualLight,
+    SPLATTING, agrees, buffer, compressed, logistic, material, nodes, sh_name, unit, unlogistic, unmaterial,
 };
 use crate::error::{Result, SceneError, io_error};
 use crate::splats::{ALBEDO_RANGE, ROUGHNESS_RANGE, Splats};
@@ -57,7 +57,8 @@ fn document(json: &[u8]) -> Found<Document> {
 fn read(path: &Path, bytes: &[u8]) -> Found<GltfScene> {
     let (json, binary) = buffer::chunks(bytes)?;
     let document = document(json)?;
-    if let Some(other) = document.extensions_required.iter().find(|e| !matches!(e.as_str(), SPLATTING | LIGHTS)) {
+    let known = [SPLATTING, COMPRESSION, EARLY_COMPRESSION, LIGHTS];
+    if let Some(other) = document.extensions_required.iter().find(|e| !known.contains(&e.as_str())) {
         return Err(format!("it needs the extension {other}, which is not read; export it without"));
     }
     let buffers = buffer::buffers(path, &document, binary)?;
@@ -65,7 +66,7 @@ fn read(path: &Path, bytes: &[u8]) -> Found<GltfScene> {
     let nodes::Nodes { placed, transform } = nodes::all(&document)?;
     let mut scene = GltfScene { transform, ..GltfScene::default() };
     let mut meshes = 0_usize;
-    let mut splats = 0_usize;
+    let (mut splats, mut payloads) = (0_usize, 0_usize);
     for (index, matrix) in &placed {
         let Some(mesh) = document.nodes[*index].mesh else { continue };
         let Some(mesh) = document.meshes.get(mesh) else { return Err(format!("there is no mesh {mesh}")) };
@@ -75,13 +76,25 @@ fn read(path: &Path, bytes: &[u8]) -> Found<GltfScene> {
                 continue;
             };
             let named = |problem| format!("node {index}, primitive {i}: {problem}");
-            note(extension, primitive, &mut scene.left_out).map_err(named)?;
+            let payload = note(extension, primitive, &mut scene.left_out).map_err(named)?;
             let attributes = Attributes { document: &document, buffers: &buffers, primitive };
-            splats = splats.saturating_add(attributes.count().map_err(named)?);
-            if splats.saturating_mul(LEAST_BYTES) > total {
+            let count = attributes.count().map_err(named)?;
+            let packed = match payload {
+                Some(view) => {
+                    let bytes = buffer::view(&document, &buffers, view).map_err(named)?;
+                    payloads = payloads.saturating_add(bytes.len());
+                    Some(bytes)
+                }
+                None => {
+                    splats = splats.saturating_add(count);
+                    None
+                }
+            };
+            if splats.saturating_mul(LEAST_BYTES).saturating_add(payloads) > total {
                 return Err("its splats are more than its buffers hold: bytes are used twice".into());
             }
-            let part = attributes.splats().map_err(named)?;
+            let packed = packed.map(|bytes| attributes.unpacked(bytes, count, &mut scene.left_out));
+            let part = attributes.splats(packed.transpose().map_err(named)?).map_err(named)?;
             scene.parts.push((part, nodes::placement(matrix).map_err(named)?));
         }
     }
@@ -95,14 +108,19 @@ fn read(path: &Path, bytes: &[u8]) -> Found<GltfScene> {
     Ok(scene)
 }
 
-/// Rejects unsupported splats and records approximations in `left_out`.
-fn note(extension: &Value, primitive: &Primitive, left_out: &mut Vec<String>) -> Found<()> {
+/// Rejects unsupported splats and records approximations in `left_out`. Returns the buffer view of compressed splats.
+fn note(extension: &Value, primitive: &Primitive, left_out: &mut Vec<String>) -> Found<Option<usize>> {
     let splatting = Splatting::deserialize_from(extension)?;
     if primitive.mode != 0 {
         return Err("splats that are no points".into());
     }
-    if let Some(other) = splatting.extensions.keys().next() {
-        return Err(format!("its splats need {other}, which is not read; export them without"));
+    let mut payload = None;
+    for (name, value) in &splatting.extensions {
+        if ![COMPRESSION, EARLY_COMPRESSION].contains(&name.as_str()) {
+            return Err(format!("its splats need {name}, which is not read; export them without"));
+        }
+        let found = serde_json::from_value::<Compressed>(value.clone());
+        payload = Some(found.map_err(|e| format!("{name} is not as it must be: {e}"))?.buffer_view);
     }
     if !matches!(splatting.kernel.as_str(), "ellipse" | "") {
         return Err(format!("its kernel is \"{}\"; only \"ellipse\" is read", splatting.kernel));
@@ -110,7 +128,7 @@ fn note(extension: &Value, primitive: &Primitive, left_out: &mut Vec<String>) ->
     if !matches!(splatting.color_space.as_str(), "srgb_rec709_display" | "BT.709" | "") {
         left_out.push(format!("the color space \"{}\": colors are read as sRGB", splatting.color_space));
     }
-    Ok(())
+    Ok(payload)
 }
 
 impl Splatting {
@@ -190,7 +208,38 @@ impl Attributes<'_> {
         shown.as_chunks::<4>().0.iter().enumerate().map(one).collect()
     }
 
-    fn splats(&self) -> Found<Splats> {
+    /// Reads compressed splats and records approximations in `left_out`.
+    fn unpacked(&self, bytes: &[u8], count: usize, left_out: &mut Vec<String>) -> Found<Splats> {
+        let file = compressed::unpacked(bytes).map_err(|e| format!("its compressed splats: {e}"))?;
+        if file.splats.len() != count {
+            return Err(format!("it has {} compressed splats, but POSITION has {count} elements", file.splats.len()));
+        }
+        left_out.extend(file.left_out);
+        Ok(file.splats)
+    }
+
+    /// Reads the splats. Those that are compressed are `packed`, and lack what SPZ does not hold.
+    fn splats(&self, packed: Option<Splats>) -> Found<Splats> {
+        let triples = |v: Vec<f32>| v.as_chunks::<3>().0.to_vec();
+        let base = packed.map_or_else(|| self.standard(), Ok)?;
+        let mut semantic = Vec::new();
+        while let Some(values) = self.optional(&format!("_SEMANTIC_{}", semantic.len()), 1)? {
+            semantic.push(values);
+        }
+        let row = |i| semantic.iter().map(move |v: &Vec<f32>| v[i]);
+        let semantic_rows: Vec<f32> = (0..base.len()).flat_map(row).collect();
+        Ok(Splats {
+            normals: self.optional("_NORMAL", 3)?.map(triples),
+            albedo: self.material("ALBEDO", 3, ALBEDO_RANGE)?.map(triples),
+            roughness: self.material("ROUGHNESS", 1, ROUGHNESS_RANGE)?,
+            metallic: self.material("METALLIC", 1, METALLIC_RANGE)?,
+            semantic: (!semantic.is_empty()).then_some((semantic.len(), semantic_rows)),
+            ..base
+        })
+    }
+
+    /// Reads the attributes of the splat extension.
+    fn standard(&self) -> Found<Splats> {
         let triples = |v: Vec<f32>| v.as_chunks::<3>().0.to_vec();
         let scales = self.need(&format!("{SPLATTING}:SCALE"), 3)?;
         let log = |v: f32| v.max(1e-20).ln();
@@ -203,26 +252,13 @@ impl Attributes<'_> {
                 break;
             }
         }
-        let mut semantic = Vec::new();
-        while let Some(values) = self.optional(&format!("_SEMANTIC_{}", semantic.len()), 1)? {
-            semantic.push(values);
-        }
-        let means = triples(self.need("POSITION", 3)?);
-        let row = |i| semantic.iter().map(move |v: &Vec<f32>| v[i]);
-        let semantic_rows: Vec<f32> = (0..means.len()).flat_map(row).collect();
         Ok(Splats {
+            means: triples(self.need("POSITION", 3)?),
             log_scales: triples(self.stored(scales, "_RAW_SCALE", 3, |v| f64::from(v).exp(), log)?),
             rotations: self.rotations()?,
             opacity_logits: self.stored(opacity, "_RAW_OPACITY", 1, logistic, |v| unlogistic(f64::from(v)))?,
             sh,
-            normals: self.optional("_NORMAL", 3)?.map(triples),
-            albedo: self.material("ALBEDO", 3, ALBEDO_RANGE)?.map(triples),
-            roughness: self.material("ROUGHNESS", 1, ROUGHNESS_RANGE)?,
-            metallic: self.material("METALLIC", 1, METALLIC_RANGE)?,
-            semantic: (!semantic.is_empty()).then_some((semantic.len(), semantic_rows)),
-            emitters: None,
-            light_gains: None,
-            means,
+            ..Splats::default()
         })
     }
 

@@ -1,6 +1,9 @@
 //! Writer of splats and lights to glTF files.
 
-use super::{LIGHTS, METALLIC_RANGE, PunctualKind, PunctualLight, SPLATTING, logistic, material, sh_name, unit};
+use super::{
+    COMPRESSION, LIGHTS, METALLIC_RANGE, PunctualKind, PunctualLight, SPLATTING, compressed, logistic, material,
+    sh_name, unit,
+};
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
 use crate::image::srgb_to_linear;
@@ -16,46 +19,81 @@ const FLOAT: u32 = 5126;
 /// Function that appends the numbers of the splat with the given index.
 type Numbers<'a> = Box<dyn Fn(usize, &mut Vec<f32>) + 'a>;
 
+/// Coding of the splats of a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GltfCoding {
+    /// All numbers as 32-bit floats, with what the reader needs to restore every bit.
+    Floats,
+    /// Splats as SPZ of version 2 by `KHR_gaussian_splatting_compression_spz_2`. Normals, materials and features are
+    /// floats.
+    Spz,
+}
+
 /// Attribute of all splats.
 struct Attribute<'a> {
     name: String,
     wide: usize,
     numbers: Numbers<'a>,
+    /// Whether SPZ holds the numbers.
+    in_spz: bool,
 }
 
-/// Writes splats and lights as `.glb`, or as `.gltf` with a `.bin` file. The `.bin` file has the same stem and
-/// directory.
-///
-/// Splats and lights are in the coordinates of the scene. A node above them holds the transform from the scene to the file.
-///
-/// # Errors
-/// Fails if there are no splats, which glTF cannot express, if a `.glb` would exceed 4 GiB, or if writing fails.
-pub fn write_gltf(
-    path: &Path,
-    splats: &Splats,
-    lights: &[PunctualLight],
-    light_extras: Option<&Value>,
-    transform: Option<&Placement>,
-) -> Result<()> {
-    splats.check()?;
-    if splats.is_empty() {
-        let problem = "there are none, and glTF has no way to say so; write a PLY".into();
-        return Err(SceneError::Data { what: "the splats", problem });
+impl Attribute<'_> {
+    /// Returns the bytes of the numbers of `n` splats.
+    fn bytes(&self, n: usize) -> usize {
+        4 * self.wide * n
     }
-    let attributes = attributes(splats);
-    let n = splats.len();
-    let total: usize = attributes.iter().map(|a| 4 * a.wide * n).sum();
-    let binary = path.extension().is_none_or(|e| !e.eq_ignore_ascii_case("gltf"));
-    let beside = path.with_extension("bin");
-    let uri = (!binary).then(|| beside.file_name().unwrap_or_default().to_string_lossy().replace(' ', "%20"));
-    let lights: Vec<PunctualLight> = lights.iter().map(|light| scaled(light, transform)).collect();
-    let mut document = document(splats, &attributes, total, uri, &lights, light_extras);
-    if let Some(transform) = transform {
-        place(&mut document, transform);
+}
+
+/// Numbers of a file.
+struct Content<'a> {
+    splats: &'a Splats,
+    attributes: Vec<Attribute<'a>>,
+    /// Compressed splats; empty without compression.
+    payload: Vec<u8>,
+    /// Least and greatest position.
+    bounds: [[f32; 3]; 2],
+}
+
+impl<'a> Content<'a> {
+    fn new(splats: &'a Splats, coding: GltfCoding) -> Result<Self> {
+        let mut attributes = attributes(splats);
+        let bounds = |of: &Splats| {
+            let most =
+                |f: fn(f32, f32) -> f32, from: f32| [0, 1, 2].map(|k| of.means.iter().map(|m| m[k]).fold(from, f));
+            [most(f32::min, f32::INFINITY), most(f32::max, f32::NEG_INFINITY)]
+        };
+        if coding == GltfCoding::Floats {
+            attributes.iter_mut().for_each(|a| a.in_spz = false);
+            return Ok(Self { splats, attributes, payload: Vec::new(), bounds: bounds(splats) });
+        }
+        attributes.retain(|a| !a.name.starts_with("_RAW_"));
+        let payload = compressed::packed(splats)?;
+        let read =
+            compressed::unpacked(&payload).map_err(|problem| SceneError::Data { what: "the splats", problem })?;
+        let bounds = bounds(&read.splats);
+        Ok(Self { splats, attributes, payload, bounds })
     }
-    let fill = |out: &mut dyn Write| -> io::Result<()> {
+
+    /// Returns the attributes whose numbers are written as floats.
+    fn floats(&self) -> impl Iterator<Item = &Attribute<'a>> {
+        self.attributes.iter().filter(|a| !a.in_spz)
+    }
+
+    /// Returns the bytes of all attributes that are floats.
+    fn float_bytes(&self) -> usize {
+        self.floats().map(|a| a.bytes(self.splats.len())).sum()
+    }
+
+    /// Returns the bytes of the buffer: floats, payload, and zeros up to a multiple of four.
+    fn bytes(&self) -> usize {
+        (self.float_bytes() + self.payload.len()).next_multiple_of(4)
+    }
+
+    fn write(&self, out: &mut dyn Write) -> io::Result<()> {
+        let n = self.splats.len();
         let (mut row, mut bytes) = (Vec::new(), Vec::new());
-        for attribute in &attributes {
+        for attribute in self.floats() {
             for i in 0..n {
                 row.clear();
                 (attribute.numbers)(i, &mut row);
@@ -66,10 +104,44 @@ pub fn write_gltf(
                 }
             }
         }
-        Ok(())
-    };
+        out.write_all(&self.payload)?;
+        out.write_all(&vec![0; self.bytes() - self.float_bytes() - self.payload.len()])
+    }
+}
+
+/// Writes splats and lights as `.glb`, or as `.gltf` with a `.bin` file. The `.bin` file has the same stem and
+/// directory.
+///
+/// Splats and lights are in the coordinates of the scene. A node above them holds the transform from the scene to the file.
+///
+/// # Errors
+/// Fails if there are no splats, which glTF cannot express, if a position does not fit into SPZ, if a `.glb` would exceed
+/// 4 GiB, or if writing fails.
+pub fn write_gltf(
+    path: &Path,
+    splats: &Splats,
+    coding: GltfCoding,
+    lights: &[PunctualLight],
+    light_extras: Option<&Value>,
+    transform: Option<&Placement>,
+) -> Result<()> {
+    splats.check()?;
+    if splats.is_empty() {
+        let problem = "there are none, and glTF has no way to say so; write a PLY".into();
+        return Err(SceneError::Data { what: "the splats", problem });
+    }
+    let content = Content::new(splats, coding)?;
+    let total = content.bytes();
+    let binary = path.extension().is_none_or(|e| !e.eq_ignore_ascii_case("gltf"));
+    let beside = path.with_extension("bin");
+    let uri = (!binary).then(|| beside.file_name().unwrap_or_default().to_string_lossy().replace(' ', "%20"));
+    let lights: Vec<PunctualLight> = lights.iter().map(|light| scaled(light, transform)).collect();
+    let mut document = document(&content, uri, &lights, light_extras);
+    if let Some(transform) = transform {
+        place(&mut document, transform);
+    }
     if !binary {
-        atomic_write(&beside, |out| fill(out))?;
+        atomic_write(&beside, |out| content.write(out))?;
         let text = serde_json::to_string_pretty(&document).unwrap_or_default();
         return atomic_write(path, |out| out.write_all(text.as_bytes()));
     }
@@ -87,13 +159,16 @@ pub fn write_gltf(
         out.write_all(&text)?;
         out.write_all(&(total as u32).to_le_bytes())?;
         out.write_all(b"BIN\0")?;
-        fill(out)
+        content.write(out)
     })
 }
 
 fn attributes<'a>(s: &'a Splats) -> Vec<Attribute<'a>> {
     let mut all = Vec::new();
-    let mut put = |name: String, wide: usize, numbers: Numbers<'a>| all.push(Attribute { name, wide, numbers });
+    let mut put = |name: String, wide: usize, numbers: Numbers<'a>| {
+        let in_spz = !name.starts_with('_');
+        all.push(Attribute { name, wide, numbers, in_spz });
+    };
     let own = |name: &str| format!("{SPLATTING}:{name}");
     put("POSITION".into(), 3, Box::new(|i, out| out.extend(s.means[i])));
     // Viewers without splat support show points in the color of band 0; glTF colors are linear.
@@ -187,30 +262,41 @@ fn place(document: &mut Value, transform: &Placement) {
 }
 
 fn document(
-    splats: &Splats,
-    attributes: &[Attribute<'_>],
-    total: usize,
+    content: &Content<'_>,
     uri: Option<String>,
     lights: &[PunctualLight],
     light_extras: Option<&Value>,
 ) -> Value {
     let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), serde_json::Map::new());
-    let mut offset = 0;
-    for (i, a) in attributes.iter().enumerate() {
-        let length = 4 * a.wide * splats.len();
-        views.push(json!({"buffer": 0, "byteOffset": offset, "byteLength": length, "target": 34962}));
-        offset += length;
+    let (mut offset, count) = (0, content.splats.len());
+    for (i, a) in content.attributes.iter().enumerate() {
         let kind = ["SCALAR", "VEC2", "VEC3", "VEC4"][a.wide - 1];
-        let mut accessor = json!({"bufferView": i, "componentType": FLOAT, "count": splats.len(), "type": kind});
+        let mut accessor = json!({"componentType": FLOAT, "count": count, "type": kind});
+        if !a.in_spz {
+            accessor["bufferView"] = json!(views.len());
+            let length = a.bytes(count);
+            views.push(json!({"buffer": 0, "byteOffset": offset, "byteLength": length, "target": 34962}));
+            offset += length;
+        }
         if a.name == "POSITION" {
-            let most =
-                |f: fn(f32, f32) -> f32, from: f32| [0, 1, 2].map(|k| splats.means.iter().map(|m| m[k]).fold(from, f));
-            accessor["min"] = json!(most(f32::min, f32::INFINITY));
-            accessor["max"] = json!(most(f32::max, f32::NEG_INFINITY));
+            let [least, greatest] = content.bounds;
+            accessor["min"] = json!(least);
+            accessor["max"] = json!(greatest);
         }
         accessors.push(accessor);
         names.insert(a.name.clone(), json!(i));
     }
+    let mut splatting = json!({
+        "kernel": "ellipse", "colorSpace": "srgb_rec709_display",
+        "sortingMethod": "cameraDistance", "projection": "perspective"
+    });
+    let mut used = vec![SPLATTING];
+    if !content.payload.is_empty() {
+        splatting["extensions"] = json!({COMPRESSION: {"bufferView": views.len()}});
+        views.push(json!({"buffer": 0, "byteOffset": offset, "byteLength": content.payload.len()}));
+        used.push(COMPRESSION);
+    }
+    let required = used[1..].to_vec();
     let mut nodes = vec![json!({"name": "splats", "mesh": 0})];
     let mut all = Vec::new();
     for (i, light) in lights.iter().enumerate() {
@@ -222,35 +308,35 @@ fn document(
         }
         all.push(object);
     }
-    let mut buffer = json!({"byteLength": total});
+    let mut buffer = json!({"byteLength": content.bytes()});
     if let Some(uri) = uri {
         buffer["uri"] = json!(uri);
     }
     let mut document = json!({
         "asset": {"version": "2.0", "generator": concat!("SGS ", env!("CARGO_PKG_VERSION"))},
-        "extensionsUsed": [SPLATTING],
         "scene": 0,
         "scenes": [{"nodes": (0..nodes.len()).collect::<Vec<_>>()}],
         "nodes": nodes,
         "meshes": [{"primitives": [{
             "mode": 0,
             "attributes": names,
-            "extensions": {SPLATTING: {
-                "kernel": "ellipse", "colorSpace": "srgb_rec709_display",
-                "sortingMethod": "cameraDistance", "projection": "perspective"
-            }}
+            "extensions": {SPLATTING: splatting}
         }]}],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [buffer],
     });
     if !all.is_empty() {
-        document["extensionsUsed"] = json!([SPLATTING, LIGHTS]);
+        used.push(LIGHTS);
         let mut object = json!({"lights": all});
         if let Some(extras) = light_extras {
             object["extras"] = extras.clone();
         }
         document["extensions"] = json!({LIGHTS: object});
+    }
+    document["extensionsUsed"] = json!(used);
+    if !required.is_empty() {
+        document["extensionsRequired"] = json!([&[SPLATTING], &required[..]].concat());
     }
     document
 }

@@ -81,7 +81,7 @@ pub fn undistort_coverage(camera: &Camera, lens: &Distortion) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::camera::tests::camera;
+    use crate::camera::{Projection, tests::camera};
 
     const LENS: Distortion = Distortion { k1: 0.12, k2: -0.08, p1: -0.004, p2: 0.003, ..Distortion::NONE };
 
@@ -138,13 +138,27 @@ mod tests {
 
     #[test]
     fn undistortion_recovers_the_image_of_wide_lenses() {
+        let none = Distortion::NONE;
+        let equidistant = Distortion { projection: Projection::Equidistant, ..none };
         for lens in [
-            Distortion { fisheye: true, k1: 0.05, k2: -0.02, prism: [0.01, -0.02], p1: 0.003, ..Distortion::NONE },
-            Distortion { k1: 0.1, k2: 0.02, k3: -0.01, rational: [0.2, 0.05, 0.01], ..Distortion::NONE },
+            Distortion { k1: 0.05, k2: -0.02, prism: [0.01, 0.0, -0.02, 0.0], p1: 0.003, ..equidistant },
+            Distortion { k1: 0.1, k2: 0.02, k3: -0.01, rational: [0.2, 0.05, 0.01], ..none },
+            Distortion {
+                k1: 0.05,
+                higher: [-0.02, 0.01],
+                prism: [0.01, 0.02, -0.02, 0.01],
+                after_radial: true,
+                ..equidistant
+            },
+            Distortion { projection: Projection::FieldOfView(0.9), ..none },
+            Distortion { projection: Projection::Division(-0.2), ..none },
+            Distortion { projection: Projection::Unified { alpha: 0.6, beta: 1.1 }, ..none },
         ] {
             let right = error_inside(&lens, &lens);
-            assert!(right < 0.02, "{right}");
-            assert!(error_inside(&lens, &Distortion { fisheye: false, rational: [0.0; 3], ..lens }) > 0.05);
+            assert!(right < 0.02, "{lens:?}: {right}");
+            assert!(
+                error_inside(&lens, &Distortion { projection: none.projection, rational: [0.0; 3], ..lens }) > 0.05
+            );
         }
     }
 

@@ -11,6 +11,8 @@ mod rotation;
 mod write;
 
 pub use read::read_spz;
+pub(crate) use read::spz_of_bytes;
+pub(crate) use write::spz_to_bytes;
 pub use write::write_spz;
 
 /// First word of a file.

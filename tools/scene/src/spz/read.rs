@@ -32,10 +32,14 @@ struct Header {
 /// Fails if the file is damaged or of another version.
 pub fn read_spz(path: &Path) -> Result<SplatFile> {
     let bytes = std::fs::read(path).map_err(io_error("read", path))?;
-    read(&bytes).map_err(|problem| SceneError::points(path, "", problem))
+    spz_of_bytes(&bytes).map_err(|problem| SceneError::points(path, "", problem))
 }
 
-pub(super) fn read(bytes: &[u8]) -> Found<SplatFile> {
+/// Reads the content of an SPZ file.
+///
+/// # Errors
+/// Describes what is damaged, or the version that is not read.
+pub(crate) fn spz_of_bytes(bytes: &[u8]) -> Found<SplatFile> {
     if bytes.starts_with(&[0x1f, 0x8b]) {
         let mut reader = GzDecoder::new(bytes);
         let mut start = [0; HEADER];
@@ -233,7 +237,7 @@ mod tests {
     #[test]
     fn impossible_headers_are_refused_with_a_reason() {
         let refused = |bytes: &[u8], words: &str| {
-            let problem = read(bytes).unwrap_err();
+            let problem = spz_of_bytes(bytes).unwrap_err();
             assert!(problem.contains(words), "{problem}");
         };
         let head = |version: u32, count: u32, degree: u8, bits: u8| {
@@ -253,7 +257,7 @@ mod tests {
         refused(&head(4, u32::MAX, 3, 12), "cannot hold");
         refused(&head(4, 1, 3, 12), "table of contents is cut off");
         refused(&[0x1f, 0x8b, 8, 0], "gzip stream is damaged");
-        assert!(read(&head(2, 0, 0, 12)).unwrap().splats.is_empty());
+        assert!(spz_of_bytes(&head(2, 0, 0, 12)).unwrap().splats.is_empty());
     }
 
     #[test]

@@ -21,27 +21,58 @@ const LEVEL: i32 = 12;
 /// # Errors
 /// Fails if a position does not fit, or if writing fails.
 pub fn write_spz(path: &Path, splats: &Splats, version: SpzVersion, transform: Option<&Placement>) -> Result<()> {
-    splats.check()?;
-    let bits = fractional_bits(splats)?;
-    let count = u32::try_from(splats.len())
-        .map_err(|_| data(format!("there are {}, but an SPZ file holds 4 billion at most", splats.len())))?;
-    let parts = attributes(splats, version, bits);
-    let records = transform.filter(|_| version == SpzVersion::V4).map_or(Vec::new(), record);
-    let mut header = MAGIC.to_vec();
-    header.extend(version.number().to_le_bytes());
-    header.extend(count.to_le_bytes());
-    let flags = if records.is_empty() { 0 } else { EXTENSIONS_FLAG };
-    header.extend([splats.sh_degree() as u8, bits as u8, flags]);
-    if version == SpzVersion::V4 {
-        return atomic_write(path, |out| streams(out, header, &records, &parts));
+    let file = Prepared::new(splats, version, transform)?;
+    atomic_write(path, |out| file.write(out))
+}
+
+/// Returns the content of an SPZ file.
+///
+/// # Errors
+/// Fails if a position does not fit.
+pub(crate) fn spz_to_bytes(splats: &Splats, version: SpzVersion) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let written = Prepared::new(splats, version, None)?.write(&mut bytes);
+    written.map_err(|e| data(e.to_string()))?;
+    Ok(bytes)
+}
+
+/// Content of a file before compression.
+struct Prepared {
+    version: SpzVersion,
+    header: Vec<u8>,
+    /// Extension records.
+    records: Vec<u8>,
+    /// Attributes in file order.
+    parts: [Vec<u8>; 6],
+}
+
+impl Prepared {
+    fn new(splats: &Splats, version: SpzVersion, transform: Option<&Placement>) -> Result<Self> {
+        splats.check()?;
+        let bits = fractional_bits(splats)?;
+        let count = u32::try_from(splats.len())
+            .map_err(|_| data(format!("there are {}, but an SPZ file holds 4 billion at most", splats.len())))?;
+        let parts = attributes(splats, version, bits);
+        let records = transform.filter(|_| version == SpzVersion::V4).map_or(Vec::new(), record);
+        let mut header = MAGIC.to_vec();
+        header.extend(version.number().to_le_bytes());
+        header.extend(count.to_le_bytes());
+        let flags = if records.is_empty() { 0 } else { EXTENSIONS_FLAG };
+        header.extend([splats.sh_degree() as u8, bits as u8, flags]);
+        Ok(Self { version, header, records, parts })
     }
-    header.push(0);
-    atomic_write(path, |out| {
+
+    fn write(&self, out: &mut impl Write) -> io::Result<()> {
+        let mut header = self.header.clone();
+        if self.version == SpzVersion::V4 {
+            return streams(out, header, &self.records, &self.parts);
+        }
+        header.push(0);
         let mut packed = GzEncoder::new(out, Compression::best());
         packed.write_all(&header)?;
-        parts.iter().try_for_each(|part| packed.write_all(part))?;
+        self.parts.iter().try_for_each(|part| packed.write_all(part))?;
         packed.finish().map(|_| ())
-    })
+    }
 }
 
 fn data(problem: String) -> SceneError {
@@ -115,8 +146,7 @@ fn streams(out: &mut impl Write, mut header: Vec<u8>, records: &[u8], parts: &[V
 
 #[cfg(test)]
 mod tests {
-    use super::super::read::read;
-    use super::super::read_spz;
+    use super::super::{read_spz, spz_of_bytes};
     use super::*;
     use crate::splats::tests::waves;
 
@@ -167,12 +197,12 @@ mod tests {
             write_spz(&path, &waves(20, 1), version, Some(&Placement::NONE)).unwrap();
             let bytes = std::fs::read(&path).unwrap();
             for length in 0..bytes.len() - 8 {
-                assert!(read(&bytes[..length]).is_err(), "{length}");
+                assert!(spz_of_bytes(&bytes[..length]).is_err(), "{length}");
             }
             for at in 0..bytes.len() {
                 let mut bad = bytes.clone();
                 bad[at] ^= 0x41;
-                if let Ok(file) = read(&bad) {
+                if let Ok(file) = spz_of_bytes(&bad) {
                     file.splats.check().unwrap();
                 }
             }

@@ -10,7 +10,7 @@ use sgs_config::Settings;
 use sgs_run::{
     Export, ExportFormat, LightList, RunDirectory, read_emitters, read_exchange, read_light_list, write_export,
 };
-use sgs_scene::{Camera, Placement, PlyDialect, Scene, SpzVersion};
+use sgs_scene::{Camera, GltfCoding, Placement, PlyDialect, Scene, SpzVersion};
 use std::path::{Path, PathBuf};
 
 #[derive(clap::Args)]
@@ -97,6 +97,10 @@ enum Format {
     Gltf,
     /// glTF in a single file.
     Glb,
+    /// glTF with its data in a .bin file beside it, Gaussians compressed as SPZ.
+    GltfSpz,
+    /// glTF in a single file, Gaussians compressed as SPZ.
+    GlbSpz,
     /// SPZ of version 4.
     Spz,
     /// SPZ of version 3.
@@ -134,7 +138,8 @@ impl Format {
             Format::R3dg => ExportFormat::Ply(PlyDialect::R3dg),
             Format::Sgs => ExportFormat::Ply(PlyDialect::Sgs),
             Format::Mesh2splat => ExportFormat::Ply(PlyDialect::Mesh2Splat),
-            Format::Gltf | Format::Glb => ExportFormat::Gltf,
+            Format::Gltf | Format::Glb => ExportFormat::Gltf(GltfCoding::Floats),
+            Format::GltfSpz | Format::GlbSpz => ExportFormat::Gltf(GltfCoding::Spz),
             Format::Spz => ExportFormat::Spz(SpzVersion::V4),
             Format::Spz3 => ExportFormat::Spz(SpzVersion::V3),
             Format::Spz2 => ExportFormat::Spz(SpzVersion::V2),
@@ -147,6 +152,8 @@ impl Format {
     fn extension(self) -> &'static str {
         match self {
             Format::Spz2 | Format::Spz3 => "spz",
+            Format::GltfSpz => "gltf",
+            Format::GlbSpz => "glb",
             _ => EXTENSIONS.iter().find(|(_, format)| *format == self).map_or("ply", |(end, _)| end),
         }
     }
@@ -213,7 +220,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         let [lights, environment] = ["lights.json", "environment.exr"].map(|name| run.path(name));
         let lights = match format {
             // The emitters of a run are its light.
-            ExportFormat::Gltf | ExportFormat::Usd if run.emitters().is_file() => {
+            ExportFormat::Gltf(_) | ExportFormat::Usd if run.emitters().is_file() => {
                 Some(LightList::of_emitters(&read_emitters(&run.emitters())?))
             }
             _ if lights.is_file() => Some(read_light_list(&lights)?),

@@ -63,7 +63,9 @@ pub fn run(common: &Common, export: &PageExport<'_>) -> anyhow::Result<()> {
         light_degree: RESPONSE_DEGREE,
     };
     let written = write_page(folder, &page)?;
-    let fit = responses.as_ref().map(|r| serde_json::json!({"views": r.views, "psnr": r.psnr}));
+    let fit = responses
+        .as_ref()
+        .map(|r| serde_json::json!({"views": r.views, "psnr": r.psnr, "psnr_one_off": r.psnr_one_off}));
     let answer = serde_json::json!({
         "gaussians": written.splats, "left_out": splats.len() - written.splats, "page": written.files[0],
         "files": written.files, "bytes": written.bytes, "views": cameras.len(), "lights": lights.len(), "fit": fit,
@@ -71,8 +73,12 @@ pub fn run(common: &Common, export: &PageExport<'_>) -> anyhow::Result<()> {
     if !common.answer(&answer)? && !common.quiet {
         let (count, views, size) = (written.splats, cameras.len(), written.bytes as f64 / 1e6);
         eprintln!("wrote {count} Gaussians and {views} views to {}, {size:.1} MB in all", written.files[0].display());
-        if let Some(LightResponses { lights, views, psnr }) = &responses {
-            eprintln!("{} lights: {psnr:.2} dB from the relit images at the {views} views of the fit", lights.len());
+        if let Some(LightResponses { lights, views, psnr, psnr_one_off }) = &responses {
+            let off = psnr_one_off.map_or(String::new(), |off| format!(", {off:.2} dB or more with one off"));
+            eprintln!(
+                "{} lights: {psnr:.2} dB from the relit images at the {views} views of the fit{off}",
+                lights.len()
+            );
         }
     }
     Ok(())

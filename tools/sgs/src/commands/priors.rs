@@ -3,7 +3,7 @@
 use crate::common::Common;
 use crate::failure::refuse_usage;
 use crate::ui::{Bar, Stop};
-use sgs_provider::{FillOptions, Prior, Provider, ProviderOptions, fill};
+use sgs_provider::{FillOptions, Prior, Provider, ProviderOptions, fill, fill_normals_from_depth};
 use sgs_scene::{Scene, SceneOptions, SplitRule};
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
@@ -13,9 +13,13 @@ pub struct Args {
     /// Scene directory.
     scene: PathBuf,
     /// Command line of the provider (docs/guide/priors.md). For instance "tools/priors/serve stable-normal=WEIGHTS".
-    #[arg(long, value_name = "CMD")]
-    provider: String,
-    /// Kinds of priors: normal, semantic, masks, albedo, roughness, metallic; by default all kinds of the provider.
+    #[arg(long, value_name = "CMD", required_unless_present = "normals_from_depth")]
+    provider: Option<String>,
+    /// Compute normal priors from depth: the sensor's, or that of priors/depth. Differences reach STEP pixels to each side;
+    /// more for noisy depth.
+    #[arg(long, value_name = "STEP", num_args = 0..=1, default_missing_value = "1", conflicts_with_all = ["provider", "only", "labels"])]
+    normals_from_depth: Option<u32>,
+    /// Kinds of priors: normal, depth, semantic, masks, albedo, roughness, metallic; by default all kinds of the provider.
     #[arg(long, value_name = "KINDS", value_delimiter = ',')]
     only: Vec<Prior>,
     /// Test views, as for training: "every:N", "linspace:N", a file like split.json, or "auto".
@@ -68,16 +72,30 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         labels: a.labels.iter().map(|l| l.trim().to_owned()).filter(|l| !l.is_empty()).collect(),
     };
     let stop = Stop::on_signals()?;
-    let mut provider = Provider::start(&ProviderOptions {
-        command: a.provider.clone(),
-        start_seconds: a.start_seconds,
-        answer_seconds: a.answer_seconds,
-        seed: a.seed,
-        ..ProviderOptions::default()
-    })?;
     let mut bar = Bar::new(common, "views", options.views.len() as u64, 0);
     let progress = |done: usize, _: usize| bar.set(done as u64, String::new);
-    let filled = fill(&scene, &mut provider, &options, progress, || !stop.load(Ordering::SeqCst))?;
+    let go_on = || !stop.load(Ordering::SeqCst);
+    let (name, filled) = match (&a.provider, a.normals_from_depth) {
+        (_, Some(step)) => {
+            if !(1..=64).contains(&step) {
+                refuse_usage!("--normals-from-depth is {step}; use a number of pixels from 1 to 64.");
+            }
+            let filled = fill_normals_from_depth(&scene, step as usize, &options, progress, go_on)?;
+            ("normals from depth".to_owned(), filled)
+        }
+        (command, None) => {
+            let command = command.clone().unwrap_or_default();
+            let mut provider = Provider::start(&ProviderOptions {
+                command,
+                start_seconds: a.start_seconds,
+                answer_seconds: a.answer_seconds,
+                seed: a.seed,
+                ..ProviderOptions::default()
+            })?;
+            let filled = fill(&scene, &mut provider, &options, progress, go_on)?;
+            (provider.about().name.clone(), filled)
+        }
+    };
     bar.finish();
     for warning in &filled.warnings {
         tracing::warn!("{warning}");
@@ -87,7 +105,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
         return Err(stop.failure(format!("stopped after {written} files; the same command goes on from there")));
     }
     let summary = serde_json::json!({
-        "provider": provider.about().name,
+        "provider": name,
         "written": filled.written,
         "kept": filled.existing,
         "complete": filled.complete,

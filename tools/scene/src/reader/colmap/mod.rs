@@ -153,9 +153,7 @@ pub(super) fn read(root: &Path) -> Result<Found> {
             translation,
             near: crate::camera::NEAR,
         };
-        let problem = camera.problem();
-        let problem = problem.or((!lens.is_finite()).then(|| "the distortion holds values that are not finite".into()));
-        if let Some(problem) = problem {
+        if let Some(problem) = camera.problem().or_else(|| lens.problem()) {
             return Err(SceneError::cameras(&cameras_path, format!("camera {}", shared.id), problem));
         }
         let camera = downscaled::fitted(camera, &image)?;

@@ -140,7 +140,10 @@ fn each_text_error_has_its_message() {
     let cameras = |content: &str| fail("cameras.txt", content);
     assert!(cameras("3 OPENCV 8\n").starts_with("cameras.txt, line 1: the line ends before height in pixels"));
     assert!(cameras("#\nx OPENCV").starts_with("cameras.txt, line 2: \"x\" is no camera number"));
-    assert!(cameras("3 FOV 8 6 1 2 3 4 5").contains("line 1: the camera model is FOV, but only"));
+    assert!(cameras("3 NEW 8 6 1 2 3 4 5").contains("line 1: the camera model is NEW, but only"));
+    assert!(cameras("3 EQUIRECTANGULAR 8 6 8 6").contains("line 1: the camera model is EQUIRECTANGULAR, a panorama"));
+    let fov = CAMERAS.replace("OPENCV 8 6 5 6 3.5 2.5 0.1 0.2 0.3 0.4", "FOV 8 6 5 6 3.5 2.5 4");
+    assert!(cameras(&fov).contains("camera 3: the field of view omega is 4 radians; it must lie between -π and π"));
     assert!(cameras("3 PINHOLE 8 6 1 2 3").contains("the model PINHOLE has 3 parameters; it must have 4"));
     assert!(cameras("3 PINHOLE 8 6 1 2 3 x").contains("\"x\" is no camera parameter"));
     assert!(
@@ -206,10 +209,10 @@ fn truncated_text_files_never_panic() {
 fn unsupported_models_are_rejected_by_name() {
     let (_keep, root) = binary_scene();
     let mut cameras = binary_files()[0].1.clone();
-    cameras[12] = 7;
+    cameras[12] = 18;
     put(&root, "sparse/cameras.bin", &cameras);
     let error = read(&root).unwrap_err().to_string();
-    assert!(error.contains("camera 3: the camera model is FOV, but only SIMPLE_PINHOLE"), "{error}");
+    assert!(error.contains("camera 3: the camera model is number 18, but only SIMPLE_PINHOLE"), "{error}");
 }
 
 #[test]

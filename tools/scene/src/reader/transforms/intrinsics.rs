@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
 
-use crate::camera::{Camera, Distortion};
+use crate::camera::{Camera, Distortion, Projection};
 use crate::reader::pose::{self, Axes};
 
 /// Top level of the file or one of its frames. All fields are optional; frames inherit missing fields from the top
@@ -112,10 +112,10 @@ impl Entry {
             k4: value(self.k4),
             p1: value(self.p1),
             p2: value(self.p2),
-            fisheye: self.is_fisheye_lens(),
+            projection: if self.is_fisheye_lens() { Projection::Equidistant } else { Projection::Perspective },
             ..Distortion::default()
         };
-        if lens.is_finite() { Ok(lens) } else { Err("the distortion holds values that are not finite".into()) }
+        lens.problem().map_or(Ok(lens), Err)
     }
 
     /// Returns the camera of an image with this size.

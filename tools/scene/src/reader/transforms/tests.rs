@@ -4,6 +4,7 @@ use glam::DVec3;
 use tempfile::TempDir;
 
 use super::*;
+use crate::camera::Projection;
 use crate::image::{Image, write_png};
 use crate::reader::Frame;
 
@@ -82,10 +83,10 @@ fn fisheye_lenses_may_differ_between_frames() {
         ", \"camera_model\": \"OPENCV_FISHEYE\", \"k3\": 0.2",
     );
     let Frame { lens, .. } = &found(&json, &["a.png"]).frames[0];
-    assert_eq!((lens.fisheye, lens.k1, lens.k3), (true, 0.1, 0.2));
+    assert_eq!((lens.projection, lens.k1, lens.k3), (Projection::Equidistant, 0.1, 0.2));
     let json = one("\"fl_x\": 5, \"is_fisheye\": true,", "");
-    assert!(found(&json, &["a.png"]).frames[0].lens.fisheye);
-    assert!(!found(&one("\"fl_x\": 5,", ""), &["a.png"]).frames[0].lens.fisheye);
+    assert_eq!(found(&json, &["a.png"]).frames[0].lens.projection, Projection::Equidistant);
+    assert!(found(&one("\"fl_x\": 5,", ""), &["a.png"]).frames[0].lens.is_none());
 }
 
 #[test]
