@@ -107,6 +107,7 @@ pub fn steps_of(
         entry_capacity: 1 << 14,
         channels: channels(g, depth),
         statistics: None,
+        mcmc: false,
         dense_adam: false,
         backward: BackwardKernel::Pixel,
         semantic_geometry: false,

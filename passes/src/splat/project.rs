@@ -255,6 +255,8 @@ pub struct FusedAdam {
     /// Gradients from other views, added before Adam. With them `seen` is also set where a gradient was not finite.
     /// Otherwise the other views alone would move Gaussians that were skipped.
     pub extra: Option<ExtraGradients>,
+    /// Whether gradients of the regularizers of opacity and scale are added (Markov chain Monte Carlo).
+    pub regularize: bool,
 }
 
 /// Runs the backward pass of [`project`] and Adam in one pass.
@@ -277,6 +279,7 @@ pub fn project_bwd_adam(
     let bindings = fused::Bindings {
         params: screen.step.into(),
         visible: visible.work.slice,
+        live: gaussians.work.into(),
         flags: adam.flags.into(),
         splat_ids: visible.ids.into(),
         entry_starts: entries.starts.into(),
@@ -293,7 +296,7 @@ pub fn project_bwd_adam(
         skipped: adam.skipped.into(),
         seen: seen.into(),
     };
-    let specs = backward_specs!(fused, t, gaussians, visible, entries, { statistics: adam.statistics, mark_seen: adam.seen.is_some(), extra: adam.extra.is_some(), });
+    let specs = backward_specs!(fused, t, gaussians, visible, entries, { statistics: adam.statistics, mark_seen: adam.seen.is_some(), extra: adam.extra.is_some(), regularize: adam.regularize, });
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)

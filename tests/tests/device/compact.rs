@@ -148,6 +148,7 @@ fn step_of(gpu: &Gpu, g: &ReferenceGaussians, start: &State, storage: Storage, d
         entry_capacity: 1 << 14,
         channels: Channels { colors: true, normals: model.normals, depth: false },
         statistics: None,
+        mcmc: false,
         dense_adam: dense,
         backward: BackwardKernel::Pixel,
         semantic_geometry: false,
@@ -221,6 +222,7 @@ impl Unseen {
             seen: g.input("seen", 4 * u64::from(capacity)),
             extra: Some(extra),
             sparse: false,
+            regularize: false,
             skipped: g.external("skipped", 4),
         };
         adam_unseen(&mut g, &gpu.tuning(), &handles, &moments, &a).unwrap();

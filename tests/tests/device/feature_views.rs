@@ -235,12 +235,12 @@ impl Case {
         g.fill("clear_seen", seen, 0).unwrap();
         let raised = g.input("raised", 4);
         let fused =
-            FusedAdam { flags: raised, skipped: skipped[0], statistics: false, seen: Some(seen), extra: Some(extra) };
+            FusedAdam { flags: raised, skipped: skipped[0], statistics: false, seen: Some(seen), extra: Some(extra), regularize: false };
         project_bwd_adam(&mut g, &t, &train.screen, &handles, &visible, &sums, &fused).unwrap();
         let moments = handles.moments.unwrap();
         let step = train.screen.step;
         let rest =
-            AdamUnseen { step, flags: raised, seen, extra: Some(extra), sparse: !self.dense, skipped: skipped[1] };
+            AdamUnseen { step, flags: raised, seen, extra: Some(extra), sparse: !self.dense, regularize: false, skipped: skipped[1] };
         adam_unseen(&mut g, &t, &handles, &moments, &rest).unwrap();
         let of_features = Adam {
             step,

@@ -217,6 +217,7 @@ fn unseen_gaussians_decay_as_in_reference() {
             seen: g.input("seen", 4 * capacity as u64),
             extra: None,
             sparse,
+            regularize: false,
             skipped: g.external("skipped", 4),
         };
         adam_unseen(&mut g, &gpu.tuning(), &handles, &moments, &a).unwrap();

@@ -17,6 +17,7 @@ mod interruptions;
 mod intrinsic;
 mod intrinsic_log;
 mod learned_views;
+mod mcmc;
 mod meaning;
 mod nan_priors;
 mod quality;

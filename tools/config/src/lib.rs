@@ -19,7 +19,7 @@ mod transport;
 pub use accuracy::{ACCURACY_LEVELS, accuracy_named};
 pub use automatic::{AutomaticSettings, Parts};
 pub use degree::{MOST_BANDS, ShDegree};
-pub use densify::{DensifyOptions, DensifyStatistic};
+pub use densify::{DensifyOptions, DensifyRule};
 pub use error::{ConfigError, Result};
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,

@@ -1,7 +1,7 @@
 //! Schedule: the settings of a step as a function of its number only.
 //! Resuming needs nothing but the number.
 
-use sgs_config::{DensifyStatistic, Rates, Settings};
+use sgs_config::{DensifyRule, Rates, Settings};
 use sgs_passes::pipeline::{Camera, DensifySettings, Step};
 
 /// Most halvings of a photograph.
@@ -10,6 +10,12 @@ pub(crate) const MOST_HALVINGS: u32 = 2;
 /// Largest growth of the weight of depth variance: that of step 7000. The published weight grows to 100 times its first
 /// value, which makes normals worse in longer runs.
 const SPREAD_GROWTH: f64 = 25.0;
+
+/// Markov chain Monte Carlo: weights of the means of opacities and of scales, and the strength of the noise relative to the
+/// learning rate. As published, for scenes of extent 1.
+const MCMC_OPACITY: f64 = 0.01;
+const MCMC_SCALE: f64 = 0.01;
+const MCMC_NOISE: f64 = 5e5;
 
 /// Fraction of the steps before cameras and exposures are learned.
 const VIEWS_FROM: f64 = 0.05;
@@ -90,6 +96,9 @@ impl Schedule {
         // Cameras wait until the Gaussians show a room; their last steps are a hundredth of the first.
         let views = if done < VIEWS_FROM { 0.0 } else { factor * 0.01f64.powf(done.min(1.0)) };
         let spread = 10f64.powf(f64::from(step) / 5000.0).min(SPREAD_GROWTH) as f32;
+        // In units of the extent, so that the unit of lengths has no effect.
+        let mcmc = |value: f64| if g.densify.mcmc() { value } else { 0.0 };
+        let noise = mcmc(MCMC_NOISE * factor * means / self.extent.max(f64::MIN_POSITIVE));
         Step {
             camera: *camera,
             background: g.background,
@@ -113,6 +122,9 @@ impl Schedule {
             lr_gain: (views * g.rates.views[1]) as f32,
             correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
             correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
+            weight_opacity: mcmc(MCMC_OPACITY) as f32,
+            weight_scale: mcmc(MCMC_SCALE / self.extent.max(f64::MIN_POSITIVE)) as f32,
+            noise: noise as f32,
             weight_l1: g.losses.l1,
             weight_dssim: g.losses.dssim,
             weight_normal: g.losses.normal,
@@ -152,7 +164,7 @@ impl Schedule {
         let after_reset = d.reset_interval > 0 && step > d.reset_interval;
         Some(DensifySettings {
             grad_threshold: d.grad_threshold,
-            normal_threshold: if d.statistic == DensifyStatistic::Geometric { d.normal_threshold } else { 0.0 },
+            normal_threshold: if d.rule == DensifyRule::Geometric { d.normal_threshold } else { 0.0 },
             split_size: (d.sizes[0] * self.extent) as f32,
             prune_opacity: d.prune_opacity,
             prune_weight: self.least_weight(),
@@ -176,7 +188,7 @@ impl Schedule {
     /// Returns whether opacities are reset after a step.
     pub fn reset(&self, step: u32) -> bool {
         let d = &self.settings.geometry.densify;
-        d.enabled() && d.reset_interval > 0 && step.is_multiple_of(d.reset_interval) && step < self.last_densification()
+        d.enabled() && !d.mcmc() && d.reset_interval > 0 && step.is_multiple_of(d.reset_interval) && step < self.last_densification()
     }
 }
 

@@ -115,7 +115,8 @@ impl Geometry {
             largest: data.largest,
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
             channels: Channels { colors: true, normals: model.normals, depth },
-            statistics: g.densify.enabled().then(|| g.densify.statistic.gathered()),
+            statistics: g.densify.statistic(),
+            mcmc: g.densify.mcmc(),
             dense_adam: g.dense_adam,
             backward: kernel_of(g.backward, device)?,
             semantic_geometry: g.semantic_geometry,
@@ -127,7 +128,7 @@ impl Geometry {
             model,
             capacity: count.max(1),
             training: true,
-            statistics: g.densify.enabled(),
+            statistics: options.statistics.is_some(),
             storage: tuning.accuracy.storage(),
         };
         let budget = device.budget();
