@@ -127,8 +127,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
         "opacity_reset" => ((32.0 + moments_of(1.0)) * n, 4.0 * n),
         // A single workgroup, which takes little time.
         "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" | "relocate_plan"
-        | "depth_fit_solve"
-        | "view_place" | "view_step" => (64.0, 16.0),
+        | "depth_fit_solve" | "view_place" | "view_step" => (64.0, 16.0),
         _ => {
             return primitive(s, elements)
                 .or_else(|| densify(s, c))

@@ -249,8 +249,7 @@ pub(super) fn copy_columns(
     };
     let specs = densify_move_features::Specs { workgroup, width: Group::Semantics.width() };
     let kernel = &densify_move_features::KERNEL;
-    stage(g, "densify_move_features", kernel, bindings.entries(), specs.entries(), &[])
-        .dispatch_indirect(list.moves, 0)
+    stage(g, "densify_move_features", kernel, bindings.entries(), specs.entries(), &[]).dispatch_indirect(list.moves, 0)
 }
 
 /// Adds the passes that copy the Gaussians. The last pass separates the halves of each split.

@@ -2,8 +2,8 @@
 
 use crate::Tuning;
 use crate::optim::densify::{Densify, densify};
-use crate::optim::relocate::{Relocate, relocate};
 use crate::optim::opacity_reset::opacity_reset;
+use crate::optim::relocate::{Relocate, relocate};
 use crate::scene::{Gaussians, Handles, Layout};
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
@@ -50,11 +50,7 @@ impl DensifyStep {
         Ok(DensifyStep { exec, settings, stats })
     }
 
-    fn declare(
-        tuning: &Tuning,
-        gaussians: &Layout,
-        rule: DensifyRule,
-    ) -> Result<(Arc<Plan>, Buffer, Handles, Buffer)> {
+    fn declare(tuning: &Tuning, gaussians: &Layout, rule: DensifyRule) -> Result<(Arc<Plan>, Buffer, Handles, Buffer)> {
         let mut g = Graph::new("densify");
         let settings = g.uniform("densify_settings", size_of::<Settings>() as u64);
         let handles = gaussians.declare(&mut g, true);

@@ -64,14 +64,7 @@ pub fn opacity_along_line(part: f64, n: u32) -> f64 {
 }
 
 /// Returns the noise on a mean. `scale`: scales; `rows`: rotation by rows; `strength`: `Step::noise`.
-pub fn noise(
-    logit: f64,
-    scale: [f64; 3],
-    rows: [[f64; 3]; 3],
-    strength: f64,
-    seed: u32,
-    index: u32,
-) -> [f64; 3] {
+pub fn noise(logit: f64, scale: [f64; 3], rows: [[f64; 3]; 3], strength: f64, seed: u32, index: u32) -> [f64; 3] {
     let bits = |k| random_bits(seed ^ NOISE, index, k);
     let ([a, b], [c, _]) = (normal_from(bits(0), bits(1)), normal_from(bits(2), bits(3)));
     let normal = [a, b, c];

@@ -71,7 +71,8 @@ pub fn project(
     let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroup: t.subgroup_size,
         columns: gaussians.columns(),
         moment_columns: gaussians.model.columns(),
-        compact: gaussians.compact(), });
+        compact: gaussians.compact(),
+        mip_filter: gaussians.model.mip, });
     stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(n, t.workgroup))?;
@@ -113,6 +114,7 @@ pub fn project(
         columns: gaussians.columns(),
         moment_columns: gaussians.model.columns(),
         compact: gaussians.compact(),
+        mip_filter: gaussians.model.mip,
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
@@ -175,6 +177,7 @@ macro_rules! backward_specs {
             columns: $gaussians.columns(),
             moment_columns: $gaussians.model.columns(),
             compact: $gaussians.compact(),
+            mip_filter: $gaussians.model.mip,
             subgroup: $t.subgroup_size,
             large_tiles: $t.large_tiles,
             sh_degree: $gaussians.model.sh_degree,

@@ -12,7 +12,7 @@ use sgs_passes::splat::{BackwardKernel, Channels};
 use sgs_shaders::structs::{Densify, DensifyStats, Step, Work};
 use sgs_tests::{Gpu, Tolerance, assert_close, scenes};
 
-const MODEL: Model = Model { sh_degree: 1, normals: true, semantics: true };
+const MODEL: Model = Model { sh_degree: 1, normals: true, semantics: true, mip: false };
 
 /// Opacity below which a Gaussian is dead.
 const LEAST: f64 = 0.005;
@@ -98,7 +98,8 @@ impl Scene {
     /// Returns the scene after relocation and the reported counts.
     fn run(&self, gpu: &Gpu, cap: u32, seed: u32, storage: Storage) -> (Scene, DensifyStats) {
         let mut g = Graph::new("relocate");
-        let layout = Layout { model: MODEL, capacity: self.capacity as u32, training: true, statistics: false, storage };
+        let layout =
+            Layout { model: MODEL, capacity: self.capacity as u32, training: true, statistics: false, storage };
         let handles = layout.declare(&mut g, true);
         let stats = g.external("stats", size_of::<DensifyStats>() as u64);
         let settings = g.uniform("settings", size_of::<Densify>() as u64);
@@ -352,14 +353,16 @@ fn noise_matches_reference() {
         for (i, s) in scene.parameters.groups[Group::LogScales as usize].iter_mut().enumerate() {
             *s = (f64::from(*s) + log_scale - if i % 5 == 0 { 6.0 } else { 0.0 }) as f32;
         }
-        scene.parameters.groups[Group::Rotations as usize][..8].copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 3e18, 1e18, 0.0, 0.0]);
+        scene.parameters.groups[Group::Rotations as usize][..8]
+            .copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 3e18, 1e18, 0.0, 0.0]);
         let storage = [Storage::Exact, Storage::Compact][seed % 2];
         let found = noise_of(&gpu, &scene, strength, 9, 0, storage);
         let mut moved = 0;
         for i in 0..400 {
             let of = |g: Group, k: usize| f64::from(Scene::row(&scene.parameters, g, i, 1)[k]);
             let finite = [Group::Means, Group::LogScales, Group::OpacityLogits];
-            let is_finite = finite.iter().all(|g| Scene::row(&scene.parameters, *g, i, 1).iter().all(|x| x.is_finite()));
+            let is_finite =
+                finite.iter().all(|g| Scene::row(&scene.parameters, *g, i, 1).iter().all(|x| x.is_finite()));
             if !is_finite {
                 let was = Scene::row(&scene.parameters, Group::Means, i, 1);
                 assert!(bytes(was) == bytes(&found[3 * i..][..3]), "{i} moved");
@@ -476,13 +479,16 @@ fn step_regularizes_all_gaussians_and_adds_noise() {
         for k in 0..3 {
             let log_scale = f64::from(data.group(Group::LogScales)[3 * i + k]);
             let [by_logit, by_scale] = reference::regularizer_gradient(weights, logit, log_scale, 120);
-            for (group, at, gradient) in
-                [(Group::OpacityLogits, i, by_logit), (Group::LogScales, 3 * i + k, by_scale)]
+            for (group, at, gradient) in [(Group::OpacityLogits, i, by_logit), (Group::LogScales, 3 * i + k, by_scale)]
             {
                 let (was, is) = (pairs(&plain_moments, group, at), pairs(&mcmc_moments, group, at));
                 let expected = 0.1 * gradient;
                 let error = (is - was - expected).abs();
-                assert!(error < 1e-5 * (expected.abs() + was.abs()) + 1e-9, "{} {at}: {was} {is} {expected}", group.name());
+                assert!(
+                    error < 1e-5 * (expected.abs() + was.abs()) + 1e-9,
+                    "{} {at}: {was} {is} {expected}",
+                    group.name()
+                );
             }
         }
         unseen += usize::from(pairs(&plain_moments, Group::OpacityLogits, i) == 0.0);

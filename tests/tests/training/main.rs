@@ -13,6 +13,7 @@ mod decided;
 mod depth;
 mod divergence;
 mod evaluate;
+mod filter;
 mod interruptions;
 mod intrinsic;
 mod intrinsic_log;

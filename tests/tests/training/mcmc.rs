@@ -38,7 +38,8 @@ fn killed_mcmc_training_resumes_with_the_same_bits() {
 fn mcmc_training_improves_test_images() {
     let place = Place::new(Room::default());
     let train = |run: &str, more: &[&str]| {
-        let lean = ["-q", "--stage", "geometry", "--set", "geometry.semantics=false", "--set", "geometry.normals=false"];
+        let lean =
+            ["-q", "--stage", "geometry", "--set", "geometry.semantics=false", "--set", "geometry.normals=false"];
         sgs(&place.arguments(run, 200, &[&lean, more].concat())).ok();
         sgs(&["eval", &place.text(run), "--json", &place.text("measures.json")]).ok();
         let count = number(&place, &format!("{run}/training.json"), "/gaussians");

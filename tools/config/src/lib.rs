@@ -118,6 +118,8 @@ pub struct GeometrySettings {
     pub coarse: f64,
     /// Background color, display-referred.
     pub background: [f32; 3],
+    /// Filter of projected Gaussians: `dilated` (3DGS) or `mip`, which scales opacities so that dilation adds no light. Files record it.
+    pub filter: Filter,
     /// Uses normal priors.
     pub normals: bool,
     /// Uses semantic priors.
@@ -155,6 +157,7 @@ impl Default for GeometrySettings {
             sh_gain: 0.02,
             coarse: 0.0,
             background: [0.0; 3],
+            filter: Filter::Dilated,
             normals: true,
             semantics: true,
             semantic_geometry: true,
@@ -169,6 +172,16 @@ impl Default for GeometrySettings {
             entry_capacity: 0,
         }
     }
+}
+
+/// Filter of projected Gaussians against aliasing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Filter {
+    /// Adds 0.3 px² to the projected covariance (Kerbl et al. 2023).
+    Dilated,
+    /// Scales the opacity by the root of the determinants' ratio as well, the 2D Mip filter (Yu et al. 2024).
+    Mip,
 }
 
 /// Backward kernel of blending. All give the same gradients up to rounding.
@@ -193,10 +206,8 @@ pub enum Backward {
 pub struct Rates {
     /// Factor on all rates; 0 chooses it by the number of steps, larger for short runs.
     pub factor: f64,
-    /// Rate of means at the first step, times the extent.
-    pub means: f64,
-    /// Rate of means at the last step, times the extent; log-linear between.
-    pub means_final: f64,
+    /// Rates of means at the first step and at the last, times the extent; log-linear between.
+    pub means: [f64; 2],
     /// Two rates of what is learned of each photograph. The first is that of its camera: the turn in radians, and the shift times
     /// the extent. The second is that of its exposure: the logarithms of factors on red, green and blue. 0 learns neither.
     pub views: [f64; 2],
@@ -230,8 +241,7 @@ impl Default for Rates {
     fn default() -> Self {
         Rates {
             factor: 0.0,
-            means: 1.6e-4,
-            means_final: 1.6e-6,
+            means: [1.6e-4, 1.6e-6],
             views: [0.0; 2],
             scales: 5e-3,
             rotations: 1e-3,
@@ -376,8 +386,8 @@ impl Settings {
         }
         let (r, l, d) = (&g.rates, &g.losses, &g.densify);
         for (name, value) in [
-            ("rates.means", r.means),
-            ("rates.means_final", r.means_final),
+            ("rates.means", r.means[0]),
+            ("rates.means", r.means[1]),
             ("rates.views", r.views[0]),
             ("rates.views", r.views[1]),
             ("losses.dssim", f64::from(l.dssim)),
@@ -412,7 +422,7 @@ mod tests {
     #[test]
     fn all_settings_round_trip() {
         let mut s = Settings { seed: 7, ..Settings::default() };
-        s.geometry.rates.means = 0.1;
+        s.geometry.rates.means = [0.1, 0.01];
         s.geometry.background = [0.1, 0.2, 0.3];
         assert_eq!(Settings::from_table(s.to_table().unwrap()).unwrap(), s);
         assert_eq!(Settings::from_table(toml::Table::new()).unwrap(), Settings::default());
@@ -445,6 +455,8 @@ mod tests {
         assert!(fail("[provider]\nseconds = [1, 0]").ends_with("but must be two finite numbers above 0."));
         assert!(fail("[intrinsic.automatic]\nlimits = [-1, 0]").ends_with("two finite numbers of at least 0."));
         assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
+        assert!(fail("[geometry.rates]\nmeans_final = 1e-6").contains("did you mean \"geometry.rates.means\"?"));
+        assert!(fail("[geometry.densify]\nstatistic = \"total\"").contains("did you mean \"geometry.densify.rule\"?"));
         assert!(fail("[geometry.rates]\nviews = [0, -1]").contains("geometry.rates.views"));
         assert!(fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.factor, geometry.rates.means"));
         assert_eq!(fail("[geometry]\nsteps = \"many\""), "geometry.steps is \"many\", but must be a whole number.");

@@ -77,7 +77,7 @@ impl Schedule {
     pub fn roughness(&self) -> f64 {
         let (r, d) = (&self.settings.geometry.rates, Rates::default());
         let times = [
-            r.means / d.means,
+            r.means[0] / d.means[0],
             r.scales / d.scales,
             r.rotations / d.rotations,
             r.opacities / d.opacities,
@@ -91,7 +91,8 @@ impl Schedule {
     pub fn step(&self, step: u32, camera: &Camera, target_offset: u32) -> Step {
         let g = &self.settings.geometry;
         let done = f64::from(step) / f64::from(g.steps.max(1));
-        let means = g.rates.means.powf(1.0 - done.min(1.0)) * g.rates.means_final.powf(done.min(1.0));
+        let [first, last] = g.rates.means;
+        let means = first.powf(1.0 - done.min(1.0)) * last.powf(done.min(1.0));
         let factor = g.rate_factor() * self.rates;
         // Cameras wait until the Gaussians show a room; their last steps are a hundredth of the first.
         let views = if done < VIEWS_FROM { 0.0 } else { factor * 0.01f64.powf(done.min(1.0)) };
@@ -188,7 +189,11 @@ impl Schedule {
     /// Returns whether opacities are reset after a step.
     pub fn reset(&self, step: u32) -> bool {
         let d = &self.settings.geometry.densify;
-        d.enabled() && !d.mcmc() && d.reset_interval > 0 && step.is_multiple_of(d.reset_interval) && step < self.last_densification()
+        d.enabled()
+            && !d.mcmc()
+            && d.reset_interval > 0
+            && step.is_multiple_of(d.reset_interval)
+            && step < self.last_densification()
     }
 }
 

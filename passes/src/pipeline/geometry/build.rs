@@ -107,13 +107,13 @@ pub(super) fn build(
         blend_bwd(g, t, &screen, &view.visible, &view.entries, &gradient, o.backward, o.statistics.is_some())?;
     entry_gradients.features = meaning.as_ref().map(|m| m.entries).filter(|_| o.semantic_geometry);
     let extra = meaning.as_ref().and_then(|m| m.pseudo.as_ref()).and_then(|p| p.extra);
-    let seen = (o.dense_adam || extra.is_some() || o.mcmc).then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
+    let seen =
+        (o.dense_adam || extra.is_some() || o.mcmc).then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
     if let Some(seen) = seen {
         g.fill("clear_seen", seen, 0)?;
     }
     let statistics = o.statistics.is_some();
-    let adam =
-        FusedAdam { flags: status.flags, skipped: status.skipped, statistics, seen, extra, regularize: o.mcmc };
+    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics, seen, extra, regularize: o.mcmc };
     if let Some(views) = &inputs.views {
         let cameras = match views.kinds.cameras {
             true => {
@@ -340,7 +340,8 @@ struct UnseenStep {
 fn unseen(g: &mut Graph, t: &Tuning, gaussians: &Handles, status: &StatusHandles, all: &UnseenStep) -> Built<()> {
     let &UnseenStep { step, seen, extra, dense, regularize, features_done } = all;
     let Some(moments) = gaussians.moments else { return Ok(()) };
-    let rest = AdamUnseen { step, flags: status.flags, seen, extra, sparse: !dense, regularize, skipped: status.skipped };
+    let rest =
+        AdamUnseen { step, flags: status.flags, seen, extra, sparse: !dense, regularize, skipped: status.skipped };
     adam_unseen(g, t, gaussians, &moments, &rest)?;
     if dense && gaussians.model.semantics && !features_done {
         adam_unseen_features(g, t, gaussians, &moments, &rest)?;

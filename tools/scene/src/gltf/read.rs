@@ -222,6 +222,7 @@ impl Attributes<'_> {
             semantic: (!semantic.is_empty()).then_some((semantic.len(), semantic_rows)),
             emitters: None,
             light_gains: None,
+            antialiased: false,
             means,
         })
     }
