@@ -18,7 +18,7 @@ INOUT(vec4, parameters);
 
 const uint RANDOM_NOISE = 0x4e4f4953u;   // apart from other random numbers of the step
 const float STEEPNESS = 100.0, MIDDLE = 0.005; // of the sigmoid
-const float LEAST_FACTOR = 1e-10;        // below it a mean would not change
+const float LEAST_FACTOR = 1e-10; // of the sigmoid: below it a mean moves by less than 1e-8 of its scale
 
 void main() {
     uint i = folded_workgroup() * WORKGROUP + gl_LocalInvocationID.x;

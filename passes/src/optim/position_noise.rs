@@ -1,7 +1,7 @@
 //! `position_noise`: noise on the means of Gaussians after a step of Adam.
 //!
 //! Kheradmand et al. 2024, section 3.2. A mean moves by normal numbers times the covariance, `Step::noise`, and
-//! 1 / (1 + exp(100 (opacity - 0.005))). Guarantees: if the flag is set, or a number is not finite, nothing changes. The noise depends
+//! 1 / (1 + exp(100 (opacity - 0.005))), if that is at least 1e-10. Guarantees: if the flag is set, or a number is not finite, nothing changes. The noise depends
 //! only on the step's seed and the Gaussian's index. Cost per Gaussian: 16 bytes read; per Gaussian with an opacity below 0.23,
 //! 32 bytes more, and 16 written.
 

@@ -63,12 +63,13 @@ pub fn opacity_along_line(part: f64, n: u32) -> f64 {
     (f(0) + inner + f(steps)) * h / 3.0 * 2.0 / std::f64::consts::PI.sqrt()
 }
 
-/// Returns the noise on a mean. `scale`: scales; `rows`: rotation by rows; `strength`: `Step::noise`.
+/// Returns the noise on a mean; none for opaque Gaussians, where the sigmoid is below 1e-10. `scale`: scales; `rows`: rotation by rows; `strength`: `Step::noise`.
 pub fn noise(logit: f64, scale: [f64; 3], rows: [[f64; 3]; 3], strength: f64, seed: u32, index: u32) -> [f64; 3] {
     let bits = |k| random_bits(seed ^ NOISE, index, k);
     let ([a, b], [c, _]) = (normal_from(bits(0), bits(1)), normal_from(bits(2), bits(3)));
     let normal = [a, b, c];
-    let factor = strength / (1.0 + (100.0 * (opacity(logit) - 0.005)).exp());
+    let sigmoid = 1.0 / (1.0 + (100.0 * (opacity(logit) - 0.005)).exp());
+    let factor = if sigmoid < 1e-10 { 0.0 } else { strength * sigmoid };
     // The covariance R S S Rᵀ, then its product with the normal numbers.
     let covariance: [[f64; 3]; 3] = std::array::from_fn(|i| {
         std::array::from_fn(|j| (0..3).map(|k| rows[i][k] * scale[k].powi(2) * rows[j][k]).sum())

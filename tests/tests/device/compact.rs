@@ -177,7 +177,7 @@ fn step_is_the_exact_step_rounded() {
     let gpu = Gpu::new();
     for (degree, normals, dense) in [(3, false, false), (0, true, false), (1, false, true), (2, true, true)] {
         let g = scenes::ordinary(90, degree, normals, 3);
-        let model = Model { sh_degree: degree as u32, normals, semantics: false };
+        let model = Model { sh_degree: degree as u32, normals, semantics: false, mip: false };
         let moments = State::random(&model, g.len(), 8).moments;
         let start = State { parameters: scenes::data(&g), moments }.stored(&model);
         let (exact, losses, seed) = step_of(&gpu, &g, &start, Storage::Exact, dense);
