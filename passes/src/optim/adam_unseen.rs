@@ -27,7 +27,9 @@ pub struct AdamUnseen {
     pub extra: Option<ExtraGradients>,
     /// Whether a zero gradient leaves its scalar and moments unchanged.
     pub sparse: bool,
-    /// Whether gradients of the regularizers of opacity and scale are added (Markov chain Monte Carlo).
+    /// Whether the regularizers of opacity and scale add gradients.
+    ///
+    /// Densification by Markov chain Monte Carlo needs them.
     pub regularize: bool,
     /// Counter of skipped Gaussians.
     pub skipped: Buffer,

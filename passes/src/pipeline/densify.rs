@@ -16,7 +16,7 @@ use std::sync::Arc;
 pub enum DensifyRule {
     /// Gradients select Gaussians to clone and split. Requires statistics.
     Gradient,
-    /// Dead Gaussians move onto others, and the number grows by a twentieth (Markov chain Monte Carlo).
+    /// Markov chain Monte Carlo. Dead Gaussians move onto others, and the number grows by a twentieth.
     Relocation,
 }
 

@@ -206,9 +206,9 @@ fn project_one(
     (low.x <= high.x && low.y <= high.y).then_some(projected)
 }
 
-/// Returns the factor of the 2D Mip filter on an opacity: the root of the determinants' ratio, without and with dilation.
+/// Returns the factor of the 2D Mip filter on an opacity.
 ///
-/// Yu et al. 2024, Mip-Splatting, equation 10. `axes`: scaled axes in pixels, x then y.
+/// It is the root of the ratio of the determinants without and with dilation. Yu et al. 2024, Mip-Splatting, equation 10. `axes`: scaled axes in pixels, x then y.
 pub fn mip_factor(axes: [DVec3; 2]) -> f64 {
     // Eigenvalues of the covariance, rather than the determinants of the kernel. The small one from the product, which is a sum
     // of squares.
@@ -314,7 +314,7 @@ mod tests {
         assert!((y3[6] + 0.5900435899266435 * d.x * (d.x * d.x - 3.0 * d.y * d.y)).abs() < 1e-12);
     }
 
-    /// The filter's factor keeps the opacity summed over the image, which dilation raises.
+    /// The filter's factor keeps the opacity summed over the image.
     #[test]
     fn mip_factor_keeps_the_sum_of_opacity() {
         for axes in [

@@ -1,10 +1,11 @@
-//! Reference of `relocate`, `position_noise` and the regularizers of Markov chain Monte Carlo (Kheradmand et al. 2024).
+//! Reference of `relocate`, `position_noise` and the regularizers.
 //!
+//! Markov chain Monte Carlo of Kheradmand et al. 2024.
 //! Corrected scales follow equation 9 as printed, by its binomial sum; the kernels evaluate an integral instead.
 
 use crate::rng::{normal_from, random_bits, uniform_from};
 
-/// Words that set random numbers apart, as in `relocate.glsl` and `position_noise.comp`.
+/// Words that set random numbers apart, as in the kernels.
 const WEIGHT: u32 = 0x5245_4c4f;
 const DRAW: u32 = 0x4341_5445;
 const NOISE: u32 = 0x4e4f_4953;
@@ -32,13 +33,14 @@ pub fn grown(count: u32, cap: u32) -> u32 {
     (count + count / 20).min(cap).max(count)
 }
 
-/// Returns the corrected opacity of each of `n` Gaussians that take the place of one. Equation 9.
+/// Returns the opacity of each of `n` Gaussians in the place of one. Equation 9.
 pub fn opacity_of(opacity: f64, n: u32) -> f64 {
     1.0 - (1.0 - opacity).powf(1.0 / f64::from(n))
 }
 
-/// Returns the factor on the scales of each of `n` Gaussians that take the place of one. Equation 9, with `part` the
-/// corrected opacity.
+/// Returns the factor on the scales of `n` Gaussians in the place of one.
+///
+/// Equation 9, with `part` the corrected opacity.
 pub fn scale_factor(opacity: f64, part: f64, n: u32) -> f64 {
     let mut sum = 0.0;
     for i in 1..=n {
@@ -53,8 +55,9 @@ pub fn scale_factor(opacity: f64, part: f64, n: u32) -> f64 {
     opacity / sum
 }
 
-/// Returns the opacity of `n` Gaussians of unit scale along a line through their centers, divided by the integral of one
-/// Gaussian. Simpson's rule.
+/// Returns the opacity of `n` Gaussians along a line through their centers.
+///
+/// In units of the integral of one Gaussian of opacity 1. Simpson's rule.
 pub fn opacity_along_line(part: f64, n: u32) -> f64 {
     let (steps, end) = (4000, 8.0);
     let h = end / f64::from(steps);
@@ -63,7 +66,10 @@ pub fn opacity_along_line(part: f64, n: u32) -> f64 {
     (f(0) + inner + f(steps)) * h / 3.0 * 2.0 / std::f64::consts::PI.sqrt()
 }
 
-/// Returns the noise on a mean; none for opaque Gaussians, where the sigmoid is below 1e-10. `scale`: scales; `rows`: rotation by rows; `strength`: `Step::noise`.
+/// Returns the noise on a mean.
+///
+/// None for opaque Gaussians, where the sigmoid is below 1e-10. `scale`: scales; `rows`: rotation by rows; `strength`:
+/// `Step::noise`.
 pub fn noise(logit: f64, scale: [f64; 3], rows: [[f64; 3]; 3], strength: f64, seed: u32, index: u32) -> [f64; 3] {
     let bits = |k| random_bits(seed ^ NOISE, index, k);
     let ([a, b], [c, _]) = (normal_from(bits(0), bits(1)), normal_from(bits(2), bits(3)));
@@ -84,7 +90,9 @@ pub fn regularizer(weights: [f64; 2], logits: &[f64], log_scales: &[f64]) -> f64
         + weights[1] * mean(&mut log_scales.iter().map(|s| s.clamp(-16.0, 8.0).exp()), log_scales.len())
 }
 
-/// Returns the gradients of [`regularizer`] by one logit and one logarithm of a scale of `count` Gaussians.
+/// Returns the gradients of [`regularizer`] by a logit and a log scale.
+///
+/// `count`: number of Gaussians.
 pub fn regularizer_gradient(weights: [f64; 2], logit: f64, log_scale: f64, count: usize) -> [f64; 2] {
     let (n, o) = (count as f64, opacity(logit));
     let scale = if (-16.0..=8.0).contains(&log_scale) { log_scale.exp() } else { 0.0 };

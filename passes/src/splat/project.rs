@@ -258,7 +258,9 @@ pub struct FusedAdam {
     /// Gradients from other views, added before Adam. With them `seen` is also set where a gradient was not finite.
     /// Otherwise the other views alone would move Gaussians that were skipped.
     pub extra: Option<ExtraGradients>,
-    /// Whether gradients of the regularizers of opacity and scale are added (Markov chain Monte Carlo).
+    /// Whether the regularizers of opacity and scale add gradients.
+    ///
+    /// Densification by Markov chain Monte Carlo needs them.
     pub regularize: bool,
 }
 

@@ -1,4 +1,6 @@
-//! Relocation of Gaussians, noise on means, and regularizers of Markov chain Monte Carlo against their references.
+//! Markov chain Monte Carlo against its reference.
+//!
+//! Relocation of Gaussians, noise on means, and regularizers.
 
 use sgs_engine::Location;
 use sgs_engine::graph::Graph;
@@ -239,7 +241,7 @@ impl Scene {
     }
 }
 
-/// Returns the logit and the change of log scales of each of `n` Gaussians in the place of one.
+/// Returns logit and change of log scales of `n` Gaussians in the place of one.
 fn corrected(logit: f64, n: u32) -> (f64, f64) {
     // -log(1 - opacity) by the logit: opacities may round to 1.
     let depth = logit.max(0.0) + (-logit.abs()).exp().ln_1p();
@@ -265,7 +267,7 @@ fn relocation_matches_reference() {
     }
 }
 
-/// No Gaussian, none alive, none dead, a cap below the number, and one that all others join.
+/// Tests no Gaussian, none alive, none dead, a low cap, and one for all others.
 #[test]
 fn relocation_at_the_edges() {
     let gpu = Gpu::new();
@@ -493,7 +495,7 @@ fn step_of(gpu: &Gpu, data: &GaussianData, model: Model, mcmc: bool, values: &St
     [gaussians.download(device).unwrap(), moments]
 }
 
-/// A step adds the regularizers' gradients to every Gaussian's, seen or not, and noise to every mean.
+/// A step adds gradients of regularizers and noise to every Gaussian, seen or not.
 #[test]
 fn step_regularizes_all_gaussians_and_adds_noise() {
     let gpu = Gpu::new();

@@ -79,7 +79,7 @@ fn hard_splats_match_reference() {
     }
 }
 
-/// Tests the 2D Mip filter on ordinary splats, splats smaller than a pixel, and corner cases.
+/// Tests the 2D Mip filter on ordinary splats, small splats, and corner cases.
 #[test]
 fn filtered_splats_match_reference() {
     let gpu = Gpu::new();

@@ -116,7 +116,7 @@ fn gradients_at_other_accuracies_match_reference() {
     }
 }
 
-/// Tests the 2D Mip filter on splats smaller than a pixel, flat ones and larger ones.
+/// Tests the 2D Mip filter on small, flat and larger splats.
 #[test]
 fn gradients_of_filtered_opacities_match_reference() {
     let gpu = Gpu::new();

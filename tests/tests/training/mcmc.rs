@@ -33,7 +33,7 @@ fn killed_mcmc_training_resumes_with_the_same_bits() {
     }
 }
 
-/// Growth to the limit improves images at test views over the initial number of Gaussians.
+/// Growth to the limit improves images at test views.
 #[test]
 fn mcmc_training_improves_test_images() {
     let place = Place::new(Room::default());

@@ -8,15 +8,19 @@ use sgs_passes::splat::Statistic;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum DensifyRule {
-    /// Screen gradients of the photometric loss select Gaussians to clone and split.
+    /// Clones and splits Gaussians by screen gradients of the photometric loss.
     Photometric,
-    /// Screen gradients of normal and depth losses, or gradients by raw normals, select them.
+    /// The same by gradients of normal and depth losses, or by raw normals.
     ///
     /// This is the published statistic.
     Geometric,
-    /// Screen gradients of every loss select them, semantic losses included if they move geometry.
+    /// The same by gradients of every loss.
+    ///
+    /// Semantic losses count if they move geometry.
     Total,
-    /// Markov chain Monte Carlo (Kheradmand et al. 2024): dead Gaussians move onto others, and the number grows by 5 %.
+    /// Markov chain Monte Carlo (Kheradmand et al. 2024).
+    ///
+    /// Dead Gaussians move onto others, and the number grows by 5 %.
     Mcmc,
 }
 

@@ -180,7 +180,7 @@ impl Default for GeometrySettings {
 pub enum Filter {
     /// Adds 0.3 px² to the projected covariance (Kerbl et al. 2023).
     Dilated,
-    /// Scales the opacity by the root of the determinants' ratio as well, the 2D Mip filter (Yu et al. 2024).
+    /// Scales opacities, too: the 2D Mip filter (Yu et al. 2024).
     Mip,
 }
 
