@@ -91,7 +91,10 @@ impl<'w> Trainer<'w> {
         // Capacity for the new Gaussians of one densification.
         let capacity = if densify { count + count / 2 } else { count };
         let storage = tuning.accuracy.storage();
-        let layout = Layout { model: workload.model, capacity, training: true, statistics: densify, storage };
+        let rule = &workload.settings.geometry.densify;
+        let statistics = rule.statistic();
+        let layout =
+            Layout { model: workload.model, capacity, training: true, statistics: statistics.is_some(), storage };
         let gaussians = Gaussians::of(device, &layout)?;
         gaussians.upload(device, &workload.start)?;
         let masks = match &workload.correspondence {
@@ -106,7 +109,8 @@ impl<'w> Trainer<'w> {
                 normals: workload.model.normals,
                 depth: workload.model.normals || masks.is_some(),
             },
-            statistics: densify.then(|| workload.settings.geometry.densify.statistic.gathered()),
+            statistics,
+            mcmc: rule.mcmc(),
             dense_adam,
             backward,
             semantic_geometry: true,

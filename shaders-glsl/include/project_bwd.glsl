@@ -1,5 +1,5 @@
 // Backward of projection for one splat: from the blending sums of its entries to gradients of its parameters.
-// Included after splat.glsl and sh.glsl.
+// Included after projection.glsl and sh.glsl.
 
 // Not zero unless `x` is: also for numbers that are not finite, which comparisons and max() may lose.
 uint magnitude_bits(float x) { return floatBitsToUint(x) & 0x7fffffffu; }
@@ -22,6 +22,22 @@ vec2 screen_gradient(Projection o, float hp, float hy) {
     return -2.0 * vec2(u11 * hp, u12 * hp + u22 * u22 * hy);
 }
 
+// Adds the gradient of the filter's factor f = sqrt(D0 / D), with m = t0 x t1, D0 = |m|² and D = D0 + e (|t0|² + |t1|²) + e²:
+//   d(log f)/dt0 = (t1 x m) (1/D0 - 1/D) - e t0/D, likewise by t1 with m x t0.
+// 1/D0 - 1/D and the sums of squares below cancel nowhere. Visible splats have D0 of at least ALPHA_MIN² D.
+void filter_gradient(Projection o, float by_log, inout vec3 dt0, inout vec3 dt1, inout vec3 log_scale) {
+    vec3 m = cross(o.t0, o.t1);
+    float inverse = 1.0 / o.determinant;
+    // e (|t0|² + |t1|²) + e², from the covariance with dilation.
+    float added = DILATION * (o.covariance.x + o.covariance.z - DILATION);
+    float both = by_log * (added * inverse / max(o.determinant0, 1e-30)), dilated = by_log * (DILATION * inverse);
+    dt0 += both * cross(o.t1, m) - dilated * o.t0;
+    dt1 += both * cross(m, o.t0) - dilated * o.t1;
+    vec3 squares = m * m;
+    log_scale += both * vec3(squares.y + squares.z, squares.z + squares.x, squares.x + squares.y) -
+                 dilated * (o.t0 * o.t0 + o.t1 * o.t1);
+}
+
 // `moments` are h, h p, h p², h p dy, h dy, h dy² (see blend_bwd.glsl); `depth` is d/dz from the channels.
 //
 // The exponent of a pixel d is |U d|² = FACTOR_SCALE² d·C⁻¹d, with (p, q) = U d and C = T Tᵀ + DILATION, T = J W R S. By a column v of T its
@@ -33,7 +49,8 @@ SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_
     float u11 = o.splat.factor.x, u12 = o.splat.factor.y, u22 = o.splat.factor.z;
     g.mean2d = screen_gradient(o, moments[1], moments[4]);
     // alpha dL/dalpha summed = -h / ln2; d(alpha)/d(logit) = alpha (1 - opacity)
-    g.opacity_logit = -1.4426950408889634 * moments[0] * (1.0 - o.splat.opacity);
+    float by_log_alpha = -1.4426950408889634 * moments[0];
+    g.opacity_logit = by_log_alpha * (1.0 - o.opacity);
     // U T, by columns: c t0 - b t1 without dilation is t1 x (t0 x t1).
     float root = inversesqrt(o.covariance.z), root_det = inversesqrt(o.determinant);
     vec3 along_p = FACTOR_SCALE * root_det * (root * (DILATION * o.t0 + cross(o.t1, cross(o.t0, o.t1))));
@@ -45,6 +62,7 @@ SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_
     vec3 dt1 = u12 * by_p + u22 * by_q;
     // By the logarithm of a column's length; all columns' lengths together go with focal/z.
     g.log_scale = by_p * along_p + by_q * along_q;
+    if (MIP_FILTER) filter_gradient(o, by_log_alpha, dt0, dt1, g.log_scale);
     float dlog_f = g.log_scale.x + g.log_scale.y + g.log_scale.z;
     // Through the Jacobian.
     float inverse_z = 1.0 / o.point.z;

@@ -60,4 +60,8 @@ struct Step {
     float lr_shift;          // lengths
     float lr_gain;           // of the logarithms of the colors' factors
     float lr_lens;           // of the logarithm of focal lengths, and of the principal point in focal lengths
+    // densification by Markov chain Monte Carlo: weights of the means over all Gaussians, and the strength of the noise
+    float weight_opacity;
+    float weight_scale;      // 1 / length
+    float noise;             // 1 / length: standard deviation of a mean along an axis, by the square of its scale
 };

@@ -1,7 +1,7 @@
 // Adam for the Gaussians that the fused update of a step did not move.
 //
-// Their gradient is that of other views, or zero. Then either moments decay and carry the parameters on (dense Adam), or
-// the Gaussians are left unchanged.
+// Their gradient is that of other views and of regularizers, or zero. Then either moments decay and carry the parameters on (dense
+// Adam), or the Gaussians are left unchanged.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -9,11 +9,14 @@
 #include "adam.glsl"
 #include "gaussian.glsl"
 #include "extra.glsl"
+#include "splat.glsl"
+#include "regularize.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(local_size_x_id = 0) in;
 layout(constant_id = 1) const bool EXTRA = false;       // whether other views left gradients; all are zero without
 layout(constant_id = 2) const bool SPARSE = false;      // an exactly-zero gradient leaves its scalar untouched
+layout(constant_id = 4) const bool REGULARIZE = false;  // opacities and scales, for Markov chain Monte Carlo
 layout(constant_id = 3) const bool HAS_NORMALS = false; // in the last column
 
 layout(scalar) uniform StepBlock { Step step; } params;
@@ -80,6 +83,10 @@ void main() {
         by_size = vec4(more[3], more[4], more[5], 0.0);
         by_rotation = vec4(more[6], more[7], more[8], more[9]);
         if (!finite) atomicAdd(skipped[0], 1u);
+    }
+    if (REGULARIZE) {
+        by_place.w += opacity_regularizer(params.step.weight_opacity, live[0].count, parameter_column(i, 0u).w);
+        by_size.xyz += scale_regularizer(params.step.weight_scale, live[0].count, parameter_column(i, 1u).xyz);
     }
     if (finite) {
         update_column(i, 0u, 0u, key, by_place);

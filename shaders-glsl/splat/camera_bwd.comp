@@ -8,6 +8,7 @@
 #include "step.glsl"
 #include "work.glsl"
 #include "splat.glsl"
+#include "projection.glsl"
 #include "gaussian.glsl"
 #include "sh.glsl"
 #include "project_bwd.glsl"

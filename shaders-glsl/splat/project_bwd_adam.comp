@@ -8,10 +8,12 @@
 #include "work.glsl"
 #include "adam.glsl"
 #include "splat.glsl"
+#include "projection.glsl"
 #include "gaussian.glsl"
 #include "sh.glsl"
 #include "project_bwd.glsl"
 #include "extra.glsl"
+#include "regularize.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256;
 layout(constant_id = 1) const uint SUBGROUP = 32;
@@ -24,6 +26,7 @@ layout(constant_id = 7) const bool STATISTICS = false;
 layout(constant_id = 8) const bool MARK_SEEN = false; // for dense Adam
 layout(constant_id = 9) const uint FEATURES = 0; // if their gradients reach opacities and footprints
 layout(constant_id = 10) const bool EXTRA = false; // whether other views left gradients
+layout(constant_id = 11) const bool REGULARIZE = false; // opacities and scales, for Markov chain Monte Carlo
 layout(constant_id = 12) const bool REDUCED = false; // whether gradients are by splat, not by entry
 layout(local_size_x_id = 0) in;
 #include "channels.glsl"
@@ -32,6 +35,7 @@ layout(local_size_x_id = 0) in;
 
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
+IN(Work, live);
 IN(uint, flags);
 IN(uint, splat_ids);
 IN(uint, entry_starts);
@@ -108,6 +112,10 @@ void main() {
         touched = touched || any_extra != 0u;
     }
     if (!touched) return;
+    if (REGULARIZE) {
+        gs += scale_regularizer(params.step.weight_scale, live[0].count, s.log_scale);
+        go += opacity_regularizer(params.step.weight_opacity, live[0].count, s.opacity_logit);
+    }
     // Another pass moves the unmarked Gaussians by the extra gradients alone; Gaussians skipped here must not move there.
     if (EXTRA && MARK_SEEN) seen[i] = 1u;
     float check = dot(gm, vec3(1.0)) + dot(gs, vec3(1.0)) + dot(gr, vec4(1.0)) + go +

@@ -8,6 +8,7 @@
 #include "work.glsl"
 #include "adam.glsl"
 #include "splat.glsl"
+#include "projection.glsl"
 #include "gaussian.glsl"
 #include "project_bwd.glsl"
 #include "extra.glsl"

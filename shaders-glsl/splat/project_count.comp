@@ -7,6 +7,7 @@
 #include "step.glsl"
 #include "work.glsl"
 #include "splat.glsl"
+#include "projection.glsl"
 #include "gaussian.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256; // a multiple of 32

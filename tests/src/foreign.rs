@@ -27,6 +27,7 @@ pub fn sample(n: usize) -> Splats {
         semantic: Some((3, many(n * 3, -1.0, 1.0))),
         emitters: None,
         light_gains: None,
+        antialiased: false,
     }
 }
 

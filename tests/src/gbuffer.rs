@@ -103,7 +103,7 @@ pub fn run(gpu: &Gpu, case: &Case) -> Found {
     let mut g = Graph::new("gbuffer");
     let step = g.uniform("step", size_of::<Step>() as u64);
     let screen = Screen { step, largest: camera.size, tile: t.tile };
-    let model = Model { sh_degree: 0, normals: true, semantics: false };
+    let model = Model { sh_degree: 0, normals: true, semantics: false, mip: false };
     let gaussians = GpuGaussians::new(gpu.device(), model, n, false).unwrap();
     let handles = gaussians.declare(&mut g, false);
     let visible = project(&mut g, &t, &screen, &handles, GBUFFER_CHANNELS).unwrap();

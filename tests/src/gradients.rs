@@ -192,6 +192,7 @@ impl Case {
             sh_degree: self.degree() as u32,
             normals: !self.gaussians.normals.is_empty(),
             semantics: !self.gaussians.semantics.is_empty(),
+            mip: self.gaussians.mip,
         };
         let channels = Channels { colors: true, normals: model.normals, depth: self.depth };
         let t = gpu.tuning().with(self.accuracy);

@@ -19,7 +19,7 @@ pub fn degree(g: &ReferenceGaussians) -> u32 {
 }
 
 fn upload(gpu: &Gpu, g: &ReferenceGaussians, training: bool) -> sgs_engine::Result<Gaussians> {
-    let model = Model { sh_degree: degree(g), normals: !g.normals.is_empty(), semantics: false };
+    let model = Model { sh_degree: degree(g), normals: !g.normals.is_empty(), semantics: false, mip: g.mip };
     let gaussians = Gaussians::new(gpu.device(), model, (g.len() as u32).max(1), training)?;
     gaussians.upload(gpu.device(), &scenes::data(g))?;
     Ok(gaussians)
@@ -107,6 +107,7 @@ pub fn steps_of(
         entry_capacity: 1 << 14,
         channels: channels(g, depth),
         statistics: None,
+        mcmc: false,
         dense_adam: false,
         backward: BackwardKernel::Pixel,
         semantic_geometry: false,

@@ -33,6 +33,7 @@ const TESTS: &[&str] = &[
     "material_losses::",
     "optim::",
     "prim::",
+    "relocate::",
     "semantic::",
     "shading_properties::",
     "splat_bwd::",

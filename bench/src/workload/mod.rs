@@ -112,7 +112,7 @@ pub fn directory(
     };
     anyhow::ensure!(!priors.pseudo || correspondence.is_some(), "\"{}\" has no regions.", path.display());
     let correspondence = correspondence.map(|c| Arc::new(Mutex::new(c)));
-    let model = Model { sh_degree, normals: normals.is_some(), semantics: semantics.is_some() };
+    let model = Model { sh_degree, normals: normals.is_some(), semantics: semantics.is_some(), mip: false };
     let splats = Splats::from_points(&scene.points, sh_degree as usize)?;
     Ok(Workload {
         name: path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned(),
@@ -140,6 +140,7 @@ pub fn reference_gaussians(d: &GaussianData) -> reference::Gaussians {
         sh: [wide(Group::Sh0), wide(Group::Sh1), wide(Group::Sh2), wide(Group::Sh3)],
         normals: wide(Group::Normals),
         semantics: wide(Group::Semantics),
+        mip: false,
     }
 }
 

@@ -138,7 +138,7 @@ fn elements(pass: &str, c: &Counts) -> f64 {
         "project_scan" => (c.gaussians / 256.0).ceil(),
         "depth_sort" | "entry_scan" => c.visible,
         "tile_sort" => c.entries,
-        owner if owner.starts_with("densify") => c.gaussians,
+        owner if owner.starts_with("densify") || owner.starts_with("relocate") => c.gaussians,
         "adam" => {
             let group = parts.next().and_then(|name| Group::ALL.into_iter().find(|g| g.name() == name));
             group.map_or(c.elements, |g| f64::from(g.width()) * c.gaussians)

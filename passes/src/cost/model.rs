@@ -121,11 +121,13 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
             ((all + 44.0 * spec("EXTRA") + 4.0) * n, 4.0 * adam * columns * n)
         }
         "adam_unseen_features" => (24.0 * spec("WIDTH") * n, ADAM * spec("WIDTH") * n),
+        // Most Gaussians are opaque and stay: one column each.
+        "position_noise" => (16.0 * n, 10.0 * n),
         // One number of a column; memory moves in larger pieces.
         "opacity_reset" => ((32.0 + moments_of(1.0)) * n, 4.0 * n),
         // A single workgroup, which takes little time.
-        "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" | "depth_fit_solve"
-        | "view_place" | "view_step" => (64.0, 16.0),
+        "loss_sum" | "report" | "intrinsic_report" | "work" | "regroup" | "densify_plan" | "relocate_plan"
+        | "depth_fit_solve" | "view_place" | "view_step" => (64.0, 16.0),
         _ => {
             return primitive(s, elements)
                 .or_else(|| densify(s, c))
@@ -191,6 +193,10 @@ fn densify(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         }
         "densify_move_features" => (16.0 + 36.0 * (s.specs)("WIDTH")) * c.moved,
         "densify_split" => 112.0 * c.moved,
+        "relocate_weigh" => (64.0 + 16.0) * n,
+        // A search of the sums for each copy, which a cache holds in part.
+        "relocate_draw" => (24.0 + 32.0) * c.moved,
+        "relocate_correct" => 4.0 * n + 64.0 * c.moved,
         _ => return None,
     };
     Some(Cost { bytes, operations: bytes / 4.0 })

@@ -8,7 +8,7 @@
 //! Cost per column of an unseen Gaussian: 48 bytes read, 48 written if anything moves. Per feature: 12 read, 12 written.
 
 use crate::Tuning;
-use crate::kernel::stage;
+use crate::kernel::{splat_specs, stage};
 use crate::scene::{Group, Handles, MomentHandles};
 use crate::splat::ExtraGradients;
 use sgs_engine::graph::{Buffer, Graph, GraphError};
@@ -27,6 +27,10 @@ pub struct AdamUnseen {
     pub extra: Option<ExtraGradients>,
     /// Whether a zero gradient leaves its scalar and moments unchanged.
     pub sparse: bool,
+    /// Whether the regularizers of opacity and scale add gradients.
+    ///
+    /// Densification by Markov chain Monte Carlo needs them.
+    pub regularize: bool,
     /// Counter of skipped Gaussians.
     pub skipped: Buffer,
 }
@@ -53,15 +57,14 @@ pub fn adam_unseen(
         second_moments: moments.second.into(),
         skipped: a.skipped.into(),
     };
-    let specs = kernel::Specs {
-        workgroup: t.workgroup,
+    let specs = splat_specs!(kernel, t, { workgroup: t.workgroup,
         columns: gaussians.columns(),
         moment_columns: gaussians.model.columns(),
         compact: gaussians.compact(),
         extra: a.extra.is_some(),
         sparse: a.sparse,
-        has_normals: gaussians.model.normals,
-    };
+        regularize: a.regularize,
+        has_normals: gaussians.model.normals, });
     stage(g, "adam_unseen", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch_indirect(gaussians.work, 0)
 }

@@ -209,32 +209,54 @@ fn assign(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(
         .dispatch_indirect(lists.before, 0)
 }
 
+/// List of copies.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Copies {
+    /// Their `Work` record.
+    pub moves: Buffer,
+    /// `Move` entries.
+    pub entries: Buffer,
+}
+
+/// Adds the passes that copy columns and features of Gaussians.
+pub(super) fn copy_columns(
+    g: &mut Graph,
+    tuning: Tuning,
+    gaussians: &Handles,
+    moments: &MomentHandles,
+    list: Copies,
+) -> Result<(), GraphError> {
+    let Tuning { workgroup, .. } = tuning;
+    let bindings = densify_move::Bindings {
+        moves: list.moves.into(),
+        entries: list.entries.into(),
+        parameters: gaussians.parameters.into(),
+        first_moments: moments.first.into(),
+        second_moments: moments.second.into(),
+    };
+    let (columns, moment_columns, compact) = (gaussians.columns(), gaussians.model.columns(), gaussians.compact());
+    let specs = densify_move::Specs { workgroup, columns, moment_columns, compact };
+    stage(g, "densify_move", &densify_move::KERNEL, bindings.entries(), specs.entries(), &[])
+        .dispatch_indirect(list.moves, 0)?;
+    if !gaussians.model.semantics {
+        return Ok(());
+    }
+    let bindings = densify_move_features::Bindings {
+        moves: list.moves.into(),
+        entries: list.entries.into(),
+        features: gaussians.semantics.into(),
+        moments: moments.semantics.into(),
+    };
+    let specs = densify_move_features::Specs { workgroup, width: Group::Semantics.width() };
+    let kernel = &densify_move_features::KERNEL;
+    stage(g, "densify_move_features", kernel, bindings.entries(), specs.entries(), &[]).dispatch_indirect(list.moves, 0)
+}
+
 /// Adds the passes that copy the Gaussians. The last pass separates the halves of each split.
 fn copy(g: &mut Graph, tuning: Tuning, a: &Densify, lists: &Lists) -> Result<(), GraphError> {
     let Tuning { workgroup, .. } = tuning;
-    let bindings = densify_move::Bindings {
-        moves: lists.moves.into(),
-        entries: lists.entries.into(),
-        parameters: a.gaussians.parameters.into(),
-        first_moments: a.moments.first.into(),
-        second_moments: a.moments.second.into(),
-    };
     let (columns, moment_columns, compact) = a.columns();
-    let specs = densify_move::Specs { workgroup, columns, moment_columns, compact };
-    stage(g, "densify_move", &densify_move::KERNEL, bindings.entries(), specs.entries(), &[])
-        .dispatch_indirect(lists.moves, 0)?;
-    if a.gaussians.model.semantics {
-        let bindings = densify_move_features::Bindings {
-            moves: lists.moves.into(),
-            entries: lists.entries.into(),
-            features: a.gaussians.semantics.into(),
-            moments: a.moments.semantics.into(),
-        };
-        let specs = densify_move_features::Specs { workgroup, width: Group::Semantics.width() };
-        let kernel = &densify_move_features::KERNEL;
-        stage(g, "densify_move_features", kernel, bindings.entries(), specs.entries(), &[])
-            .dispatch_indirect(lists.moves, 0)?;
-    }
+    copy_columns(g, tuning, &a.gaussians, &a.moments, Copies { moves: lists.moves, entries: lists.entries })?;
     let bindings = densify_split::Bindings {
         params: a.settings.into(),
         moves: lists.moves.into(),

@@ -3,12 +3,22 @@
 use crate::Tuning;
 use crate::optim::densify::{Densify, densify};
 use crate::optim::opacity_reset::opacity_reset;
+use crate::optim::relocate::{Relocate, relocate};
 use crate::scene::{Gaussians, Handles, Layout};
 use sgs_engine::exec::{ExecOptions, Executor};
 use sgs_engine::graph::{Buffer, CompileOptions, Graph, Plan};
 use sgs_engine::{Device, DeviceBuffer, Error, Location, Result};
 use sgs_shaders::structs::{Densify as Settings, DensifyStats};
 use std::sync::Arc;
+
+/// Rule by which Gaussians are added and removed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DensifyRule {
+    /// Gradients select Gaussians to clone and split. Requires statistics.
+    Gradient,
+    /// Markov chain Monte Carlo. Dead Gaussians move onto others, and the number grows by a twentieth.
+    Relocation,
+}
 
 /// Densification plan, replayable.
 pub struct DensifyStep {
@@ -24,8 +34,14 @@ impl DensifyStep {
     ///
     /// # Errors
     /// If memory runs out, or the Gaussians have no optimizer.
-    pub fn new(device: &Device, tuning: &Tuning, gaussians: &Gaussians, arena: Option<DeviceBuffer>) -> Result<Self> {
-        let (plan, settings, handles, out) = DensifyStep::declare(tuning, &gaussians.layout())?;
+    pub fn new(
+        device: &Device,
+        tuning: &Tuning,
+        gaussians: &Gaussians,
+        rule: DensifyRule,
+        arena: Option<DeviceBuffer>,
+    ) -> Result<Self> {
+        let (plan, settings, handles, out) = DensifyStep::declare(tuning, &gaussians.layout(), rule)?;
         let options = ExecOptions { frames_in_flight: 1, arena, ..Default::default() };
         let mut exec = Executor::new(device, plan, options)?;
         gaussians.bind(&mut exec, &handles)?;
@@ -34,13 +50,21 @@ impl DensifyStep {
         Ok(DensifyStep { exec, settings, stats })
     }
 
-    fn declare(tuning: &Tuning, gaussians: &Layout) -> Result<(Arc<Plan>, Buffer, Handles, Buffer)> {
+    fn declare(tuning: &Tuning, gaussians: &Layout, rule: DensifyRule) -> Result<(Arc<Plan>, Buffer, Handles, Buffer)> {
         let mut g = Graph::new("densify");
         let settings = g.uniform("densify_settings", size_of::<Settings>() as u64);
         let handles = gaussians.declare(&mut g, true);
         let out = g.external("densify_stats", size_of::<DensifyStats>() as u64);
-        let what = Densify::of(&handles, settings, out).ok_or_else(not_training)?;
-        densify(&mut g, *tuning, &what)?;
+        match rule {
+            DensifyRule::Gradient => {
+                let what = Densify::of(&handles, settings, out).ok_or_else(not_training)?;
+                densify(&mut g, *tuning, &what)?;
+            }
+            DensifyRule::Relocation => {
+                let what = Relocate::of(&handles, settings, out).ok_or_else(not_training)?;
+                relocate(&mut g, *tuning, &what)?;
+            }
+        }
         Ok((Arc::new(g.compile(&CompileOptions::default())?), settings, handles, out))
     }
 
@@ -48,8 +72,8 @@ impl DensifyStep {
     ///
     /// # Errors
     /// If the layout has no optimizer.
-    pub fn plan(tuning: &Tuning, gaussians: &Layout) -> Result<Arc<Plan>> {
-        Ok(DensifyStep::declare(tuning, gaussians)?.0)
+    pub fn plan(tuning: &Tuning, gaussians: &Layout, rule: DensifyRule) -> Result<Arc<Plan>> {
+        Ok(DensifyStep::declare(tuning, gaussians, rule)?.0)
     }
 
     /// Densifies once and waits for the result.

@@ -20,7 +20,7 @@ mod transport;
 mod view;
 
 pub use align::Aligner;
-pub use densify::{DensifyStep, OpacityReset};
+pub use densify::{DensifyRule, DensifyStep, OpacityReset};
 pub use display::{Display, DisplayRoom, Font, Shown};
 pub use geometry::{
     GeometryOptions, GeometryStep, InputSizes, Inputs, Masks, PSEUDO_VIEWS, SemanticInputs, SemanticSizes,

@@ -21,6 +21,7 @@ pub mod present;
 pub mod project;
 pub mod radix_sort;
 pub mod region_mask;
+pub mod relocate;
 pub mod rounding;
 pub mod scan;
 pub mod semantic;

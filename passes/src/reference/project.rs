@@ -42,6 +42,8 @@ pub struct Gaussians {
     pub normals: Vec<f64>,
     /// Semantic features, [`SEMANTIC_FEATURES`]; empty if absent.
     pub semantics: Vec<f64>,
+    /// Whether opacities are scaled by the 2D Mip filter.
+    pub mip: bool,
 }
 
 impl Gaussians {
@@ -68,7 +70,7 @@ pub struct Projected {
     /// Scaled axes in pixels: x of the three axes, then y. The covariance is the sums of their products, plus the
     /// dilation of 0.3.
     pub axes: [DVec3; 2],
-    /// Opacity after the sigmoid.
+    /// Opacity after the sigmoid and the filter.
     pub opacity: f64,
     /// RGB, normal if present, z and z² if requested, semantic features.
     pub features: Vec<f64>,
@@ -159,6 +161,13 @@ fn project_one(
     if !(t0.is_finite() && t1.is_finite() && center.is_finite()) {
         return None;
     }
+    let filtered = match g.mip {
+        true => opacity * mip_factor([t0, t1]),
+        false => opacity,
+    };
+    if filtered < alpha_min {
+        return None;
+    }
     let color = color(g, i, camera, mean, sh_degree);
     let rounded = |by: f64| color.map(|c| stored(c + by * c.max(1.0), a.color_bits));
     let color_doubt = if a.color_bits < 32 { (rounded(5e-7) - rounded(-5e-7)).abs().max_element() } else { 0.0 };
@@ -182,7 +191,7 @@ fn project_one(
         depth: p.z,
         mean: center,
         axes: [t0, t1],
-        opacity,
+        opacity: filtered,
         features,
         key: key(1.0),
         key_doubtful: key(1.0 - 1e-6) != key(1.0 + 1e-6),
@@ -195,6 +204,22 @@ fn project_one(
     let size = DVec2::new(f64::from(camera.size[0]), f64::from(camera.size[1]));
     let high = (center + reach - 0.5).floor().min(size - 1.0);
     (low.x <= high.x && low.y <= high.y).then_some(projected)
+}
+
+/// Returns the factor of the 2D Mip filter on an opacity.
+///
+/// It is the root of the ratio of the determinants without and with dilation. Yu et al. 2024, Mip-Splatting, equation 10. `axes`: scaled axes in pixels, x then y.
+pub fn mip_factor(axes: [DVec3; 2]) -> f64 {
+    // Eigenvalues of the covariance, rather than the determinants of the kernel. The small one from the product, which is a sum
+    // of squares.
+    let [x, y] = axes;
+    let (a, b, c) = (x.length_squared(), x.dot(y), y.length_squared());
+    let large = 0.5 * (a + c) + (0.25 * (a - c).powi(2) + b * b).sqrt();
+    if large <= 0.0 {
+        return 0.0;
+    }
+    let small = x.cross(y).length_squared() / large;
+    [large, small].iter().map(|v| (v / (v + 0.3)).sqrt()).product()
 }
 
 /// Returns the rotation matrix of a quaternion of any length. The identity if the quaternion is zero or not finite.
@@ -287,5 +312,23 @@ mod tests {
         assert!((y2[1] + 1.0925484305920792 * d.y * d.z).abs() < 1e-12);
         let y3 = harmonics(3, d);
         assert!((y3[6] + 0.5900435899266435 * d.x * (d.x * d.x - 3.0 * d.y * d.y)).abs() < 1e-12);
+    }
+
+    /// The filter's factor keeps the opacity summed over the image.
+    #[test]
+    fn mip_factor_keeps_the_sum_of_opacity() {
+        for axes in [
+            [DVec3::new(2.0, 0.1, 0.0), DVec3::new(-0.3, 1.5, 0.2)],
+            [DVec3::new(0.1, 0.02, 0.0), DVec3::new(0.03, 0.2, 0.0)],
+            [DVec3::new(5.0, 0.0, 0.0), DVec3::new(4.9, 1e-3, 0.0)],
+            [DVec3::ZERO, DVec3::ZERO],
+        ] {
+            let [x, y] = axes;
+            let (a, b, c) = (x.length_squared(), x.dot(y), y.length_squared());
+            let area = |d: f64| ((a + d) * (c + d) - b * b).max(0.0).sqrt();
+            let factor = mip_factor(axes);
+            assert!((factor * area(0.3) - area(0.0)).abs() < 1e-9 * area(0.3), "{axes:?}: {factor}");
+            assert!((0.0..=1.0).contains(&factor));
+        }
     }
 }

@@ -143,11 +143,11 @@ mod tests {
     use super::*;
 
     const MODELS: [Model; 5] = [
-        Model { sh_degree: 0, normals: false, semantics: false },
-        Model { sh_degree: 0, normals: true, semantics: true },
-        Model { sh_degree: 1, normals: false, semantics: false },
-        Model { sh_degree: 2, normals: true, semantics: false },
-        Model { sh_degree: 3, normals: true, semantics: true },
+        Model { sh_degree: 0, normals: false, semantics: false, mip: false },
+        Model { sh_degree: 0, normals: true, semantics: true, mip: false },
+        Model { sh_degree: 1, normals: false, semantics: false, mip: false },
+        Model { sh_degree: 2, normals: true, semantics: false, mip: false },
+        Model { sh_degree: 3, normals: true, semantics: true, mip: false },
     ];
 
     fn numbered(model: &Model, count: usize, stride: usize) -> GaussianData {

@@ -178,11 +178,11 @@ mod tests {
     use super::*;
 
     const MODELS: [Model; 5] = [
-        Model { sh_degree: 0, normals: false, semantics: false },
-        Model { sh_degree: 0, normals: true, semantics: false },
-        Model { sh_degree: 1, normals: false, semantics: false },
-        Model { sh_degree: 2, normals: true, semantics: false },
-        Model { sh_degree: 3, normals: false, semantics: false },
+        Model { sh_degree: 0, normals: false, semantics: false, mip: false },
+        Model { sh_degree: 0, normals: true, semantics: false, mip: false },
+        Model { sh_degree: 1, normals: false, semantics: false, mip: false },
+        Model { sh_degree: 2, normals: true, semantics: false, mip: false },
+        Model { sh_degree: 3, normals: false, semantics: false, mip: false },
     ];
 
     #[test]

@@ -85,6 +85,8 @@ pub struct Model {
     pub normals: bool,
     /// Whether Gaussians have semantic features.
     pub semantics: bool,
+    /// Whether projection scales opacities by the 2D Mip filter. Changes no parameter.
+    pub mip: bool,
 }
 
 impl Model {

@@ -66,6 +66,7 @@ pub fn project_bwd_features(
         columns: gaussians.columns(),
         moment_columns: gaussians.model.columns(),
         compact: gaussians.compact(),
+        mip_filter: gaussians.model.mip,
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         features: Group::Semantics.width(), });

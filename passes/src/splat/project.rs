@@ -71,7 +71,8 @@ pub fn project(
     let specs = splat_specs!(project_count, t, { workgroup: t.workgroup, subgroup: t.subgroup_size,
         columns: gaussians.columns(),
         moment_columns: gaussians.model.columns(),
-        compact: gaussians.compact(), });
+        compact: gaussians.compact(),
+        mip_filter: gaussians.model.mip, });
     stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(n, t.workgroup))?;
@@ -113,6 +114,7 @@ pub fn project(
         columns: gaussians.columns(),
         moment_columns: gaussians.model.columns(),
         compact: gaussians.compact(),
+        mip_filter: gaussians.model.mip,
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
@@ -175,6 +177,7 @@ macro_rules! backward_specs {
             columns: $gaussians.columns(),
             moment_columns: $gaussians.model.columns(),
             compact: $gaussians.compact(),
+            mip_filter: $gaussians.model.mip,
             subgroup: $t.subgroup_size,
             large_tiles: $t.large_tiles,
             sh_degree: $gaussians.model.sh_degree,
@@ -255,6 +258,10 @@ pub struct FusedAdam {
     /// Gradients from other views, added before Adam. With them `seen` is also set where a gradient was not finite.
     /// Otherwise the other views alone would move Gaussians that were skipped.
     pub extra: Option<ExtraGradients>,
+    /// Whether the regularizers of opacity and scale add gradients.
+    ///
+    /// Densification by Markov chain Monte Carlo needs them.
+    pub regularize: bool,
 }
 
 /// Runs the backward pass of [`project`] and Adam in one pass.
@@ -277,6 +284,7 @@ pub fn project_bwd_adam(
     let bindings = fused::Bindings {
         params: screen.step.into(),
         visible: visible.work.slice,
+        live: gaussians.work.into(),
         flags: adam.flags.into(),
         splat_ids: visible.ids.into(),
         entry_starts: entries.starts.into(),
@@ -293,7 +301,7 @@ pub fn project_bwd_adam(
         skipped: adam.skipped.into(),
         seen: seen.into(),
     };
-    let specs = backward_specs!(fused, t, gaussians, visible, entries, { statistics: adam.statistics, mark_seen: adam.seen.is_some(), extra: adam.extra.is_some(), });
+    let specs = backward_specs!(fused, t, gaussians, visible, entries, { statistics: adam.statistics, mark_seen: adam.seen.is_some(), extra: adam.extra.is_some(), regularize: adam.regularize, });
     stage(g, "project_bwd_adam", &fused::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch_indirect(visible.work.slice.buffer, visible.work.slice.offset)

@@ -162,7 +162,7 @@ fn invalid_settings_are_refused() {
     set("geometry.normals=perhaps").refused(&["geometry.normals", "true or false"]);
     set("geometry.background=[0,1]").refused(&["geometry.background", "3 numbers"]);
     set("geometry.losses.dssim=nan").refused(&["geometry.losses.dssim is NaN"]);
-    set("geometry.rates.means=-1").refused(&["geometry.rates.means is -1"]);
+    set("geometry.rates.means=[-1,0]").refused(&["geometry.rates.means is -1"]);
     set("geometry.sh_degree=4").refused(&["geometry.sh_degree is 4", "0 to 3"]);
     set("geometry.densify.interval=0").refused(&["geometry.densify.interval is 0"]);
     set("geometry.densify.until=1.5").refused(&["geometry.densify.until is 1.5"]);

@@ -40,7 +40,7 @@ fn cli_reports_memory_shortage() {
     let budget = (total + total / 2).to_string();
     let bound = sgs(&arguments(&["--vram", &budget])).ok();
     assert_eq!(bound.stderr.matches("new Gaussians left out after step 12: ").count(), 1, "{}", bound.stderr);
-    assert!(bound.stderr.contains(" that gradients asked for did not fit into "), "{}", bound.stderr);
+    assert!(bound.stderr.contains(" that densification asked for did not fit into "), "{}", bound.stderr);
     let summary = String::from_utf8(place.read("run/training.json")).unwrap();
     let summary: serde_json::Value = serde_json::from_str(&summary).unwrap();
     assert!(summary["peak_device_bytes"].as_u64().unwrap() <= total + total / 2, "{summary}");

@@ -124,7 +124,7 @@ impl State {
 fn step_of(gpu: &Gpu, g: &ReferenceGaussians, start: &State, storage: Storage, dense: bool) -> (State, Vec<f32>, u32) {
     let device = gpu.device();
     let degree = (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32;
-    let model = Model { sh_degree: degree, normals: !g.normals.is_empty(), semantics: false };
+    let model = Model { sh_degree: degree, normals: !g.normals.is_empty(), semantics: false, mip: false };
     let layout = Layout { model, capacity: g.len() as u32 + 7, training: true, statistics: true, storage };
     let gaussians = Gaussians::of(device, &layout).unwrap();
     gaussians.upload(device, &start.parameters).unwrap();
@@ -148,6 +148,7 @@ fn step_of(gpu: &Gpu, g: &ReferenceGaussians, start: &State, storage: Storage, d
         entry_capacity: 1 << 14,
         channels: Channels { colors: true, normals: model.normals, depth: false },
         statistics: None,
+        mcmc: false,
         dense_adam: dense,
         backward: BackwardKernel::Pixel,
         semantic_geometry: false,
@@ -176,7 +177,7 @@ fn step_is_the_exact_step_rounded() {
     let gpu = Gpu::new();
     for (degree, normals, dense) in [(3, false, false), (0, true, false), (1, false, true), (2, true, true)] {
         let g = scenes::ordinary(90, degree, normals, 3);
-        let model = Model { sh_degree: degree as u32, normals, semantics: false };
+        let model = Model { sh_degree: degree as u32, normals, semantics: false, mip: false };
         let moments = State::random(&model, g.len(), 8).moments;
         let start = State { parameters: scenes::data(&g), moments }.stored(&model);
         let (exact, losses, seed) = step_of(&gpu, &g, &start, Storage::Exact, dense);
@@ -221,6 +222,7 @@ impl Unseen {
             seen: g.input("seen", 4 * u64::from(capacity)),
             extra: Some(extra),
             sparse: false,
+            regularize: false,
             skipped: g.external("skipped", 4),
         };
         adam_unseen(&mut g, &gpu.tuning(), &handles, &moments, &a).unwrap();
@@ -284,7 +286,7 @@ impl Unseen {
 #[test]
 fn adam_matches_reference_within_a_unit_of_the_last_place() {
     let gpu = Gpu::new();
-    let model = Model { sh_degree: 3, normals: true, semantics: false };
+    let model = Model { sh_degree: 3, normals: true, semantics: false, mip: false };
     let decades: Vec<f32> = (-30..=10).map(|e| 10.0_f32.powi(e)).collect();
     let count = decades.len();
     let mut start = State::random(&model, count, 4);
@@ -335,7 +337,7 @@ fn adam_matches_reference_within_a_unit_of_the_last_place() {
 #[test]
 fn rounding_is_unbiased() {
     let gpu = Gpu::new();
-    let model = Model { sh_degree: 3, normals: false, semantics: false };
+    let model = Model { sh_degree: 3, normals: false, semantics: false, mip: false };
     let count = 3000;
     let mut start = State::random(&model, count, 1);
     for group in model.groups() {
@@ -376,7 +378,7 @@ fn rounding_is_unbiased() {
 #[test]
 fn opacity_reset_clears_compact_moments() {
     let gpu = Gpu::new();
-    let model = Model { sh_degree: 1, normals: true, semantics: false };
+    let model = Model { sh_degree: 1, normals: true, semantics: false, mip: false };
     let (count, capacity) = (70, 99);
     let start = State::random(&model, capacity, 3).stored(&model);
     let run = |storage: Storage| {
@@ -412,7 +414,7 @@ fn opacity_reset_clears_compact_moments() {
 fn buffers_keep_stored_numbers() {
     let gpu = Gpu::new();
     let device = gpu.device();
-    let model = Model { sh_degree: 2, normals: true, semantics: false };
+    let model = Model { sh_degree: 2, normals: true, semantics: false, mip: false };
     let layout = Layout { model, capacity: 100, training: true, statistics: true, storage: Storage::Compact };
     let mut gaussians = Gaussians::of(device, &layout).unwrap();
     assert_eq!(gaussians.bytes(), layout.parameter_bytes() + layout.moment_bytes() + layout.statistics_bytes());

@@ -20,7 +20,7 @@ const SETTINGS: Settings = Settings {
     seed: 77,
 };
 
-const MODEL: Model = Model { sh_degree: 3, normals: true, semantics: false };
+const MODEL: Model = Model { sh_degree: 3, normals: true, semantics: false, mip: false };
 
 /// Group whose first number encodes the index of the original Gaussian.
 ///

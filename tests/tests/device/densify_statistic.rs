@@ -1,6 +1,6 @@
 //! Losses whose gradients enter the densification statistic.
 
-use sgs_config::{Backward, DensifyStatistic, Settings};
+use sgs_config::{Backward, DensifyRule, Settings};
 use sgs_passes::reference::rng::Pcg;
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_tests::meaning::Meaning;
@@ -32,12 +32,12 @@ impl Bench {
     /// Returns the gathered statistics of all Gaussians.
     ///
     /// The arrays hold screen gradients, counts, weights, and gradients by the raw normals.
-    fn gather(&self, statistic: DensifyStatistic, change: impl Fn(&mut Settings)) -> [Vec<f32>; 4] {
+    fn gather(&self, statistic: DensifyRule, change: impl Fn(&mut Settings)) -> [Vec<f32>; 4] {
         let mut s = Settings::default();
         s.geometry.steps = 1000;
         s.geometry.losses.correspondence = 0.0;
         s.geometry.backward = Backward::Pixel;
-        s.geometry.densify.statistic = statistic;
+        s.geometry.densify.rule = statistic;
         change(&mut s);
         let mut training = Geometry::new(self.gpu.device(), &self.scene, &s, Some(&self.splats)).unwrap();
         training.train(1, |_| {}, || true).unwrap();
@@ -73,15 +73,15 @@ fn near(name: &str, expected: &[f32], found: &[f32]) {
 #[test]
 fn a_statistic_holds_the_gradients_of_the_named_losses_alone() {
     let bench = Bench::new();
-    let total = DensifyStatistic::Total;
+    let total = DensifyRule::Total;
     let photometric = bench.gather(total, photometric_alone);
     let geometric = bench.gather(total, geometric_alone);
     let all = bench.gather(total, |_| {});
     for backward in [Backward::Pixel, Backward::Splat, Backward::Bucket] {
         let on = |s: &mut Settings| s.geometry.backward = backward;
-        let of_color = bench.gather(DensifyStatistic::Photometric, on);
+        let of_color = bench.gather(DensifyRule::Photometric, on);
         near("photometric", &photometric[0], &of_color[0]);
-        let of_geometry = bench.gather(DensifyStatistic::Geometric, on);
+        let of_geometry = bench.gather(DensifyRule::Geometric, on);
         near("geometric", &geometric[0], &of_geometry[0]);
         // Counts and weights are the same for every statistic.
         for found in [&of_color, &of_geometry] {
@@ -102,10 +102,10 @@ fn a_statistic_holds_the_gradients_of_the_named_losses_alone() {
 fn semantic_gradients_enter_the_total_alone() {
     let bench = Bench::new();
     let of = |statistic, semantics: bool| bench.gather(statistic, |s| s.geometry.semantics = semantics);
-    for statistic in [DensifyStatistic::Photometric, DensifyStatistic::Geometric] {
+    for statistic in [DensifyRule::Photometric, DensifyRule::Geometric] {
         assert!(of(statistic, true) == of(statistic, false), "{statistic:?}");
     }
-    assert!(of(DensifyStatistic::Total, true)[0] != of(DensifyStatistic::Total, false)[0]);
+    assert!(of(DensifyRule::Total, true)[0] != of(DensifyRule::Total, false)[0]);
     // Without normals and depth, kernels blend only colors.
     let colors = |statistic, semantics: bool| {
         bench.gather(statistic, |s| {
@@ -114,11 +114,11 @@ fn semantic_gradients_enter_the_total_alone() {
         })
     };
     // These are other kernels; their compiler may contract other sums.
-    let (with, without) = (colors(DensifyStatistic::Photometric, true), colors(DensifyStatistic::Photometric, false));
+    let (with, without) = (colors(DensifyRule::Photometric, true), colors(DensifyRule::Photometric, false));
     near("gradients", &without[0], &with[0]);
     near("weights", &without[2], &with[2]);
     assert_eq!((&with[1], &with[3]), (&without[1], &without[3]));
-    assert!(colors(DensifyStatistic::Total, true)[0] != colors(DensifyStatistic::Total, false)[0]);
+    assert!(colors(DensifyRule::Total, true)[0] != colors(DensifyRule::Total, false)[0]);
 }
 
 #[test]
@@ -126,7 +126,7 @@ fn a_geometric_statistic_without_geometric_losses_is_refused() {
     let bench = Bench::new();
     let mut s = Settings::default();
     photometric_alone(&mut s);
-    s.geometry.densify.statistic = DensifyStatistic::Geometric;
+    s.geometry.densify.rule = DensifyRule::Geometric;
     let new = |s: &Settings| Geometry::new(bench.gpu.device(), &bench.scene, s, Some(&bench.splats)).map(|_| ());
     let error = new(&s).unwrap_err().to_string();
     assert!(error.contains("geometric") && error.contains("requires a loss of normals or depth"), "{error}");

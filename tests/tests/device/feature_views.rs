@@ -155,7 +155,7 @@ fn rates(group: Group) -> reference::Rates {
     reference::Rates::at(RATES.iter().find(|r| r.0 == group).unwrap().1, 3)
 }
 
-const MODEL: Model = Model { sh_degree: 1, normals: true, semantics: true };
+const MODEL: Model = Model { sh_degree: 1, normals: true, semantics: true, mip: false };
 
 impl Case {
     fn new(dense: bool) -> Case {
@@ -234,13 +234,26 @@ impl Case {
         let seen = g.transient("seen", 4 * capacity);
         g.fill("clear_seen", seen, 0).unwrap();
         let raised = g.input("raised", 4);
-        let fused =
-            FusedAdam { flags: raised, skipped: skipped[0], statistics: false, seen: Some(seen), extra: Some(extra) };
+        let fused = FusedAdam {
+            flags: raised,
+            skipped: skipped[0],
+            statistics: false,
+            seen: Some(seen),
+            extra: Some(extra),
+            regularize: false,
+        };
         project_bwd_adam(&mut g, &t, &train.screen, &handles, &visible, &sums, &fused).unwrap();
         let moments = handles.moments.unwrap();
         let step = train.screen.step;
-        let rest =
-            AdamUnseen { step, flags: raised, seen, extra: Some(extra), sparse: !self.dense, skipped: skipped[1] };
+        let rest = AdamUnseen {
+            step,
+            flags: raised,
+            seen,
+            extra: Some(extra),
+            sparse: !self.dense,
+            regularize: false,
+            skipped: skipped[1],
+        };
         adam_unseen(&mut g, &t, &handles, &moments, &rest).unwrap();
         let of_features = Adam {
             step,

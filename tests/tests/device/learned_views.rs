@@ -283,7 +283,7 @@ fn moved_cameras_and_exposures_are_found() {
     let gpu = Gpu::new();
     let size = [64, 48];
     let (splats, camera) = (scenes::ordinary(60, 1, false, 4), scenes::camera(size));
-    let model = Model { sh_degree: 1, normals: false, semantics: false };
+    let model = Model { sh_degree: 1, normals: false, semantics: false, mip: false };
     let gaussians = Gaussians::new(gpu.device(), model, splats.len() as u32, false).unwrap();
     gaussians.upload(gpu.device(), &scenes::data(&splats)).unwrap();
     let truth = scenes::gpu_camera(&camera);

@@ -200,7 +200,7 @@ fn unseen_gaussians_decay_as_in_reference() {
             .into_iter()
             .chain([(3, false, 65, 0, false), (3, true, 64, 0, true)])
     {
-        let model = Model { sh_degree: degree, normals, semantics: true };
+        let model = Model { sh_degree: degree, normals, semantics: true, mip: false };
         let capacity = live + 9;
         let group = |g: Columns| Group::random(g.width() as usize, live, capacity, 5 + g as u32);
         let mut groups: Vec<_> = model.groups().map(|g| (g, group(g))).collect();
@@ -217,6 +217,7 @@ fn unseen_gaussians_decay_as_in_reference() {
             seen: g.input("seen", 4 * capacity as u64),
             extra: None,
             sparse,
+            regularize: false,
             skipped: g.external("skipped", 4),
         };
         adam_unseen(&mut g, &gpu.tuning(), &handles, &moments, &a).unwrap();

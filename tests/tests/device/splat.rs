@@ -11,7 +11,8 @@ use sgs_tests::{Gpu, scenes};
 /// inconclusive pixels, and the PSNR over all pixels.
 fn compare(gpu: &Gpu, g: &Gaussians, camera: &Camera, depth: bool) -> (f64, f64, f64) {
     let degree = (0..4).rev().find(|b| !g.sh[*b].is_empty()).unwrap_or(0) as u32;
-    let model = Model { sh_degree: degree, normals: !g.normals.is_empty(), semantics: !g.semantics.is_empty() };
+    let model =
+        Model { sh_degree: degree, normals: !g.normals.is_empty(), semantics: !g.semantics.is_empty(), mip: g.mip };
     let channels = Channels { colors: true, normals: model.normals, depth };
     let device = gpu.device();
     let gaussians = GpuGaussians::new(device, model, g.len() as u32, false).unwrap();
@@ -78,6 +79,27 @@ fn hard_splats_match_reference() {
     }
 }
 
+/// Tests the 2D Mip filter on ordinary splats, small splats, and corner cases.
+#[test]
+fn filtered_splats_match_reference() {
+    let gpu = Gpu::new();
+    let mut small = scenes::ordinary(300, 1, false, 9);
+    small.log_scales.iter_mut().for_each(|s| *s -= 1.5);
+    for (name, mut g, size) in [
+        ("ordinary", scenes::ordinary(200, 2, true, 7), [61, 37]),
+        ("small", small, [64, 48]),
+        ("hard", scenes::hard(2), [160, 120]),
+    ] {
+        let plain = render(&g, &scenes::camera(size), 1, false, [0.2, 0.5, 0.8]);
+        g.mip = true;
+        let filtered = render(&g, &scenes::camera(size), 1, false, [0.2, 0.5, 0.8]);
+        let changed = plain.image.iter().zip(&filtered.image).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let (largest, doubtful, psnr) = compare(&gpu, &g, &scenes::camera(size), false);
+        println!("{name}: largest {largest:.2e}, doubtful {doubtful:.3}, psnr {psnr:.1}, changed {changed:.3}");
+        assert!(largest < 2e-3 && psnr > 65.0 && changed > 0.02, "{name}: {largest} {psnr} {changed}");
+    }
+}
+
 #[test]
 fn a_planted_error_is_caught() {
     let camera = scenes::camera([32, 24]);
@@ -108,7 +130,7 @@ fn features_are_blended_at_every_pixel() {
     let gpu = Gpu::new();
     let device = gpu.device();
     let g = scenes::with_semantics(scenes::ordinary(2500, 0, true, 11), 5);
-    let model = Model { sh_degree: 0, normals: true, semantics: true };
+    let model = Model { sh_degree: 0, normals: true, semantics: true, mip: false };
     let gaussians = GpuGaussians::new(device, model, g.len() as u32, false).unwrap();
     gaussians.upload(device, &scenes::data(&g)).unwrap();
     let channels = Channels { colors: true, normals: true, depth: false };
@@ -145,7 +167,7 @@ fn views_without_colors_have_the_same_depth_and_normals() {
     let gpu = Gpu::new();
     let g = scenes::ordinary(200, 2, true, 7);
     let camera = scenes::camera([37, 29]);
-    let model = Model { sh_degree: 2, normals: true, semantics: false };
+    let model = Model { sh_degree: 2, normals: true, semantics: false, mip: false };
     let gaussians = GpuGaussians::new(gpu.device(), model, g.len() as u32, false).unwrap();
     gaussians.upload(gpu.device(), &scenes::data(&g)).unwrap();
     let rendered = |channels: Channels| {

@@ -102,6 +102,30 @@ fn gradients_at_other_accuracies_match_reference() {
     }
 }
 
+/// Tests the 2D Mip filter on small, flat and larger splats.
+#[test]
+fn gradients_of_filtered_opacities_match_reference() {
+    let gpu = Gpu::new();
+    let mut g = scenes::ordinary(15, 1, true, 5);
+    for i in 0..15 {
+        let scales = &mut g.log_scales[3 * i..3 * i + 3];
+        match i % 3 {
+            0 => scales.iter_mut().for_each(|s| *s -= 0.8),
+            1 => scales[i % 2] = -5.5,
+            _ => {}
+        }
+    }
+    let plain = Case::new(g.clone(), [24, 19], true);
+    g.mip = true;
+    let case = Case::new(g.clone(), [24, 19], true);
+    for which in kernels(&gpu) {
+        check(&gpu, &case, which);
+    }
+    let opacities = |case: &Case| case.gpu_gradients(&gpu, BackwardKernel::Pixel).0[Group::LogScales as usize].clone();
+    assert_ne!(opacities(&case), opacities(&plain), "the filter changes nothing");
+    check(&gpu, &Case::new(scenes::with_semantics(g, 6), [21, 18], true), BackwardKernel::Pixel);
+}
+
 #[test]
 fn gradients_with_semantic_features_match_reference() {
     let gpu = Gpu::new();

@@ -12,7 +12,7 @@ use sgs_tests::{Gpu, scenes};
 const COUNT: usize = 700;
 const WORKGROUP: usize = 256;
 const BLOCKS: usize = COUNT.div_ceil(WORKGROUP);
-const MODEL: Model = Model { sh_degree: 0, normals: false, semantics: false };
+const MODEL: Model = Model { sh_degree: 0, normals: false, semantics: false, mip: false };
 
 /// Results of the second pass, by visible splat.
 #[derive(Debug, PartialEq)]

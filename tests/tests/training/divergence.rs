@@ -130,7 +130,7 @@ fn rollback_is_deterministic_and_resumes() {
 fn late_divergence_keeps_the_last_good_state() {
     let place = Place::new(Room::default());
     let more: [&[&str]; 3] =
-        [&BACK, &["--set", "geometry.rates.means_final=30"], &["--set", "train.roll_backs=1", "-q"]];
+        [&BACK, &["--set", "geometry.rates.means=[0.00016,30]"], &["--set", "train.roll_backs=1", "-q"]];
     let stopped = train(&place, "a", 700, &more);
     println!("{}", stopped.stderr);
     stopped.refused(&["it has diverged", "It had gone back 1 times before.", "is kept"]);

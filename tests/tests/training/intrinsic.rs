@@ -219,7 +219,7 @@ fn a_large_step_fits_into_two_and_a_half_gigabytes() {
     let priors = Some(photographs);
     let sizes = IntrinsicSizes { targets: photographs, albedo: priors, roughness: priors, ..Default::default() };
     let step = IntrinsicStep::plan(&gpu.tuning(), &sizes, Some(&environment), &options).unwrap();
-    let model = Model { sh_degree: 0, normals: true, semantics: false };
+    let model = Model { sh_degree: 0, normals: true, semantics: false, mip: false };
     let layout =
         Layout { model, capacity: shape.gaussians, training: false, statistics: false, storage: Storage::Exact };
     let builder = SurfaceBuilder::plan(&gpu.tuning(), &layout, shape, 4_000_000).unwrap();

@@ -269,6 +269,7 @@ fn pixel_memory_is_independent_of_embedding_width() {
             entry_capacity: 1 << 15,
             channels: Channels { colors: true, normals: false, depth: true },
             statistics: Some(Statistic::Total),
+            mcmc: false,
             dense_adam: false,
             backward: BackwardKernel::Pixel,
             semantic_geometry: true,

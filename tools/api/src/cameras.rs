@@ -26,7 +26,8 @@ pub fn splats_of(source: &Path) -> anyhow::Result<(Splats, Option<Settings>)> {
 
 /// Uploads splats to the device; semantic features only if `semantics` is set.
 pub fn upload(device: &Device, splats: &Splats, semantics: bool) -> anyhow::Result<Gaussians> {
-    let model = Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), semantics };
+    let (sh_degree, normals) = (splats.sh_degree() as u32, splats.normals.is_some());
+    let model = Model { sh_degree, normals, semantics, mip: splats.antialiased };
     let gaussians = Gaussians::new(device, model, splats.len() as u32, false).context("while loading the Gaussians")?;
     gaussians.upload(device, &gaussian_data(splats, model))?;
     Ok(gaussians)

@@ -4,27 +4,34 @@ use crate::error::{ConfigError, Result};
 use serde::{Deserialize, Serialize};
 use sgs_passes::splat::Statistic;
 
-/// Which losses' gradients enter the statistic of densification.
+/// Rule by which Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum DensifyStatistic {
-    /// Screen gradients of the photometric loss.
+pub enum DensifyRule {
+    /// Clones and splits Gaussians by screen gradients of the photometric loss.
     Photometric,
-    /// Screen gradients of normal and depth losses, or gradients by raw normals.
+    /// The same by gradients of normal and depth losses, or by raw normals.
     ///
     /// This is the published statistic.
     Geometric,
-    /// Screen gradients of every loss, semantic losses included if they move geometry.
+    /// The same by gradients of every loss.
+    ///
+    /// Semantic losses count if they move geometry.
     Total,
+    /// Markov chain Monte Carlo (Kheradmand et al. 2024).
+    ///
+    /// Dead Gaussians move onto others, and the number grows by 5 %.
+    Mcmc,
 }
 
-impl DensifyStatistic {
-    /// Returns the statistic that the kernels accumulate.
-    pub fn gathered(self) -> Statistic {
+impl DensifyRule {
+    /// Returns the statistic that the kernels accumulate, if the rule uses gradients.
+    pub fn gathered(self) -> Option<Statistic> {
         match self {
-            DensifyStatistic::Photometric => Statistic::Photometric,
-            DensifyStatistic::Geometric => Statistic::Geometric,
-            DensifyStatistic::Total => Statistic::Total,
+            DensifyRule::Photometric => Some(Statistic::Photometric),
+            DensifyRule::Geometric => Some(Statistic::Geometric),
+            DensifyRule::Total => Some(Statistic::Total),
+            DensifyRule::Mcmc => None,
         }
     }
 }
@@ -40,8 +47,9 @@ pub struct DensifyOptions {
     pub until: f64,
     /// Steps between densifications.
     pub interval: u32,
-    /// Losses whose gradients select Gaussians: `photometric`, `geometric` or `total`.
-    pub statistic: DensifyStatistic,
+    /// Rule: losses whose gradients select Gaussians, `photometric`, `geometric` or `total`; or `mcmc`, which draws Gaussians by their
+    /// opacity up to `max_gaussians` and ignores `grad_threshold`, `sizes` and `reset_interval`.
+    pub rule: DensifyRule,
     /// Mean screen gradient (NDC) from which a Gaussian is refined. Published for `geometric`: 1e-4.
     pub grad_threshold: f32,
     /// Mean gradient by the raw normal from which a Gaussian is refined; `geometric` only. 0 disables it. Not a setting.
@@ -69,7 +77,7 @@ impl Default for DensifyOptions {
             from: 500,
             until: 0.8,
             interval: 100,
-            statistic: DensifyStatistic::Total,
+            rule: DensifyRule::Total,
             grad_threshold: 4e-4,
             normal_threshold: 6e-8,
             sizes: [0.01, 0.5],
@@ -85,6 +93,16 @@ impl DensifyOptions {
     /// Returns whether Gaussians are densified.
     pub fn enabled(&self) -> bool {
         self.until > 0.0
+    }
+
+    /// Returns the statistic that steps accumulate for densification, if any.
+    pub fn statistic(&self) -> Option<Statistic> {
+        self.rule.gathered().filter(|_| self.enabled())
+    }
+
+    /// Returns whether training is a Markov chain Monte Carlo.
+    pub fn mcmc(&self) -> bool {
+        self.enabled() && self.rule == DensifyRule::Mcmc
     }
 
     /// Checks values that the types do not constrain.

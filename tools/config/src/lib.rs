@@ -19,7 +19,7 @@ mod transport;
 pub use accuracy::{ACCURACY_LEVELS, accuracy_named};
 pub use automatic::{AutomaticSettings, Parts};
 pub use degree::{MOST_BANDS, ShDegree};
-pub use densify::{DensifyOptions, DensifyStatistic};
+pub use densify::{DensifyOptions, DensifyRule};
 pub use error::{ConfigError, Result};
 pub use intrinsic::{
     EnvironmentSettings, IntrinsicLosses, IntrinsicRates, IntrinsicSettings, LightSettings, LobeLayout, MaterialStart,
@@ -118,6 +118,8 @@ pub struct GeometrySettings {
     pub coarse: f64,
     /// Background color, display-referred.
     pub background: [f32; 3],
+    /// Filter of projected Gaussians: `dilated` (3DGS) or `mip`, which scales opacities so that dilation adds no light. Files record it.
+    pub filter: Filter,
     /// Uses normal priors.
     pub normals: bool,
     /// Uses semantic priors.
@@ -155,6 +157,7 @@ impl Default for GeometrySettings {
             sh_gain: 0.02,
             coarse: 0.0,
             background: [0.0; 3],
+            filter: Filter::Dilated,
             normals: true,
             semantics: true,
             semantic_geometry: true,
@@ -169,6 +172,16 @@ impl Default for GeometrySettings {
             entry_capacity: 0,
         }
     }
+}
+
+/// Filter of projected Gaussians against aliasing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Filter {
+    /// Adds 0.3 px² to the projected covariance (Kerbl et al. 2023).
+    Dilated,
+    /// Scales opacities, too: the 2D Mip filter (Yu et al. 2024).
+    Mip,
 }
 
 /// Backward kernel of blending. All give the same gradients up to rounding.
@@ -193,10 +206,8 @@ pub enum Backward {
 pub struct Rates {
     /// Factor on all rates; 0 chooses it by the number of steps, larger for short runs.
     pub factor: f64,
-    /// Rate of means at the first step, times the extent.
-    pub means: f64,
-    /// Rate of means at the last step, times the extent; log-linear between.
-    pub means_final: f64,
+    /// Rates of means at the first step and at the last, times the extent; log-linear between.
+    pub means: [f64; 2],
     /// Three rates of what is learned of the photographs; 0 learns nothing. The first is that of each camera: the turn in
     /// radians, and the shift times the extent. The second is that of each exposure: the logarithms of factors on red, green
     /// and blue. The third is that of the lens that all share: the logarithm of the focal length, and the principal point in
@@ -232,8 +243,7 @@ impl Default for Rates {
     fn default() -> Self {
         Rates {
             factor: 0.0,
-            means: 1.6e-4,
-            means_final: 1.6e-6,
+            means: [1.6e-4, 1.6e-6],
             views: [0.0; 3],
             scales: 5e-3,
             rotations: 1e-3,
@@ -378,8 +388,8 @@ impl Settings {
         }
         let (r, l, d) = (&g.rates, &g.losses, &g.densify);
         for (name, value) in [
-            ("rates.means", r.means),
-            ("rates.means_final", r.means_final),
+            ("rates.means", r.means[0]),
+            ("rates.means", r.means[1]),
             ("rates.views", r.views[0]),
             ("rates.views", r.views[1]),
             ("rates.views", r.views[2]),
@@ -415,7 +425,7 @@ mod tests {
     #[test]
     fn all_settings_round_trip() {
         let mut s = Settings { seed: 7, ..Settings::default() };
-        s.geometry.rates.means = 0.1;
+        s.geometry.rates.means = [0.1, 0.01];
         s.geometry.background = [0.1, 0.2, 0.3];
         assert_eq!(Settings::from_table(s.to_table().unwrap()).unwrap(), s);
         assert_eq!(Settings::from_table(toml::Table::new()).unwrap(), Settings::default());
@@ -449,6 +459,8 @@ mod tests {
         assert!(fail("[intrinsic.automatic]\nlimits = [-1, 0]").ends_with("two finite numbers of at least 0."));
         assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
         assert!(fail("[geometry.rates]\nviews = [0, 0, -1]").contains("geometry.rates.views"));
+        assert!(fail("[geometry.rates]\nmeans_final = 1e-6").contains("did you mean \"geometry.rates.means\"?"));
+        assert!(fail("[geometry.densify]\nstatistic = \"total\"").contains("did you mean \"geometry.densify.rule\"?"));
         assert!(fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.factor, geometry.rates.means"));
         assert_eq!(fail("[geometry]\nsteps = \"many\""), "geometry.steps is \"many\", but must be a whole number.");
         assert_eq!(fail("[geometry]\nsteps = 4.5"), "geometry.steps is 4.5, but must be a whole number.");

@@ -98,10 +98,12 @@ fn words_of(list: &[toml::Value]) -> Vec<String> {
 /// Expected names that are no settings, and whose nearest name would mislead.
 ///
 /// Each has the setting that expresses it, or none if its value is fixed.
-const EXPECTED: [(&str, Option<&str>); 14] = [
+const EXPECTED: [(&str, Option<&str>); 16] = [
     ("geometry.densify.enabled", Some("geometry.densify.until")),
+    ("geometry.densify.statistic", Some("geometry.densify.rule")),
     ("geometry.entry_capacity", None),
     ("geometry.pseudo.poses", None),
+    ("geometry.rates.means_final", Some("geometry.rates.means")),
     ("geometry.rates.semantics", None),
     ("geometry.temperature", None),
     ("intrinsic.automatic.ready", Some("intrinsic.automatic.limits")),

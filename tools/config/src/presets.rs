@@ -67,7 +67,7 @@ pub fn overlay(table: &mut toml::Table, over: toml::Table) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{DensifyStatistic, LobeLayout, Settings};
+    use crate::{DensifyRule, LobeLayout, Settings};
 
     fn of(name: &str) -> Settings {
         let settings = Settings::from_table(Preset::find(name).unwrap().table().unwrap()).unwrap();
@@ -97,7 +97,7 @@ mod tests {
         // Nothing reduces the environment map, and its smoothness loss has a weight.
         assert!(!paper.intrinsic.automatic.enabled && paper.intrinsic.losses.environment_smooth == 0.01);
         assert_eq!([paper.intrinsic.albedo_range, parity.intrinsic.albedo_range], [[0.09, 0.99]; 2]);
-        assert_eq!(parity.geometry.densify.statistic, DensifyStatistic::Geometric);
+        assert_eq!(parity.geometry.densify.rule, DensifyRule::Geometric);
         assert_eq!((parity.intrinsic.lights.layout, parity.intrinsic.visibility.coarsest), (LobeLayout::Grid, 16));
     }
 

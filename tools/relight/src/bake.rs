@@ -8,7 +8,7 @@
 use crate::error::{RelightError, Result};
 use glam::DVec3;
 use rayon::prelude::*;
-use sgs_config::{Backward, PseudoOptions, Rates, Settings};
+use sgs_config::{Backward, Filter, PseudoOptions, Rates, Settings};
 use sgs_engine::Device;
 use sgs_evaluate::metrics;
 use sgs_passes::Tuning;
@@ -101,7 +101,7 @@ pub fn bake(
         if last == before {
             continue;
         }
-        let settings = settings(options, rates, last - before);
+        let settings = settings(options, baked.antialiased, rates, last - before);
         let mut training = Geometry::on_images(device, &images, &settings, &baked)?;
         let report = |p: &Progress| {
             if let Progress::Step(r) = p {
@@ -123,20 +123,20 @@ fn images<'a>(shading: &mut Shading, cameras: &'a [Camera], background: [f32; 3]
 }
 
 /// Returns settings that train only colors.
-fn settings(options: &BakeOptions, [sh0, sh_rest]: [f64; 2], steps: u32) -> Settings {
+fn settings(options: &BakeOptions, mip: bool, [sh0, sh_rest]: [f64; 2], steps: u32) -> Settings {
     let mut s = Settings::default();
     let g = &mut s.geometry;
     g.steps = steps;
     g.sh_degree = options.degree.min(3).into();
     g.background = options.background;
+    g.filter = if mip { Filter::Mip } else { Filter::Dilated };
     (g.normals, g.semantics, g.densify.until) = (false, false, 0.0);
     (g.losses.depth_smooth, g.losses.depth_variance, g.losses.correspondence) = (0.0, 0.0, 0.0);
     // A kernel selected by timing would make the result depend on the measurement.
     g.backward = Backward::Pixel;
     g.rates = Rates {
         factor: 1.0,
-        means: 0.0,
-        means_final: 0.0,
+        means: [0.0; 2],
         views: [0.0; 3],
         scales: 0.0,
         rotations: 0.0,
@@ -213,7 +213,7 @@ pub fn baked_psnr(
 
 /// Returns the mean PSNR between splats as a viewer shows them and images.
 fn apart(device: &Device, baked: &Splats, images: &[(&Camera, Image)], background: [f32; 3]) -> Result<f64> {
-    let model = Model { sh_degree: baked.sh_degree() as u32, normals: false, semantics: false };
+    let model = Model { sh_degree: baked.sh_degree() as u32, normals: false, semantics: false, mip: baked.antialiased };
     let gaussians = Gaussians::with(device, model, baked.len() as u32, false, false)?;
     gaussians.upload(device, &gaussian_data(baked, model))?;
     let channels = Channels { colors: true, normals: false, depth: false };
@@ -235,10 +235,10 @@ mod tests {
     #[test]
     fn bake_settings_are_valid_and_train_only_colors() {
         for degree in 0..=3 {
-            let s = settings(&BakeOptions { degree, steps: 30, background: [0.0; 3] }, RATES[0], 30);
+            let s = settings(&BakeOptions { degree, steps: 30, background: [0.0; 3] }, degree == 0, RATES[0], 30);
             assert!(s.check().is_ok());
             let r = s.geometry.rates;
-            assert_eq!([r.means, r.means_final, r.scales, r.rotations, r.opacities, r.normals], [0.0; 6]);
+            assert_eq!([r.means[0], r.means[1], r.scales, r.rotations, r.opacities, r.normals], [0.0; 6]);
             assert!(r.sh0 > 0.0 && r.sh_rest > 0.0 && s.geometry.sh_degree == degree.into());
         }
     }

@@ -104,7 +104,7 @@ impl Selector<'_> {
 /// # Errors
 /// If memory runs out or the device fails.
 pub fn seen(device: &Device, splats: &Splats, view: &sgs_scene::Camera, inside: &[bool]) -> Result<Vec<bool>> {
-    let model = Model { sh_degree: 0, normals: false, semantics: false };
+    let model = Model { sh_degree: 0, normals: false, semantics: false, mip: splats.antialiased };
     let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
     gaussians.upload(device, &gaussian_data(splats, model))?;
     let channels = Channels { colors: true, normals: false, depth: true };
@@ -135,7 +135,7 @@ pub fn seen(device: &Device, splats: &Splats, view: &sgs_scene::Camera, inside: 
 /// # Errors
 /// If a map is damaged, memory runs out or the device fails.
 pub fn of_region_everywhere(device: &Device, scene: &Scene, splats: &Splats, id: u16) -> Result<Vec<usize>> {
-    let model = Model { sh_degree: 0, normals: true, semantics: false };
+    let model = Model { sh_degree: 0, normals: true, semantics: false, mip: splats.antialiased };
     let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
     gaussians.upload(device, &gaussian_data(splats, model))?;
     let cameras: Vec<_> = scene.split.train.iter().map(|v| camera(&scene.views[*v].camera)).collect();

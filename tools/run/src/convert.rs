@@ -57,6 +57,7 @@ pub fn splats(d: &GaussianData, model: Model) -> Splats {
         rotations: d.group(Group::Rotations).as_chunks::<4>().0.to_vec(),
         opacity_logits: d.group(Group::OpacityLogits).to_vec(),
         normals: model.normals.then(|| triples(Group::Normals)),
+        antialiased: model.mip,
         semantic: model.semantics.then(|| (Group::Semantics.width() as usize, d.group(Group::Semantics).to_vec())),
         ..Default::default()
     };

@@ -75,6 +75,11 @@ impl ExportFormat {
         !matches!(self, ExportFormat::Splat | ExportFormat::Spz(SpzVersion::V2 | SpzVersion::V3))
     }
 
+    /// Returns whether files record that splats are for the 2D Mip filter.
+    fn records_filter(self) -> bool {
+        matches!(self, ExportFormat::Ply(_) | ExportFormat::Spz(_) | ExportFormat::Sog)
+    }
+
     /// Returns the number of lights that a file holds.
     pub fn lights_held(self, list: &LightList) -> usize {
         match self {
@@ -113,6 +118,9 @@ impl Export<'_> {
                 all.into_iter().filter(|(has, _)| *has).map(|(_, name)| name.to_owned()).collect()
             }
         };
+        if s.antialiased && !self.format.records_filter() {
+            left_out.push("the filter against aliasing".to_owned());
+        }
         if !self.format.holds_light() && (self.lights.is_some() || self.environment.is_some()) {
             left_out.push("light".to_owned());
         }

@@ -36,8 +36,13 @@ pub(crate) fn transformed(mut guest: Splats, how: &Placement) -> Splats {
 /// Appends the splats of a guest to a host.
 ///
 /// Missing guest data is derived: normals are the shortest axes, albedo is the color. Guest data that the host lacks
-/// is dropped, except for metallic. Guests emit nothing.
+/// is dropped, except for metallic. Guests emit nothing. The host's filter against aliasing holds for both.
 pub fn join(host: &mut Splats, mut guest: Splats) {
+    if host.antialiased != guest.antialiased && !guest.is_empty() {
+        tracing::warn!(
+            "The inserted splats were trained for another filter against aliasing; thin ones may look different."
+        );
+    }
     let (old, new) = (host.len(), guest.len());
     let degree = host.sh_degree().max(guest.sh_degree());
     for band in 0..=degree {

@@ -66,7 +66,7 @@ pub fn shaded_scene(
     let unit = Unit::of_splats(splats);
     let scaled = (unit != Unit::OWN).then(|| splats.clone().in_unit(unit));
     let splats = scaled.as_ref().unwrap_or(splats);
-    let model = Model { sh_degree: 0, normals: true, semantics: false };
+    let model = Model { sh_degree: 0, normals: true, semantics: false, mip: splats.antialiased };
     let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
     gaussians.upload(device, &gaussian_data(splats, model))?;
     let lights = match lights {

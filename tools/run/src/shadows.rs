@@ -37,7 +37,7 @@ impl Default for Rays {
 /// # Errors
 /// If too many Gaussians lie in one place, or memory runs out.
 pub fn traced(device: &Device, splats: &Splats, rays: Rays) -> Result<(TracedMemory, TracedShape)> {
-    let model = Model { sh_degree: 0, normals: false, semantics: false };
+    let model = Model { sh_degree: 0, normals: false, semantics: false, mip: false };
     let tree = TracedTree::new(&gaussian_data(splats, model)).map_err(|e| RunError::Refused(e.to_string()))?;
     let size = size(splats);
     let shape = tree.shape(rays.offset * size, rays.clearance * size);

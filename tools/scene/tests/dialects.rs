@@ -23,6 +23,7 @@ fn sample(n: usize) -> Splats {
         semantic: Some((4, many(n * 4))),
         light_gains: Some(vec![1.5; n]),
         emitters: Some((0..n as u32).map(|i| i % 3).collect()),
+        antialiased: false,
     }
 }
 

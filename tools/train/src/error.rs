@@ -135,7 +135,7 @@ pub enum Requirement {
     },
     /// Densification by geometric losses runs without one.
     #[error(
-        "geometry.densify.statistic = \"geometric\" requires a loss of normals or depth; give geometry.losses.depth_smooth a weight, use \
+        "geometry.densify.rule = \"geometric\" requires a loss of normals or depth; give geometry.losses.depth_smooth a weight, use \
          another statistic, or add --no-densify."
     )]
     GeometricLoss,

@@ -18,7 +18,7 @@ use std::path::Path;
 /// # Errors
 /// If the checkpoint is damaged or belongs to another model.
 pub fn checkpoint(path: &Path, sh_degree: u32, semantics: bool, any_degree: bool) -> Result<String> {
-    let state = checkpoint::load(path, Model { sh_degree, normals: false, semantics }, any_degree, None)?;
+    let state = checkpoint::load(path, Model { sh_degree, normals: false, semantics, mip: false }, any_degree, None)?;
     let known = goes_on(&state.course, state.step);
     Ok(format!("{} {known} {}", state.parameters.len().min(3), state.course.roll_backs.len().min(3)))
 }

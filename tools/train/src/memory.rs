@@ -9,7 +9,7 @@ use crate::uniforms::uniform;
 use serde::Serialize;
 use sgs_engine::{Budget, Device, STAGING_BYTES};
 use sgs_passes::Tuning;
-use sgs_passes::pipeline::{DensifyStep, GeometryOptions, GeometryStep, InputSizes, PSEUDO_VIEWS, Status};
+use sgs_passes::pipeline::{DensifyRule, DensifyStep, GeometryOptions, GeometryStep, InputSizes, PSEUDO_VIEWS, Status};
 use sgs_passes::scene::{Decoder, Group, Layout, LearnedViews};
 
 /// Bytes of device memory by purpose.
@@ -45,6 +45,11 @@ pub struct Needs {
     pub staging: u64,
 }
 
+/// Returns the rule of densification for steps with these options.
+pub(crate) fn rule_of(options: &GeometryOptions) -> DensifyRule {
+    if options.mcmc { DensifyRule::Relocation } else { DensifyRule::Gradient }
+}
+
 impl Needs {
     /// Sums the memory of the first steps.
     pub(crate) fn of(
@@ -55,7 +60,10 @@ impl Needs {
         options: &GeometryOptions,
     ) -> Result<Needs> {
         let plan = GeometryStep::plan(tuning, layout, inputs, options)?;
-        let densify = if layout.statistics { DensifyStep::plan(tuning, layout)?.arena_bytes } else { 0 };
+        let densify = match layout.statistics || options.mcmc {
+            true => DensifyStep::plan(tuning, layout, rule_of(options))?.arena_bytes,
+            false => 0,
+        };
         // The largest transfer is the Gaussians' columns, their features' moments, or one kind of input data.
         let pairs = if layout.model.semantics { 8 * u64::from(Group::Semantics.width()) } else { 0 };
         let widest = layout.model.column_bytes(layout.capacity).max(pairs * u64::from(layout.capacity));

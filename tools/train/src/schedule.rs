@@ -1,7 +1,7 @@
 //! Schedule: the settings of a step as a function of its number only.
 //! Resuming needs nothing but the number.
 
-use sgs_config::{DensifyStatistic, Rates, Settings};
+use sgs_config::{DensifyRule, Rates, Settings};
 use sgs_passes::pipeline::{Camera, DensifySettings, Step};
 
 /// Most halvings of a photograph.
@@ -10,6 +10,12 @@ pub(crate) const MOST_HALVINGS: u32 = 2;
 /// Largest growth of the weight of depth variance: that of step 7000. The published weight grows to 100 times its first
 /// value, which makes normals worse in longer runs.
 const SPREAD_GROWTH: f64 = 25.0;
+
+/// Markov chain Monte Carlo: weights of the means of opacities and of scales, and the strength of the noise relative to the
+/// learning rate. As published, for scenes of extent 1.
+const MCMC_OPACITY: f64 = 0.01;
+const MCMC_SCALE: f64 = 0.01;
+const MCMC_NOISE: f64 = 5e5;
 
 /// Fraction of the steps before cameras and exposures are learned.
 const VIEWS_FROM: f64 = 0.05;
@@ -71,7 +77,7 @@ impl Schedule {
     pub fn roughness(&self) -> f64 {
         let (r, d) = (&self.settings.geometry.rates, Rates::default());
         let times = [
-            r.means / d.means,
+            r.means[0] / d.means[0],
             r.scales / d.scales,
             r.rotations / d.rotations,
             r.opacities / d.opacities,
@@ -85,11 +91,15 @@ impl Schedule {
     pub fn step(&self, step: u32, camera: &Camera, target_offset: u32) -> Step {
         let g = &self.settings.geometry;
         let done = f64::from(step) / f64::from(g.steps.max(1));
-        let means = g.rates.means.powf(1.0 - done.min(1.0)) * g.rates.means_final.powf(done.min(1.0));
+        let [first, last] = g.rates.means;
+        let means = first.powf(1.0 - done.min(1.0)) * last.powf(done.min(1.0));
         let factor = g.rate_factor() * self.rates;
         // Cameras wait until the Gaussians show a room; their last steps are a hundredth of the first.
         let views = if done < VIEWS_FROM { 0.0 } else { factor * 0.01f64.powf(done.min(1.0)) };
         let spread = 10f64.powf(f64::from(step) / 5000.0).min(SPREAD_GROWTH) as f32;
+        // In units of the extent, so that the unit of lengths has no effect.
+        let mcmc = |value: f64| if g.densify.mcmc() { value } else { 0.0 };
+        let noise = mcmc(MCMC_NOISE * factor * means / self.extent.max(f64::MIN_POSITIVE));
         Step {
             camera: *camera,
             background: g.background,
@@ -114,6 +124,9 @@ impl Schedule {
             lr_lens: (views * g.rates.views[2]) as f32,
             correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
             correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
+            weight_opacity: mcmc(MCMC_OPACITY) as f32,
+            weight_scale: mcmc(MCMC_SCALE / self.extent.max(f64::MIN_POSITIVE)) as f32,
+            noise: noise as f32,
             weight_l1: g.losses.l1,
             weight_dssim: g.losses.dssim,
             weight_normal: g.losses.normal,
@@ -153,7 +166,7 @@ impl Schedule {
         let after_reset = d.reset_interval > 0 && step > d.reset_interval;
         Some(DensifySettings {
             grad_threshold: d.grad_threshold,
-            normal_threshold: if d.statistic == DensifyStatistic::Geometric { d.normal_threshold } else { 0.0 },
+            normal_threshold: if d.rule == DensifyRule::Geometric { d.normal_threshold } else { 0.0 },
             split_size: (d.sizes[0] * self.extent) as f32,
             prune_opacity: d.prune_opacity,
             prune_weight: self.least_weight(),
@@ -177,7 +190,11 @@ impl Schedule {
     /// Returns whether opacities are reset after a step.
     pub fn reset(&self, step: u32) -> bool {
         let d = &self.settings.geometry.densify;
-        d.enabled() && d.reset_interval > 0 && step.is_multiple_of(d.reset_interval) && step < self.last_densification()
+        d.enabled()
+            && !d.mcmc()
+            && d.reset_interval > 0
+            && step.is_multiple_of(d.reset_interval)
+            && step < self.last_densification()
     }
 }
 

@@ -108,7 +108,8 @@ impl Canvas {
     /// Creates a canvas for a window of about this size.
     pub fn new(device: &Device, surface: &Arc<Surface>, splats: &Splats, size: [u32; 2]) -> Result<Canvas> {
         let degree = splats.sh_degree() as u32;
-        let model = Model { sh_degree: degree, normals: splats.normals.is_some(), ..Model::default() };
+        let (normals, mip) = (splats.normals.is_some(), splats.antialiased);
+        let model = Model { sh_degree: degree, normals, mip, ..Model::default() };
         let gaussians = Gaussians::new(device, model, splats.len() as u32, false)?;
         gaussians.upload(device, &gaussian_data(splats, model))?;
         let chain = Swapchain::new(device, surface, size)?;

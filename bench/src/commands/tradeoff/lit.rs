@@ -27,7 +27,7 @@ pub fn shaded_reference(
     camera: &Camera,
     background: [f32; 3],
 ) -> anyhow::Result<Vec<f64>> {
-    let model = Model { sh_degree: 0, normals: true, semantics: false };
+    let model = Model { sh_degree: 0, normals: true, semantics: false, mip: false };
     let gaussians = reference_gaussians(&gaussian_data(splats, model));
     let (view, background) = (reference_camera(camera), background.map(f64::from));
     let projected = project::project(&gaussians, &view, 0, true);

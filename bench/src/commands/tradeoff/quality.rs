@@ -38,7 +38,7 @@ pub fn trained(
     let splats = trainer.stage().context("nothing was trained")?.splats()?;
     drop(trainer);
     let (degree, normals) = (splats.sh_degree() as u32, splats.normals.is_some());
-    let model = Model { sh_degree: degree, normals, semantics: false };
+    let model = Model { sh_degree: degree, normals, semantics: false, mip: splats.antialiased };
     let gaussians = Gaussians::new(device, model, splats.len() as u32, false)?;
     gaussians.upload(device, &gaussian_data(&splats, model))?;
     let views = if scene.split.test.is_empty() { &scene.split.train } else { &scene.split.test };

@@ -29,7 +29,7 @@ pub struct EntryGraph {
 impl EntryGraph {
     /// Projects Gaussians and lists the entries of the tiles.
     pub fn new(device: &Device, name: &str, t: &Tuning, channels: Channels) -> anyhow::Result<EntryGraph> {
-        let model = Model { sh_degree: 3, normals: channels.normals, semantics: false };
+        let model = Model { sh_degree: 3, normals: channels.normals, semantics: false, mip: false };
         let gaussians = Gaussians::new(device, model, 1000, false)?;
         let mut graph = Graph::new(name);
         let step = graph.uniform("step", size_of::<Step>() as u64);

@@ -1,6 +1,6 @@
 //! Graphs of training: the published model and every choice that selects other kernels.
 
-use sgs_config::{Backward, DensifyStatistic, Metallic, PRESETS, Settings, VisibilityKind, accuracy_named, overlay};
+use sgs_config::{Backward, DensifyRule, Metallic, PRESETS, Settings, VisibilityKind, accuracy_named, overlay};
 use sgs_engine::Device;
 use sgs_scene::{Scene, SceneOptions, Splats};
 use sgs_train::{Geometry, Intrinsic, TransportPlan};
@@ -39,7 +39,7 @@ pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
     all.push(with(|s| s.geometry.backward = Backward::Bucket));
     all.push(with(|s| {
         s.geometry.backward = Backward::Bucket;
-        s.geometry.densify.statistic = DensifyStatistic::Geometric;
+        s.geometry.densify.rule = DensifyRule::Geometric;
     }));
     all.push(with(|s| {
         s.geometry.backward = Backward::Bucket;
@@ -52,6 +52,9 @@ pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
     all.push(with(|s| s.geometry.dense_adam = true));
     for dense in [false, true] {
         all.push(with(|s| (s.accuracy.state_bits, s.geometry.dense_adam) = (16, dense)));
+    }
+    for bits in [16, 32] {
+        all.push(with(|s| (s.accuracy.state_bits, s.geometry.densify.rule) = (bits, DensifyRule::Mcmc)));
     }
     all.push(with(|s| s.geometry.semantic_geometry = false));
     all.push(with(|s| s.geometry.semantics = false));

@@ -15,8 +15,8 @@ const GAUSSIANS: u32 = 1000;
 /// Builds all.
 pub fn build(device: &Device) -> anyhow::Result<()> {
     let tuning = Tuning::for_device(device.info());
-    for (normals, semantics) in [(false, false), (true, true)] {
-        let model = Model { sh_degree: 3, normals, semantics };
+    for (normals, semantics, mip) in [(false, false, false), (true, true, false), (false, false, true)] {
+        let model = Model { sh_degree: 3, normals, semantics, mip };
         let gaussians = Gaussians::new(device, model, GAUSSIANS, false)?;
         for depth in [false, true] {
             let channels = Channels { colors: true, normals, depth };

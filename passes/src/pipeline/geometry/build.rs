@@ -14,7 +14,8 @@ use crate::loss::{
 };
 use crate::optim::{
     Adam, AdamUnseen, CameraParts, EPSILON, Rate, ViewGradients, ViewStatus, adam as adam_pass, adam_unseen,
-    adam_unseen_features, camera_bwd, camera_part_bytes, decoder_step, view_gain, view_gain_bwd, view_place, view_step,
+    adam_unseen_features, camera_bwd, camera_part_bytes, decoder_step, position_noise, view_gain, view_gain_bwd,
+    view_place, view_step,
 };
 use crate::pipeline::RING;
 use crate::pipeline::status::StatusHandles;
@@ -107,12 +108,13 @@ pub(super) fn build(
         blend_bwd(g, t, &screen, &view.visible, &view.entries, &gradient, o.backward, o.statistics.is_some())?;
     entry_gradients.features = meaning.as_ref().map(|m| m.entries).filter(|_| o.semantic_geometry);
     let extra = meaning.as_ref().and_then(|m| m.pseudo.as_ref()).and_then(|p| p.extra);
-    let seen = (o.dense_adam || extra.is_some()).then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
+    let seen =
+        (o.dense_adam || extra.is_some() || o.mcmc).then(|| g.transient("seen", 4 * u64::from(gaussians.capacity)));
     if let Some(seen) = seen {
         g.fill("clear_seen", seen, 0)?;
     }
     let statistics = o.statistics.is_some();
-    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics, seen, extra };
+    let adam = FusedAdam { flags: status.flags, skipped: status.skipped, statistics, seen, extra, regularize: o.mcmc };
     if let Some(views) = &inputs.views {
         let cameras = match views.kinds.moves_pixels() {
             true => {
@@ -159,8 +161,11 @@ pub(super) fn build(
     }
     if let Some(seen) = seen {
         let features_done = meaning.as_ref().is_some_and(|m| m.pseudo.is_some());
-        let unseen_step = UnseenStep { step, seen, extra, dense: o.dense_adam, features_done };
+        let unseen_step = UnseenStep { step, seen, extra, dense: o.dense_adam, regularize: o.mcmc, features_done };
         unseen(g, t, gaussians, status, &unseen_step)?;
+    }
+    if o.mcmc {
+        position_noise(g, t, step, gaussians, status.flags)?;
     }
     let wanted = meaning.and_then(|m| m.pseudo).map(|p| p.wanted);
     let bindings = report::Bindings {
@@ -331,17 +336,20 @@ struct UnseenStep {
     extra: Option<ExtraGradients>,
     /// Whether all groups are updated, also without gradients.
     dense: bool,
+    /// Whether opacities and scales are regularized.
+    regularize: bool,
     /// Whether semantic features are updated elsewhere.
     features_done: bool,
 }
 
 /// Adds Adam for Gaussians that the view does not see.
 ///
-/// Updates groups with gradients from pseudo-views; with `dense`, all groups.
+/// Updates groups with gradients from pseudo-views or regularizers; with `dense`, all groups.
 fn unseen(g: &mut Graph, t: &Tuning, gaussians: &Handles, status: &StatusHandles, all: &UnseenStep) -> Built<()> {
-    let &UnseenStep { step, seen, extra, dense, features_done } = all;
+    let &UnseenStep { step, seen, extra, dense, regularize, features_done } = all;
     let Some(moments) = gaussians.moments else { return Ok(()) };
-    let rest = AdamUnseen { step, flags: status.flags, seen, extra, sparse: !dense, skipped: status.skipped };
+    let rest =
+        AdamUnseen { step, flags: status.flags, seen, extra, sparse: !dense, regularize, skipped: status.skipped };
     adam_unseen(g, t, gaussians, &moments, &rest)?;
     if dense && gaussians.model.semantics && !features_done {
         adam_unseen_features(g, t, gaussians, &moments, &rest)?;

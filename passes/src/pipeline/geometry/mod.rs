@@ -43,6 +43,8 @@ pub struct GeometryOptions {
     pub channels: Channels,
     /// Losses whose gradients enter the densification statistics, if gathered.
     pub statistics: Option<Statistic>,
+    /// Regularizes opacities and scales, and adds noise to means: steps of Markov chain Monte Carlo.
+    pub mcmc: bool,
     /// Applies Adam also to Gaussians that the view does not see.
     pub dense_adam: bool,
     /// Backward kernel of blending.

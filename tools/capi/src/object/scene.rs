@@ -17,8 +17,8 @@ pub struct SceneObject {
 
 impl SceneObject {
     pub fn new(device: &Device, splats: &Splats) -> Outcome<SceneObject> {
-        let model =
-            Model { sh_degree: splats.sh_degree() as u32, normals: splats.normals.is_some(), ..Default::default() };
+        let (normals, mip) = (splats.normals.is_some(), splats.antialiased);
+        let model = Model { sh_degree: splats.sh_degree() as u32, normals, mip, ..Default::default() };
         let gaussians = Gaussians::new(device, model, splats.len() as u32, false)?;
         gaussians.upload(device, &sgs_run::gaussian_data(splats, model))?;
         Ok(SceneObject { gaussians, renderer: Mutex::new(None) })

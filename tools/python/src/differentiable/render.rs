@@ -58,6 +58,7 @@ impl Inputs {
             sh_degree: (1..4).rev().find(|d| band(*d) > 0).unwrap_or(0) as u32,
             normals: !data.group(Group::Normals).is_empty(),
             semantics: false,
+            mip: false,
         };
         if count == 0 {
             return Err(usage("There are no Gaussians to render."));

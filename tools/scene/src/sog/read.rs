@@ -5,7 +5,7 @@ use super::meta::{Harmonics, Meta};
 use super::{COEFFICIENTS, ROW, expand, rotation};
 use crate::activation::unlogistic;
 use crate::error::{Result, SceneError, io_error};
-use crate::splats::{ANTIALIASED, SplatFile, Splats};
+use crate::splats::{SplatFile, Splats};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::path::Path;
@@ -60,14 +60,14 @@ fn read(path: &Path, bytes: Vec<u8>) -> Found<SplatFile> {
         log_scales: scales.data.iter().take(n).map(|p| coded(&meta.scales.codebook, p)).collect(),
         rotations: rotations.data.iter().take(n).map(|p| rotation::unpack(*p)).collect(),
         opacity_logits: colors.data.iter().take(n).map(|p| unlogistic(f64::from(p[3]) / 255.0)).collect(),
+        antialiased: meta.antialias,
         ..Splats::default()
     };
     splats.sh[0] = colors.data.iter().take(n).flat_map(|p| coded(&meta.sh0.codebook, p)).collect();
     if let Some(harmonics) = &meta.harmonics {
         read_harmonics(&mut container, harmonics, n, &mut splats)?;
     }
-    let left_out = if meta.antialias { vec![ANTIALIASED.to_owned()] } else { Vec::new() };
-    Ok(SplatFile { splats, transform: meta.sgs_transform, left_out })
+    Ok(SplatFile { splats, transform: meta.sgs_transform, left_out: Vec::new() })
 }
 
 fn read_harmonics(container: &mut Container, h: &Harmonics, n: usize, splats: &mut Splats) -> Found<()> {

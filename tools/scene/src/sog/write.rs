@@ -115,7 +115,7 @@ fn files(s: &Splats, transform: Option<Placement>) -> std::result::Result<Vec<(&
         version: 2,
         asset: Some(Asset { generator: concat!("SGS ", env!("CARGO_PKG_VERSION")) }),
         count: n,
-        antialias: false,
+        antialias: s.antialiased,
         means: Means {
             mins: ranges.map(|r| r[0]),
             maxs: ranges.map(|r| r[1]),

@@ -13,6 +13,3 @@ pub struct SplatFile {
     /// Descriptions of content that is not read or not rendered as the file requests.
     pub left_out: Vec<String>,
 }
-
-/// Note about splats that were trained for an anti-aliasing filter.
-pub(crate) const ANTIALIASED: &str = "the anti-aliasing filter for which the splats were trained";

@@ -13,7 +13,6 @@ mod read;
 mod write;
 
 pub use dialect::{ALBEDO_RANGE, PlyDialect, ROUGHNESS_RANGE};
-pub(crate) use file::ANTIALIASED;
 pub use file::SplatFile;
 
 use crate::error::{Result, SceneError};
@@ -53,6 +52,9 @@ pub struct Splats {
     pub emitters: Option<Vec<u32>>,
     /// Factor above 0 on the light that arrives from emitters and by bounces.
     pub light_gains: Option<Vec<f32>>,
+    /// Whether the splats are for the 2D Mip filter. Renderers then scale opacities by the root of the ratio of the projected
+    /// covariance's determinants without and with the 0.3 px² of dilation.
+    pub antialiased: bool,
 }
 
 impl Splats {
@@ -96,6 +98,7 @@ impl Splats {
             semantic: self.semantic.as_ref().map(|(channels, v)| (*channels, of(&order, v, *channels))),
             emitters: self.emitters.as_ref().map(|v| of(&order, v, 1)),
             light_gains: one(&self.light_gains),
+            antialiased: self.antialiased,
         }
     }
 
@@ -181,11 +184,12 @@ pub(crate) mod tests {
             semantic: Some((2, numbers(2))),
             emitters: Some(vec![0, 7, 0, 2, 4096]),
             light_gains: Some(vec![1.0, 0.5, 3.0, 0.25, 2.0]),
+            antialiased: true,
         };
         let some = all.strongest(3);
         some.check().unwrap();
         assert_eq!(some.emitters, Some(vec![0, 7, 2]));
-        assert_eq!(some.light_gains, Some(vec![1.0, 0.5, 0.25]));
+        assert_eq!((some.light_gains, some.antialiased), (Some(vec![1.0, 0.5, 0.25]), true));
         assert_eq!(some.opacity_logits, [0.5, 3.0, 3.0]);
         assert_eq!(some.means, [all.means[0], all.means[1], all.means[3]]);
         assert_eq!(some.sh[1], [&all.sh[1][..18], &all.sh[1][27..36]].concat());

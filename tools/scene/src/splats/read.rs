@@ -88,6 +88,7 @@ impl Splats {
             semantic: groups.semantic.map(|(_, channels)| (channels, Vec::with_capacity(n * channels))),
             emitters: groups.emitter.map(|_| Vec::with_capacity(n)),
             light_gains: groups.light_gain.map(|_| Vec::with_capacity(n)),
+            antialiased: comments::antialiased(table.comments()),
         };
         let places: Vec<_> = (0..rest).map(|i| place_of_rest(degree, i)).collect();
         table.read(&wanted, |i, v| {

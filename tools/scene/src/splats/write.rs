@@ -83,7 +83,7 @@ impl Splats {
         }
         let columns = self.columns(dialect);
         let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
-        header.push_str(&comments::lines(transform));
+        header.push_str(&comments::lines(self.antialiased, transform));
         header.push_str(&format!("element vertex {}\n", self.len()));
         columns.iter().for_each(|(name, _)| header.push_str(&format!("property float {name}\n")));
         header.push_str("end_header\n");
@@ -182,6 +182,7 @@ pub(super) mod tests {
             semantic: Some((2, many(n * 2))),
             emitters: None,
             light_gains: None,
+            antialiased: false,
         }
     }
 
@@ -197,7 +198,8 @@ pub(super) mod tests {
             let gains = Some(vec![1.0, 0.5, 2.0, 0.125, 1.5]);
             let emitting = Splats { emitters: Some(vec![0, 3, 0, 4096, 1]), light_gains: gains, ..full.clone() };
             let only_emitting = Splats { emitters: emitting.emitters.clone(), ..bare.clone() };
-            for splats in [full, bare, no_metal, emitting, only_emitting] {
+            let filtered = Splats { antialiased: true, ..bare.clone() };
+            for splats in [full, bare, no_metal, emitting, only_emitting, filtered] {
                 assert_eq!(splats.sh_degree(), degree);
                 splats.write_ply(&path).unwrap();
                 assert_eq!(Splats::read_ply(&path).unwrap(), splats);

@@ -6,7 +6,7 @@ use super::{
 use crate::activation::unlogistic;
 use crate::error::{Result, SceneError, io_error};
 use crate::placement::Placement;
-use crate::splats::{ANTIALIASED, SplatFile, Splats};
+use crate::splats::{SplatFile, Splats};
 use flate2::read::GzDecoder;
 use std::io::Read;
 use std::path::Path;
@@ -218,12 +218,10 @@ fn splats(header: &Header, parts: [&[u8]; 6], transform: Option<Placement>) -> F
         rotations,
         opacity_logits: alphas.iter().map(|b| unlogistic(f64::from(*b) / 255.0)).collect(),
         sh,
+        antialiased: header.flags & ANTIALIASED_FLAG != 0,
         ..Splats::default()
     };
     let mut left_out = Vec::new();
-    if header.flags & ANTIALIASED_FLAG != 0 {
-        left_out.push(ANTIALIASED.to_owned());
-    }
     if header.degree > 3 {
         left_out.push("band 4 of the harmonics".to_owned());
     }

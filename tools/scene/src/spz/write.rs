@@ -1,6 +1,6 @@
 //! Writer of SPZ files.
 
-use super::{COLOR, EXTENSIONS_FLAG, HARMONICS, HEADER_4, MAGIC, SpzVersion, TRANSFORM, rotation};
+use super::{ANTIALIASED_FLAG, COLOR, EXTENSIONS_FLAG, HARMONICS, HEADER_4, MAGIC, SpzVersion, TRANSFORM, rotation};
 use crate::activation::{byte, logistic, unit};
 use crate::atomic::atomic_write;
 use crate::error::{Result, SceneError};
@@ -57,7 +57,8 @@ impl Prepared {
         let mut header = MAGIC.to_vec();
         header.extend(version.number().to_le_bytes());
         header.extend(count.to_le_bytes());
-        let flags = if records.is_empty() { 0 } else { EXTENSIONS_FLAG };
+        let antialiased = if splats.antialiased { ANTIALIASED_FLAG } else { 0 };
+        let flags = antialiased | if records.is_empty() { 0 } else { EXTENSIONS_FLAG };
         header.extend([splats.sh_degree() as u8, bits as u8, flags]);
         Ok(Self { version, header, records, parts })
     }

@@ -173,7 +173,7 @@ fn described(page: &Page<'_>, kept: &[usize], bytes: u64) -> serde_json::Value {
     let light = |l: &PageLight| json!({"name": l.name, "on": l.on, "color": l.color});
     json!({
         "count": kept.len(), "chunk": CHUNK, "bytes": bytes,
-        "degree": page.splats.sh_degree(), "light_degree": page.light_degree,
+        "degree": page.splats.sh_degree(), "antialiased": page.splats.antialiased, "light_degree": page.light_degree,
         "background": page.background, "up": page.up.to_array(), "radius": radius(page.splats, kept),
         "views": page.cameras.iter().map(view).collect::<Vec<_>>(),
         "lights": page.lights.iter().map(light).collect::<Vec<_>>(),

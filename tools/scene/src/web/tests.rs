@@ -100,6 +100,7 @@ fn scene_is_described_and_titles_are_escaped() {
     let splats = waves(20, 1);
     write_page(&root, &page(&splats, &[camera()], &[light("a", 20)])).unwrap();
     let d = description(&root);
+    assert_eq!(d["antialiased"], false);
     assert_eq!((&d["degree"], &d["light_degree"], &d["chunk"]), (&1.into(), &1.into(), &CHUNK.into()));
     let view = &d["views"][0];
     assert_eq!((&view["name"], &view["size"]), (&"</script>\"a\"".into(), &json!([40, 30])));

@@ -20,6 +20,7 @@ uniform vec3 translation, position;
 uniform vec2 focal, center, size;
 uniform float near, offset, lowest;
 uniform int terms, texels;
+uniform bool mip;
 out vec2 place;
 flat out vec4 shown;
 
@@ -87,6 +88,8 @@ void main() {
   vec3 minors = cross(t0, t1);
   float determinant = dot(minors, minors) + 0.3 * (a + c) + 0.09;
   if (!(determinant < 1e37)) return;
+  if (mip) opacity *= sqrt(dot(minors, minors) / determinant);
+  if (!(opacity >= 1.0 / 255.0)) return;
   c += 0.3;
   float root = inversesqrt(c), root_det = inversesqrt(determinant);
   vec3 factor = 0.849321800288019 * vec3(c * root * root_det, -b * root * root_det, root);
@@ -382,6 +385,7 @@ class Viewer {
     gl.uniform1f(at.lowest, relit ? -BRIGHTEST_HALF : 0);
     gl.uniform1i(at.terms, colors.terms);
     gl.uniform1i(at.texels, colors.texels);
+    gl.uniform1i(at.mip, this.scene.antialiased ? 1 : 0);
     gl.bindVertexArray(this.array);
     if (this.drawn) gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.drawn);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);

@@ -75,7 +75,7 @@ pub struct Options {
     /// Settings from a TOML file, as config.toml of a run.
     #[arg(long, value_name = "FILE.toml")]
     pub config: Option<PathBuf>,
-    /// Set one setting of config.toml, as geometry.rates.means=0.0001; may be repeated.
+    /// Set one setting of config.toml, as geometry.rates.factor=2; may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
     pub set: Vec<String>,
 }

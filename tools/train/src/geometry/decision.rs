@@ -4,7 +4,7 @@ use super::Geometry;
 use crate::decision::Decision;
 use crate::error::{Requirement, Result};
 use crate::idle::{FoundForGeometry, IdleLoss};
-use sgs_config::{DensifyStatistic, GeometrySettings, Settings};
+use sgs_config::{DensifyRule, GeometrySettings, Settings};
 
 /// Settings that switch the depth terms.
 const DEPTH: &str = "geometry.losses.depth_smooth, geometry.losses.depth_variance";
@@ -59,7 +59,7 @@ pub(super) fn initial(s: &Settings, found: FoundForGeometry) -> Vec<Decision> {
 /// Refuses a geometric statistic of densification without a geometric loss. No Gaussian would be densified.
 pub(super) fn check_statistic(g: &GeometrySettings, normals: bool) -> Result<()> {
     let d = &g.densify;
-    if !d.enabled() || d.statistic != DensifyStatistic::Geometric || normals || g.depth_terms() {
+    if !d.enabled() || d.rule != DensifyRule::Geometric || normals || g.depth_terms() {
         return Ok(());
     }
     Err(Requirement::GeometricLoss.into())

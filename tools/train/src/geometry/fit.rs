@@ -21,7 +21,7 @@ const SLACK: u64 = 4096;
 pub(crate) struct Growth {
     /// Most tile entries of a step since the last densification.
     pub entries: u32,
-    /// New Gaussians that gradients requested while memory was short. `refused` counts those that memory refused.
+    /// New Gaussians that densification requested while memory was short. `refused` counts those that memory refused.
     pub requested: u64,
     pub refused: u64,
 }
@@ -98,7 +98,7 @@ impl Geometry {
         let Growth { requested, refused, .. } = self.growth;
         if refused > 0 && self.schedule.densifies_last(step) {
             let reason = format!(
-                "{refused} of {requested} that gradients asked for did not fit into {:.1} MiB; there are {} Gaussians",
+                "{refused} of {requested} that densification asked for did not fit into {:.1} MiB; there are {} Gaussians",
                 self.allowed as f64 / f64::from(1 << 20),
                 stats.after
             );

@@ -3,6 +3,7 @@
 use super::Geometry;
 use crate::correspondence::Correspondence;
 use crate::error::Result;
+use crate::memory::rule_of;
 use sgs_passes::pipeline::{DensifyStep, OpacityReset};
 
 impl Geometry {
@@ -20,7 +21,7 @@ impl Geometry {
         self.options.pseudo = current;
         self.rebuild()?;
         if self.settings.geometry.densify.enabled() {
-            DensifyStep::new(&self.device, &self.tuning, &self.gaussians, None)?;
+            DensifyStep::new(&self.device, &self.tuning, &self.gaussians, rule_of(&self.options), None)?;
             OpacityReset::new(&self.device, &self.tuning, &self.gaussians)?;
         }
         Ok(())

@@ -2,6 +2,7 @@
 
 use super::{Geometry, Progress, entries_of, next_room};
 use crate::error::Result;
+use crate::memory::rule_of;
 use sgs_passes::pipeline::{DensifySettings, DensifyStep};
 
 impl Geometry {
@@ -24,7 +25,8 @@ impl Geometry {
         if self.densify.is_none() {
             // Densification may use the step's arena: nothing in it outlives a replay.
             let arena = self.exec()?.executor().arena().cloned();
-            self.densify = Some(DensifyStep::new(&self.device, &self.tuning, &self.gaussians, arena)?);
+            let rule = rule_of(&self.options);
+            self.densify = Some(DensifyStep::new(&self.device, &self.tuning, &self.gaussians, rule, arena)?);
         }
         let Some(densify) = &mut self.densify else { return Ok(()) };
         let stats = densify.run(&settings)?;

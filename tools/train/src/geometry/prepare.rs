@@ -12,7 +12,7 @@ use crate::memory::Needs;
 use crate::normals::{Prior, initial_normals};
 use crate::schedule::{MOST_HALVINGS, Schedule};
 use crate::semantics::SemanticMaps;
-use sgs_config::{Settings, ShDegree};
+use sgs_config::{Filter, Settings, ShDegree};
 use sgs_engine::Device;
 use sgs_passes::pipeline::{GeometryOptions, InputSizes, LearnedView, Status};
 use sgs_passes::scene::{Gaussians, Layout, LearnedViews, Model};
@@ -93,7 +93,8 @@ impl Geometry {
             ShDegree::Fixed(degree) => degree,
             ShDegree::Auto => start.sh_degree() as u32,
         };
-        let model = Model { sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some() };
+        let mip = g.filter == Filter::Mip;
+        let model = Model { sh_degree, normals: inputs.normals.is_some(), semantics: maps.is_some(), mip };
         let mut initial;
         let mut start = start;
         if let (Some(priors), None) = (data.normals(), &start.normals) {
@@ -115,7 +116,8 @@ impl Geometry {
             largest: data.largest,
             entry_capacity: first_entry_capacity(g.entry_capacity, count),
             channels: Channels { colors: true, normals: model.normals, depth },
-            statistics: g.densify.enabled().then(|| g.densify.statistic.gathered()),
+            statistics: g.densify.statistic(),
+            mcmc: g.densify.mcmc(),
             dense_adam: g.dense_adam,
             backward: kernel_of(g.backward, device)?,
             semantic_geometry: g.semantic_geometry,
@@ -127,7 +129,7 @@ impl Geometry {
             model,
             capacity: count.max(1),
             training: true,
-            statistics: g.densify.enabled(),
+            statistics: options.statistics.is_some(),
             storage: tuning.accuracy.storage(),
         };
         let budget = device.budget();

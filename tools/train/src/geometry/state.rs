@@ -67,7 +67,7 @@ impl Geometry {
             model: state.model,
             capacity: room,
             training: true,
-            statistics: enabled,
+            statistics: self.options.statistics.is_some(),
             storage: self.tuning.accuracy.storage(),
         };
         let capacity = last_that(count, room, |capacity| self.fits(&Layout { capacity, ..layout }, first))?;

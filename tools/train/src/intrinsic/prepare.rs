@@ -137,7 +137,7 @@ impl Intrinsic {
         {
             tracing::info!("accuracy.visibility_bits = 16 uses no matrix units: {why}");
         }
-        let model = Model { sh_degree: 0, normals: true, semantics: false };
+        let model = Model { sh_degree: 0, normals: true, semantics: false, mip: splats.antialiased };
         let gaussians = Gaussians::with(device, model, splats.len() as u32, false, false)?;
         gaussians.upload(device, &gaussian_data(&splats, model))?;
         let schedule = Schedule::new(settings, scene.extent(), packed.views().len());

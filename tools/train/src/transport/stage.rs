@@ -168,7 +168,7 @@ impl Stage for Transport {
         let background = self.settings.geometry.background;
         let (unit, tuning) = (self.scene.unit(), Tuning::for_device(self.device.info()));
         let splats = self.splats.clone().in_unit(unit);
-        let model = Model { sh_degree: splats.sh_degree() as u32, ..Model::default() };
+        let model = Model { sh_degree: splats.sh_degree() as u32, mip: splats.antialiased, ..Model::default() };
         let gaussians = Gaussians::with(&self.device, model, splats.len() as u32, false, false)?;
         gaussians.upload(&self.device, &gaussian_data(&splats, model))?;
         let mut renderer = Renderer::new(&self.device, tuning, &gaussians, [1, 1], Channels::default())?;

@@ -175,7 +175,12 @@ impl Intrinsic {
     /// Returns the sum of squared errors of images with the splats' own colors.
     /// Shaded images can hardly get better than these.
     fn own(&self, views: &[Watched]) -> Result<f64> {
-        let model = Model { sh_degree: self.splats.sh_degree() as u32, normals: false, semantics: false };
+        let model = Model {
+            sh_degree: self.splats.sh_degree() as u32,
+            normals: false,
+            semantics: false,
+            mip: self.splats.antialiased,
+        };
         let gaussians = Gaussians::with(&self.device, model, self.splats.len() as u32, false, false)?;
         gaussians.upload(&self.device, &gaussian_data(&self.splats, model))?;
         let mut renderer =
