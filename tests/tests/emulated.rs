@@ -33,7 +33,7 @@ const TESTS: &[&str] = &[
     "material_losses::",
     "optim::",
     "prim::",
-    "relocate::",
+    "relocate::noise",
     "semantic::",
     "shading_properties::",
     "splat_bwd::",
