@@ -272,7 +272,7 @@ fn name_sensor(scene: &Path) {
     std::fs::write(&path, listing.to_string()).unwrap();
 }
 
-/// Tests normals of sensor depth in a room with blocks and a sphere against the truth.
+/// Tests normals of sensor depth in a room with blocks and a sphere.
 #[test]
 fn normals_from_depth_match_ground_truth() {
     let place = room();
