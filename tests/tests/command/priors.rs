@@ -321,7 +321,8 @@ fn normals_from_depth_match_ground_truth() {
     println!("normals from depth: {error:.2} degrees off on {:.1} % of the pixels", 100.0 * share);
     assert!(error < 1.5 && share > 0.9, "{error} {share}");
     // A larger step reaches over more edges.
-    assert_eq!(compute(&["--views", "all", "--force", "2"]).0, 4);
+    let two = ["priors", &path, "--normals-from-depth", "2", "--json", "--views", "all", "--force"];
+    assert_eq!(counts(sgs(&two)).0, 4);
     let wide = errors();
     println!("with a step of 2: {:.2} degrees, {:.1} %", wide.0, 100.0 * wide.1);
     assert!(wide.1 < share);

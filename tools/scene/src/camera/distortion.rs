@@ -388,7 +388,8 @@ mod tests {
             let root = (1.0 - (2.0 * alpha - 1.0) * beta * d2).sqrt();
             d * (alpha * root + 1.0 - alpha) / (1.0 - alpha * alpha * beta * d2)
         };
-        let inverses: [(Projection, Box<dyn Fn(f64) -> f64>); 6] = [
+        type Inverse = Box<dyn Fn(f64) -> f64>;
+        let inverses: [(Projection, Inverse); 6] = [
             (Projection::Perspective, Box::new(|d| d)),
             (Projection::Equidistant, Box::new(f64::tan)),
             (Projection::FieldOfView(omega), Box::new(move |d| (d * omega).tan() / (2.0 * (0.5 * omega).tan()))),
