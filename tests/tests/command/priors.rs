@@ -272,13 +272,13 @@ fn name_sensor(scene: &Path) {
     std::fs::write(&path, listing.to_string()).unwrap();
 }
 
-/// Tests normals of sensor depth in a furnished room against the truth.
+/// Tests normals of sensor depth in a room with blocks and a sphere.
 #[test]
 fn normals_from_depth_match_ground_truth() {
     let place = room();
-    let scene = place.path("living");
+    let scene = place.path("box");
     let options = SynthOptions {
-        scene: SceneName::LivingRoom,
+        scene: SceneName::Box,
         views: 3,
         test_views: 1,
         width: 160,
@@ -319,9 +319,10 @@ fn normals_from_depth_match_ground_truth() {
     };
     let (error, share) = errors();
     println!("normals from depth: {error:.2} degrees off on {:.1} % of the pixels", 100.0 * share);
-    assert!(error < 3.0 && share > 0.7, "{error} {share}");
+    assert!(error < 1.5 && share > 0.9, "{error} {share}");
     // A larger step reaches over more edges.
-    assert_eq!(compute(&["--views", "all", "--force", "2"]).0, 4);
+    let two = ["priors", &path, "--normals-from-depth", "2", "--json", "--views", "all", "--force"];
+    assert_eq!(counts(sgs(&two)).0, 4);
     let wide = errors();
     println!("with a step of 2: {:.2} degrees, {:.1} %", wide.0, 100.0 * wide.1);
     assert!(wide.1 < share);

@@ -151,19 +151,19 @@ pub(super) fn colmap_cameras() -> Vec<u8> {
     camera(w, 3, 2, &[7.0, 4.0, 3.0, 0.1]).0
 }
 
-/// Number and parameters of a camera model.
-type Model<'a> = (u32, &'a [f64]);
+/// Number of a camera model, and its parameters.
+type Lens<'a> = (u32, &'a [f64]);
 
 /// Returns cameras whose lenses are not polynomials of the tangent. Images have the first two of each file.
 pub(super) fn colmap_wide_cameras() -> Vec<(&'static str, Vec<u8>)> {
     let mut rad_tan = [0.01; 16];
     rad_tan[..4].copy_from_slice(&[7.0, 7.0, 4.0, 3.0]);
-    let files: [(&str, [Model; 2]); 3] = [
+    let files: [(&str, [Lens; 2]); 3] = [
         ("fov.bin", [(7, &[7.0, 7.0, 4.0, 3.0, 0.9]), (16, &[7.0, 7.0, 4.0, 3.0, 0.6, 1.1])]),
         ("division.bin", [(12, &[7.0, 4.0, 3.0, -0.2]), (13, &[7.0, 7.0, 4.0, 3.0, 0.3])]),
         ("fisheye.bin", [(11, &rad_tan), (14, &[7.0, 4.0, 3.0])]),
     ];
-    let file = |cameras: [Model; 2]| {
+    let file = |cameras: [Lens; 2]| {
         let start = Words(Vec::new()).u64(2);
         let all = (1..).zip(cameras);
         all.fold(start, |w, (id, (model, p))| w.u32(id).u32(model).u64(8).u64(6).f64(p)).0
