@@ -26,7 +26,9 @@ pub enum Fit {
     /// They are inverse depths in scene units, at the photograph's pixels.
     #[default]
     Metric,
-    /// They are inverse depths in scene units that a sensor measured, along the rays of the camera as given.
+    /// They are inverse depths in scene units, along the rays of the given camera.
+    ///
+    /// Those of a sensor are.
     Sensor,
     /// They are inverse depths up to a factor for each view.
     Scale,

@@ -50,8 +50,9 @@ pub struct GeometryLoss {
     pub depth_priors: Option<Buffer>,
     /// Fit of the prior depths ([`super::depth_fit()`]); without it they are inverse depths.
     pub depth_line: Option<Buffer>,
-    /// Uniform `Step` with the lens of the prior depths, if it differs from that of `step`. Each pixel takes the depth
-    /// of the nearest ray.
+    /// Uniform `Step` with the lens of the prior depths, if theirs is another.
+    ///
+    /// Each pixel takes the depth of the nearest ray.
     pub depth_lens: Option<Buffer>,
     /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],

@@ -30,7 +30,9 @@ pub struct Scene {
     pub depth_priors: Option<Vec<u32>>,
     /// Slope and offset from prior values to inverse depths. A constant of the loss.
     pub depth_line: Option<[f64; 2]>,
-    /// Focal lengths and principal points of the view and of the prior depths, if they differ.
+    /// Lenses of the view and of the prior depths, if they differ.
+    ///
+    /// Focal lengths and principal points.
     pub depth_lens: Option<[[f64; 4]; 2]>,
     /// Photograph, packed RGBA8.
     pub photo: Vec<u32>,

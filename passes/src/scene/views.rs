@@ -16,7 +16,9 @@ pub struct ViewKinds {
     pub cameras: bool,
     /// Factors on colors.
     pub gains: bool,
-    /// Focal length and principal point that all views share; with `gains`, also vignetting.
+    /// Focal length and principal point that all views share.
+    ///
+    /// With `gains`, also vignetting.
     pub lens: bool,
 }
 
@@ -32,7 +34,9 @@ impl ViewKinds {
     }
 }
 
-/// Learned numbers of all views and of the lens, with their moments, in device memory.
+/// Learned numbers of all views and of the lens, in device memory.
+///
+/// Each has its moments.
 #[derive(Debug)]
 pub struct LearnedViews {
     views: DeviceBuffer,

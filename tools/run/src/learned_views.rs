@@ -35,7 +35,7 @@ pub struct LearnedLens {
     pub focal: f64,
     /// Shift of the principal point, in given focal lengths.
     pub center: [f64; 2],
-    /// Logarithm of the factor on colors at the corners of photographs ([`sgs_scene::View::vignetting`]).
+    /// [Vignetting](sgs_scene::View::vignetting) of the photographs.
     pub vignetting: f32,
 }
 
@@ -134,7 +134,9 @@ impl RunDirectory {
     }
 }
 
-/// Gives a scene the learned cameras and lens, and photographs without learned exposures and vignetting.
+/// Gives a scene the learned cameras and lens.
+///
+/// Its photographs are divided by the learned exposures and vignetting.
 pub fn use_learned_views(scene: &mut Scene, learned: &LearnedCameras) {
     let LearnedLens { focal, center, vignetting } = learned.lens;
     for view in &mut scene.views {

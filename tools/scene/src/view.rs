@@ -28,8 +28,9 @@ pub struct View {
     pub stored_camera: Camera,
     /// Factors on red, green and blue that gave this photograph its exposure; loading divides by them. 1 if unknown.
     pub gains: [f32; 3],
-    /// Logarithm of the factor by which the lens changed colors at the corners of the photograph. It grows with the
-    /// square of the distance from the center of the image. Loading removes it. 0 if unknown.
+    /// Vignetting: logarithm of the factor on colors at the corners of the image.
+    ///
+    /// It grows with the square of the distance from the center of the image. Loading removes it. 0 if unknown.
     pub vignetting: f32,
     declared_in: PathBuf,
     pub(crate) beside: Beside,
@@ -77,7 +78,9 @@ impl View {
         .at_scale(scale)
     }
 
-    /// Returns the camera with the intrinsics that the scene gives, even if training learned others.
+    /// Returns the camera with the intrinsics that the scene gives.
+    ///
+    /// Training may have learned others.
     pub(crate) fn given_camera(&self) -> Camera {
         let Camera { width, height, rotation, translation, .. } = self.camera;
         Camera { rotation, translation, ..self.stored_camera.scaled(width, height) }

@@ -41,7 +41,9 @@ impl GeometryInputs<'_> {
         }
     }
 
-    /// Returns the first lens for training, if the depths of a sensor show one that is better than the given one.
+    /// Returns the first lens for training, if it is not the given one.
+    ///
+    /// The depths of a sensor may show a better one.
     pub fn first_lens(&self) -> Result<Option<Lens>> {
         match self {
             GeometryInputs::Scene(scene) => lens::from_depth(scene),

@@ -10,7 +10,7 @@ use sgs_scene::{Camera, Image, Scene};
 
 /// Points of each view.
 const POINTS: usize = 600;
-/// Largest relative difference between a point's depth and the sensor's, where a view sees the point.
+/// Largest relative difference of depths where a view sees a point.
 const VISIBLE: f64 = 0.03;
 /// Width of the images of the first search and of the last.
 const WIDTHS: [u32; 3] = [40, 80, 160];
@@ -22,7 +22,9 @@ const GAIN: f64 = 0.95;
 /// Views of a point at least, so that its colors have a variance.
 const VIEWS: usize = 2;
 
-/// Logarithm of the factor on focal lengths, and the shift of the principal point in given focal lengths.
+/// Logarithm of the factor on focal lengths, and shift of the principal point.
+///
+/// The shift is in given focal lengths.
 pub(super) type Lens = [f64; 3];
 
 /// Gray photograph with mean 0 and variance 1, so that exposures do not count.
@@ -75,8 +77,10 @@ struct Sight {
     slope: [f64; 2],
 }
 
-/// Finds the lens with which the training views agree best about the colors of the sensor's points. Returns `None`
-/// without a sensor, or if no lens is clearly better than the given one.
+/// Finds the lens with which views agree best about the colors of points.
+///
+/// The points are those of the sensor in the training views. Returns `None` without a sensor, or if no lens is clearly
+/// better than the given one.
 pub(super) fn from_depth(scene: &Scene) -> Result<Option<Lens>> {
     if !scene.depth_is_of_sensor() {
         return Ok(None);
@@ -152,7 +156,7 @@ fn descend(cost: &dyn Fn(&Lens) -> f64, mut best: Lens, mut step: f64) -> Lens {
     best
 }
 
-/// Returns the mean variance of a point's colors in its views, relative to the variance of all colors.
+/// Returns the mean variance of a point's colors, relative to that of all colors.
 fn disagreement(points: &[Vec<Sight>], cameras: &[&Camera], images: &[Gray], lens: &Lens) -> f64 {
     let factor = lens[0].exp();
     let (mut within, mut count, mut sum, mut square, mut all) = (0.0, 0.0, 0.0, 0.0, 0.0);
@@ -194,7 +198,7 @@ mod tests {
         0.5 + 0.2 * (2.1 * x + 0.4 * y).sin() + 0.2 * (1.7 * y - 0.9 * x).cos() + 0.1 * (5.0 * x * y).sin()
     }
 
-    /// Returns points of the wall with the views that see them, and the views' photographs through another lens.
+    /// Returns points of the wall, cameras, and their photographs through a lens.
     fn captured(lens: &Lens) -> (Vec<Vec<Sight>>, Vec<Camera>, Vec<Image>) {
         let cameras: Vec<Camera> = (0..6)
             .map(|i| {

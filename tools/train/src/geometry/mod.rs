@@ -379,7 +379,7 @@ impl Geometry {
         Ok(splats.in_unit(self.unit.inverse()))
     }
 
-    /// Returns the learned cameras and exposures of the training views, and the lens, if any.
+    /// Returns the learned cameras, exposures and lens, if any.
     ///
     /// Lengths are in the scene's unit.
     ///
