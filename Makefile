@@ -7,6 +7,9 @@ DEMO_OPTIONS ?=
 # Where the program and the library for C go.
 PREFIX ?= /usr/local
 
+# Which clusters the tests run on, of ray, slurm and kubernetes; all by default.
+CLUSTERS ?=
+
 # With which the tests of the networks' adapters run; it needs what tools/priors[test] names.
 PYTHON ?= python3
 
@@ -47,7 +50,7 @@ demo: setup
 test: setup-tests check
 	python3 -B -m unittest discover -s tools/priors/tests -p 'test_[ps]*.py'
 	$(CARGO) build $(TEST_BUILD)
-	$(CARGO) test --workspace --locked
+	CARGO="$(CARGO)" tools/test
 
 test-lanes: setup-tests
 	$(CARGO) test --locked -p sgs-tests --tests --no-run
@@ -64,7 +67,7 @@ test-priors:
 
 test-cluster: setup
 	$(CARGO) build $(TEST_BUILD)
-	tests/cluster/run
+	tests/cluster/run $(CLUSTERS)
 
 # The program must not need newer libraries than the image has: Debian 12.
 container: setup
