@@ -70,8 +70,6 @@ mod tests {
         "visibility_bwd_lanes",
         "visibility_lights_bwd_lanes",
         "radix_scatter_direct",
-        // Workgroups of another size.
-        "regroup",
         // Matrix units, and their stand-in of tests.
         "lights_field_halves",
         "lights_split_field_halves",
