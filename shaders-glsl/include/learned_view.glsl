@@ -12,7 +12,7 @@ const uint VIEW_TURN = 0u, VIEW_SHIFT = 3u, VIEW_GAIN = 6u;
 const uint LENS_FOCAL = 0u;      // logarithm of the factor on focal lengths
 const uint LENS_CENTER = 1u;     // shift of the principal point, in focal lengths
 const uint LENS_VIGNETTING = 3u; // logarithm of the factor on colors at the corners of the image
-const uint LENS_POSES = 3u;      // values that move pixels
+const uint LENS_INTRINSICS = 3u; // values of focal length and principal point
 
 struct LearnedView {
     float values[9];

@@ -66,7 +66,7 @@ void main() {
     if (CAMERAS && k < VIEW_GAIN) mine = part(row, k, camera_count, true);
     if (GAINS && k >= VIEW_GAIN && k < VIEW_VALUES) mine = part(row, k - VIEW_GAIN, push.gain_parts, false);
     uint of_lens = k - VIEW_VALUES;
-    if (LENS && of_lens < LENS_POSES) mine = part(row, VIEW_GAIN + of_lens, camera_count, true);
+    if (LENS && of_lens < LENS_INTRINSICS) mine = part(row, VIEW_GAIN + of_lens, camera_count, true);
     if (LENS && GAINS && of_lens == LENS_VIGNETTING) mine = part(row, 3u, push.gain_parts, false);
     sums[lane] = mine;
     // Gradients are by a shift in learned focal lengths; values are in given ones.

@@ -34,8 +34,7 @@ layout(local_size_x_id = 0) in;
 #include "large_splats.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
-IN(Work, visible);
-IN(Work, live);
+IN(Work, visible);        // three records of the visible splats; with regularizers, one of all Gaussians
 IN(uint, flags);
 IN(uint, splat_ids);
 IN(uint, entry_starts);
@@ -51,6 +50,8 @@ INOUT(uvec4, second_moments);
 INOUT(vec4, statistics);  // by Gaussian: sum of screen gradients, count, sum of weights, sum of gradients by the raw normal
 INOUT(uint, skipped);     // splats whose gradients were not finite
 OUT(uint, seen);          // by Gaussian: whether it was updated here; with `extra`, also if it was skipped here
+
+const uint GAUSSIANS = 3u; // their record
 
 #include "splat_sum.glsl"
 #include "adam_columns.glsl"
@@ -113,8 +114,8 @@ void main() {
     }
     if (!touched) return;
     if (REGULARIZE) {
-        gs += scale_regularizer(params.step.weight_scale, live[0].count, s.log_scale);
-        go += opacity_regularizer(params.step.weight_opacity, live[0].count, s.opacity_logit);
+        gs += scale_regularizer(params.step.weight_scale, visible[GAUSSIANS].count, s.log_scale);
+        go += opacity_regularizer(params.step.weight_opacity, visible[GAUSSIANS].count, s.opacity_logit);
     }
     // Another pass moves the unmarked Gaussians by the extra gradients alone; Gaussians skipped here must not move there.
     if (EXTRA && MARK_SEEN) seen[i] = 1u;

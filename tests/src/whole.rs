@@ -93,15 +93,7 @@ pub fn steps_of(
     let priors = device.buffer("priors", 4 * pixels as u64, Location::Device)?;
     device.upload(&priors, 0, bytemuck::cast_slice(&vec![octahedral_encode([0.6, -0.2, -0.7]); pixels]))?;
     let normals = (!g.normals.is_empty()).then_some(&priors);
-    let inputs = Inputs {
-        targets: &targets,
-        normals,
-        depths: None,
-        semantics: None,
-        regions: None,
-        pseudo_regions: None,
-        views: None,
-    };
+    let inputs = Inputs { normals, ..Inputs::of(&targets) };
     let mut options = GeometryOptions {
         largest: camera.size,
         entry_capacity: 1 << 14,

@@ -10,7 +10,7 @@ use crate::Tuning;
 use crate::kernel::{groups, splat_specs, stage};
 use crate::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, work};
 use crate::scene::{Group, Handles};
-use sgs_engine::graph::{Buffer, Graph, GraphError};
+use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
 use sgs_shaders::{pose_sum, project as kernel, project_bwd as bwd, project_bwd_adam as fused, project_count};
 
 /// Visible splats of a view, compacted.
@@ -281,10 +281,15 @@ pub fn project_bwd_adam(
         unreachable!("invariant: training declares moments and statistics");
     };
     let seen = adam.seen.unwrap_or_else(|| g.transient("seen", 4));
+    if adam.regularize {
+        // The kernel has no binding left for this record, so the last record of the visible splats holds it.
+        let work = visible.work.slice;
+        let last = Slice { offset: work.offset + 48, bytes: 16, ..work };
+        g.copy("copy_live", gaussians.work, last)?;
+    }
     let bindings = fused::Bindings {
         params: screen.step.into(),
         visible: visible.work.slice,
-        live: gaussians.work.into(),
         flags: adam.flags.into(),
         splat_ids: visible.ids.into(),
         entry_starts: entries.starts.into(),

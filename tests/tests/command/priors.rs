@@ -7,7 +7,7 @@ use sgs_tests::cli::{Finished, sgs, signal, start, until, wait};
 use sgs_tests::priors::provider;
 use sgs_tests::rooms::Room;
 use sgs_tests::{Place, files};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Creates a room with ground truth of normals and depth, without priors.
 fn room() -> Place {
@@ -96,22 +96,28 @@ fn normal_priors_of_two_frames_are_loaded_in_one() {
     assert!(before.iter().all(|(path, bytes)| after.get(path) == Some(bytes)) && after.len() == before.len() + 1);
 }
 
-#[test]
-fn every_kind_of_prior_matches_ground_truth() {
-    let place = room();
+/// Synthesizes a room with blocks and a sphere, without priors: three training views and one test view.
+fn synthesized_box(place: &Place, [width, height]: [usize; 2], samples_per_pixel: usize) -> PathBuf {
     let scene = place.path("box");
     let options = SynthOptions {
         scene: SceneName::Box,
         views: 3,
         test_views: 1,
-        width: 40,
-        height: 32,
-        samples_per_pixel: 4,
+        width,
+        height,
+        samples_per_pixel,
         relit: false,
         ..SynthOptions::default()
     };
     sgs_synth::generate(&scene, &options, &|_, _| {}).unwrap();
     std::fs::remove_dir_all(scene.join("priors")).unwrap();
+    scene
+}
+
+#[test]
+fn every_kind_of_prior_matches_ground_truth() {
+    let place = room();
+    let scene = synthesized_box(&place, [40, 32], 4);
     let path = scene.display().to_string();
     let fill = |options: &str, more: &[&str]| {
         let provider = provider(&format!("'stand-in={path}' {options}"));
@@ -276,19 +282,7 @@ fn name_sensor(scene: &Path) {
 #[test]
 fn normals_from_depth_match_ground_truth() {
     let place = room();
-    let scene = place.path("box");
-    let options = SynthOptions {
-        scene: SceneName::Box,
-        views: 3,
-        test_views: 1,
-        width: 160,
-        height: 120,
-        samples_per_pixel: 1,
-        relit: false,
-        ..SynthOptions::default()
-    };
-    sgs_synth::generate(&scene, &options, &|_, _| {}).unwrap();
-    std::fs::remove_dir_all(scene.join("priors")).unwrap();
+    let scene = synthesized_box(&place, [160, 120], 1);
     let path = scene.display().to_string();
     sgs(&["priors", &path, "--normals-from-depth", "--quiet"])
         .refused(&["has no depth in its 3 views", "priors/depth"]);

@@ -134,15 +134,7 @@ fn step_of(gpu: &Gpu, g: &ReferenceGaussians, start: &State, storage: Storage, d
     let pixels = camera.size[0] as usize * camera.size[1] as usize;
     let targets = device.buffer("targets", 4 * pixels as u64, Location::Device).unwrap();
     device.upload(&targets, 0, bytemuck::cast_slice(&vec![0xff80_8080_u32; pixels])).unwrap();
-    let inputs = Inputs {
-        targets: &targets,
-        normals: None,
-        depths: None,
-        semantics: None,
-        regions: None,
-        pseudo_regions: None,
-        views: None,
-    };
+    let inputs = Inputs::of(&targets);
     let options = GeometryOptions {
         largest: camera.size,
         entry_capacity: 1 << 14,

@@ -475,15 +475,7 @@ fn step_of(gpu: &Gpu, data: &GaussianData, model: Model, mcmc: bool, values: &St
     let pixels = size[0] as usize * size[1] as usize;
     let targets = device.buffer("targets", 4 * pixels as u64, Location::Device).unwrap();
     device.upload(&targets, 0, bytemuck::cast_slice(&vec![0xff80_8080_u32; pixels])).unwrap();
-    let inputs = Inputs {
-        targets: &targets,
-        normals: None,
-        depths: None,
-        semantics: None,
-        regions: None,
-        pseudo_regions: None,
-        views: None,
-    };
+    let inputs = Inputs::of(&targets);
     let options = options(size, Channels { colors: true, normals: false, depth: false }, mcmc);
     let status = Status::new(device).unwrap();
     let mut exec = GeometryStep::new(device, &gpu.tuning(), &gaussians, &inputs, &status, options).unwrap();

@@ -95,7 +95,13 @@ impl SemanticSizes {
     }
 }
 
-impl Inputs<'_> {
+impl<'a> Inputs<'a> {
+    /// Returns inputs of photographs alone.
+    pub fn of(targets: &'a DeviceBuffer) -> Inputs<'a> {
+        let (normals, depths, semantics, regions, pseudo_regions, views) = (None, None, None, None, None, None);
+        Inputs { targets, normals, depths, semantics, regions, pseudo_regions, views }
+    }
+
     /// Returns the sizes of the inputs.
     pub fn sizes(&self) -> InputSizes {
         InputSizes {
