@@ -35,6 +35,8 @@ pub struct Tuning {
     pub cpu: bool,
     /// Tiling for matrix units, if the device supports them; see [`Tuning::field_matrices`].
     pub matrices: Option<Matrices>,
+    /// Whether cameras may have radial distortion. Kernels ignore it otherwise.
+    pub distorted: bool,
     /// Accuracy of the kernels.
     pub accuracy: Accuracy,
 }
@@ -78,6 +80,7 @@ impl Tuning {
             rounds: u32::MAX,
             cpu: false,
             matrices: None,
+            distorted: false,
             accuracy: Accuracy::EXACT,
         }
     }

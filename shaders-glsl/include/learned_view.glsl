@@ -1,5 +1,5 @@
 // What training learns of a view: corrections of its camera's pose, and factors on its colors; and of the lens that all
-// views share: corrections of focal length and principal point, and vignetting.
+// views share: corrections of focal length and principal point, vignetting, and radial distortion.
 //
 // A camera's center moves by `shift`; then the camera turns about its center by a rotation vector (axis times radians). Both
 // are in world axes, so the mean over all views is the motion of the whole scene, which no photograph shows.
@@ -13,6 +13,8 @@ const uint LENS_FOCAL = 0u;      // logarithm of the factor on focal lengths
 const uint LENS_CENTER = 1u;     // shift of the principal point, in focal lengths
 const uint LENS_VIGNETTING = 3u; // logarithm of the factor on colors at the corners of the image
 const uint LENS_INTRINSICS = 3u; // values of focal length and principal point
+const uint LENS_RADIAL = 4u;     // radial distortion, as `Camera` has it
+const uint LENS_VALUES = 5u;
 
 struct LearnedView {
     float values[9];

@@ -13,6 +13,7 @@ struct SplatGradient {
     mat3 camera_rows;   // d/d(rotation part of world-to-camera), as rows
     vec3 camera_translation;
     vec3 lens;          // d/d(logarithm of the focal lengths), d/d(shift of the principal point in focal lengths)
+    float radial;       // d/d(radial distortion)
     vec3 camera_turn;   // d/d(turn of the camera about its center, world axes), by the splat's axes alone
 };
 
@@ -72,15 +73,39 @@ SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_
     mat3 m = mat3(r[0] * o.scale.x, r[1] * o.scale.y, r[2] * o.scale.z);
     mat3 q = w * m;
     vec3 r2 = vec3(q[0].z, q[1].z, q[2].z);
+    // Through the distortion.
+    vec2 free_slope = o.point.xy * inverse_z;
+    vec2 by_offset = g.mean2d, by_middle = vec2(0.0);
+    vec3 t0 = o.t0, t1 = o.t1;
+    g.radial = 0.0;
+    if (DISTORTED) {
+        t0 = f.x * (vec3(q[0].x, q[1].x, q[2].x) - o.slope.x * r2);
+        t1 = f.y * (vec3(q[0].y, q[1].y, q[2].y) - o.slope.y * r2);
+        // With offsets m at the clamped slope, and with a and b of `bend_terms`: T = (a I + b m mᵀ) T', offset = a o + b m (m·(o - m)).
+        vec2 m = camera.focal * o.slope, offset = camera.focal * free_slope, beyond = offset - m;
+        vec2 terms = bend_terms(camera, m);
+        float unit = bend_unit(camera);
+        vec3 along = m.x * t0 + m.y * t1, by_along = m.x * dt0 + m.y * dt1;
+        float by_mean = dot(g.mean2d, m), out_by = dot(m, beyond);
+        float by_a = dot(dt0, t0) + dot(dt1, t1) + dot(g.mean2d, offset);
+        float by_b = dot(by_along, along) + by_mean * out_by;
+        g.radial = unit * (by_a * dot(m, m) + 2.0 * by_b);
+        by_middle = terms.y * (vec2(dot(dt0, along) + dot(by_along, t0), dot(dt1, along) + dot(by_along, t1)) +
+                               g.mean2d * out_by + by_mean * (beyond - m) + by_a * m);
+        by_offset = terms.x * g.mean2d + terms.y * by_mean * m;
+        dt0 = terms.x * dt0 + terms.y * m.x * by_along;
+        dt1 = terms.x * dt1 + terms.y * m.y * by_along;
+    }
     vec3 dr0 = f.x * dt0;
     vec3 dr1 = f.y * dt1;
     vec3 dr2 = -f.x * o.slope.x * dt0 - f.y * o.slope.y * dt1;
     vec2 dslope = vec2(-f.x * dot(dt0, r2), -f.y * dot(dt1, r2));
-    vec2 free_slope = o.point.xy * inverse_z;
-    vec2 dfree = camera.focal * g.mean2d + vec2(o.clamped.x ? 0.0 : dslope.x, o.clamped.y ? 0.0 : dslope.y);
+    if (DISTORTED) dslope += camera.focal * by_middle;
+    vec2 dfree = camera.focal * by_offset + vec2(o.clamped.x ? 0.0 : dslope.x, o.clamped.y ? 0.0 : dslope.y);
     // Limits of the slope go with the principal point, and against the focal length.
     vec2 of_limit = vec2(o.clamped.x ? dslope.x : 0.0, o.clamped.y ? dslope.y : 0.0);
-    g.lens.x = dot(dt0, o.t0) + dot(dt1, o.t1) + dot(g.mean2d, camera.focal * free_slope) - dot(of_limit, o.slope);
+    g.lens.x = dot(dt0, t0) + dot(dt1, t1) + dot(by_offset, camera.focal * free_slope) - dot(of_limit, o.slope);
+    if (DISTORTED) g.lens.x += dot(by_middle, camera.focal * o.slope);
     g.lens.yz = g.mean2d * camera.focal - of_limit;
     vec3 dpoint = vec3(dfree * inverse_z, 0.0);
     dpoint.z = depth - dot(dfree, free_slope) * inverse_z - dlog_f * inverse_z;

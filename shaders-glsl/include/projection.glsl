@@ -5,6 +5,8 @@ const float JACOBIAN_LIMIT = 1.3;   // of half the field of view, from the image
 
 // Whether the 2D Mip filter scales opacities (Yu et al. 2024, Mip-Splatting): where dilation makes a footprint larger, the splat fades.
 layout(constant_id = 38) const bool MIP_FILTER = false;
+// Whether cameras may have radial distortion.
+layout(constant_id = 39) const bool DISTORTED = false;
 
 // x/z and y/z clamped to 1.3 half fields of view of the image center, where the linearization is still good.
 vec2 clamped_slope(Camera c, vec2 slope, out bvec2 clamped) {
@@ -21,7 +23,7 @@ struct Projection {
     vec3 point;      // camera space
     vec2 slope;      // clamped x/z, y/z
     bvec2 clamped;      // true where the slope was clamped
-    vec3 t0;         // rows of J W R S
+    vec3 t0;         // rows of J W R S, with the distortion in J
     vec3 t1;
     vec3 scale;
     vec4 rotation;   // unit
@@ -57,13 +59,22 @@ bool project_splat(Camera camera, vec3 mean, vec3 log_scale, vec4 quaternion, fl
     vec3 r2 = vec3(q[0].z, q[1].z, q[2].z);
     o.t0 = f.x * (r0 - o.slope.x * r2);
     o.t1 = f.y * (r1 - o.slope.y * r2);
+    vec2 offset = camera.focal * slope;
+    if (DISTORTED) {
+        // Beyond the limits of slopes the image goes straight on: a polynomial would fold back.
+        vec2 m = camera.focal * o.slope, terms = bend_terms(camera, m);
+        vec3 along = terms.y * (m.x * o.t0 + m.y * o.t1);
+        o.t0 = terms.x * o.t0 + m.x * along;
+        o.t1 = terms.x * o.t1 + m.y * along;
+        offset = terms.x * offset + terms.y * dot(m, offset - m) * m;
+    }
     float a = dot(o.t0, o.t0), b = dot(o.t0, o.t1), c = dot(o.t1, o.t1);
     // Sum of squared minors instead of a*c - b*b: nothing cancels.
     vec3 minors = cross(o.t0, o.t1);
     o.determinant0 = dot(minors, minors);
     o.determinant = o.determinant0 + DILATION * (a + c) + DILATION * DILATION;
     o.covariance = vec3(a + DILATION, b, c + DILATION);
-    o.splat.mean = camera.focal * slope + camera.center;
+    o.splat.mean = offset + camera.center;
     float root = inversesqrt(o.covariance.z);
     float root_det = inversesqrt(o.determinant);
     o.splat.factor =

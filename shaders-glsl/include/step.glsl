@@ -8,7 +8,31 @@ struct Camera {
     vec2 center;             // principal point, pixels, never assumed central
     uvec2 size;              // pixels
     uvec2 tiles;             // tiles across and down
+    float radial;            // radial distortion that training learned; zero elsewhere
 };
+
+// Radial distortion: a pixel offset m from the principal point becomes m (1 + radial q), where q is the square of |m| over half
+// the diagonal of the image.
+bool bends(Camera c) { return c.radial != 0.0; }
+
+// 1 / (half the diagonal)².
+float bend_unit(Camera c) { return 4.0 / dot(vec2(c.size), vec2(c.size)); }
+
+// a and b, with which the derivative of a distorted offset by m is a I + b m mᵀ. The distorted offset is a m.
+vec2 bend_terms(Camera c, vec2 m) {
+    float scaled = c.radial * bend_unit(c);
+    return vec2(1.0 + scaled * dot(m, m), 2.0 * scaled);
+}
+
+// x/z and y/z of the points that a pixel shows.
+vec2 pixel_slope(Camera c, vec2 pixel) {
+    vec2 offset = pixel - c.center;
+    if (!bends(c)) return offset / c.focal;
+    // Newton's method for the factor that removes the distortion. It is near one.
+    float x = c.radial * bend_unit(c) * dot(offset, offset), t = 1.0;
+    [[unroll]] for (uint i = 0u; i < 4u; ++i) t -= (t * (1.0 + x * t * t) - 1.0) / max(1.0 + 3.0 * x * t * t, 0.1);
+    return t * offset / c.focal;
+}
 
 struct Step {
     Camera camera;
@@ -60,6 +84,7 @@ struct Step {
     float lr_shift;          // lengths
     float lr_gain;           // of the logarithms of the colors' factors
     float lr_lens;           // of the logarithm of focal lengths, and of the principal point in focal lengths
+    float lr_radial;         // of radial distortion
     // densification by Markov chain Monte Carlo: weights of the means over all Gaussians, and the strength of the noise
     float weight_opacity;
     float weight_scale;      // 1 / length

@@ -50,14 +50,16 @@ bool carried(uint pixel) {
     float depth = depth_of(image[pixel * CHANNELS + DEPTH_AT], transmittance[pixel]);
     if (depth == 0.0) return false;
     vec2 center = vec2(pixel % from.size.x, pixel / from.size.x) + 0.5;
-    vec3 seen = vec3((center - from.center) / from.focal * depth, depth);
+    vec3 seen = vec3(pixel_slope(from, center) * depth, depth);
     vec4 r0 = from.world_to_camera[0], r1 = from.world_to_camera[1], r2 = from.world_to_camera[2];
     seen -= vec3(r0.w, r1.w, r2.w);
     vec4 world = vec4(r0.xyz * seen.x + r1.xyz * seen.y + r2.xyz * seen.z, 1.0);
     vec3 p = vec3(dot(to.world_to_camera[0], world), dot(to.world_to_camera[1], world),
                   dot(to.world_to_camera[2], world));
     if (!finite_bits(p.z) || !(p.z >= max(to.near, DEPTH_MIN))) return false;
-    vec2 at = to.focal * p.xy / p.z + to.center;
+    vec2 offset = to.focal * p.xy / p.z;
+    if (bends(to)) offset *= bend_terms(to, offset).x;
+    vec2 at = offset + to.center;
     if (!finite_bits(at.x) || !finite_bits(at.y)) return false;
     if (!(all(greaterThanEqual(at, vec2(0.0))) && all(lessThan(at, vec2(to.size))))) return false;
     uint there = uint(at.y) * to.size.x + uint(at.x);

@@ -104,7 +104,7 @@ vec2 depth_prior(uint pixel) {
     if (SENSOR) {
         Camera camera = params.step.camera, sensor = given.step.camera;
         vec2 center = vec2(pixel % camera.size.x, pixel / camera.size.x) + 0.5;
-        vec2 at = floor((center - camera.center) / camera.focal * sensor.focal + sensor.center);
+        vec2 at = floor(pixel_slope(camera, center) * sensor.focal + sensor.center);
         if (any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(camera.size)))) return vec2(0.0);
         pixel = uint(at.y) * camera.size.x + uint(at.x);
     }

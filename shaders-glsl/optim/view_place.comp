@@ -31,6 +31,7 @@ void main() {
         vec2 focal = result.camera.focal;
         result.camera.center += focal * vec2(lens.values[LENS_CENTER], lens.values[LENS_CENTER + 1u]);
         result.camera.focal = focal * exp(lens.values[LENS_FOCAL]);
+        result.camera.radial = lens.values[LENS_RADIAL];
     }
     placed[0] = result;
 }

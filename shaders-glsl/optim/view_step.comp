@@ -24,7 +24,7 @@ layout(push_constant, scalar) uniform Push {
 layout(scalar) uniform StepBlock { Step step; } params;
 IN(Work, visible);
 IN(uint, flags);
-IN(float, camera_parts);  // [parts * 6], or 9 with the lens: by turn and shift, and by focal lengths and principal point
+IN(float, camera_parts);  // [parts * 6], or 10 with the lens: by turn and shift; by focal lengths, principal point, distortion
 IN(float, gain_parts);    // [parts * 3], or 4 with the lens: by the vignetting at last
 INOUT(LearnedView, views);
 INOUT(uint, skipped);     // gradients that were not finite
@@ -35,8 +35,11 @@ shared float sums[WORKGROUP];
 shared float means[VIEW_VALUES];
 
 // Numbers of a step: those of the view, then those of the lens.
-const uint NUMBERS = VIEW_VALUES + LENS_VIGNETTING + 1u;
-const uint CAMERA_WIDTH = LENS ? 9u : 6u, GAIN_WIDTH = LENS ? 4u : 3u;
+const uint NUMBERS = VIEW_VALUES + (LENS ? LENS_VALUES : 0u);
+const uint CAMERA_WIDTH = LENS ? 10u : 6u, GAIN_WIDTH = LENS ? 4u : 3u;
+
+// Distorted images do not fold before their corners.
+const float MAX_RADIAL = 0.1;
 
 // Sum over the parts of number `k`; of all rows of sixteen invocations together.
 float part(uint first, uint k, uint parts, bool cameras) {
@@ -67,24 +70,25 @@ void main() {
     if (GAINS && k >= VIEW_GAIN && k < VIEW_VALUES) mine = part(row, k - VIEW_GAIN, push.gain_parts, false);
     uint of_lens = k - VIEW_VALUES;
     if (LENS && of_lens < LENS_INTRINSICS) mine = part(row, VIEW_GAIN + of_lens, camera_count, true);
+    if (LENS && of_lens == LENS_RADIAL) mine = part(row, VIEW_GAIN + LENS_INTRINSICS, camera_count, true);
     if (LENS && GAINS && of_lens == LENS_VIGNETTING) mine = part(row, 3u, push.gain_parts, false);
     sums[lane] = mine;
     // Gradients are by a shift in learned focal lengths; values are in given ones.
     float shift_unit = LENS ? exp(-views[push.count].values[LENS_FOCAL]) : 1.0;
     barrier();
-    bool shared_by_all = lane >= VIEW_VALUES;
+    bool shared_by_all = LENS && lane >= VIEW_VALUES;
     uint at = shared_by_all ? push.count : params.step.view;
     if (lane < NUMBERS) {
         float gradient = 0.0;
         for (uint r = 0u; r < ROWS; ++r) gradient += sums[16u * r + lane];
         uint value_at = shared_by_all ? lane - VIEW_VALUES : lane;
         bool color = shared_by_all ? value_at == LENS_VIGNETTING : lane >= VIEW_GAIN;
-        bool learned = (color ? GAINS : CAMERAS || shared_by_all) && (LENS || !shared_by_all);
+        bool learned = color ? GAINS : CAMERAS || shared_by_all;
         float rate = color           ? params.step.lr_gain
-                     : shared_by_all ? params.step.lr_lens
+                     : shared_by_all ? (value_at == LENS_RADIAL ? params.step.lr_radial : params.step.lr_lens)
                      : lane < VIEW_SHIFT ? params.step.lr_turn
                                          : params.step.lr_shift;
-        if (shared_by_all && !color && value_at >= LENS_CENTER) gradient *= shift_unit;
+        if (shared_by_all && value_at >= LENS_CENTER && value_at < LENS_VIGNETTING) gradient *= shift_unit;
         if (learned && !is_finite(gradient)) {
             atomicAdd(skipped[0], 1u);
         } else if (learned && rate > 0.0) {
@@ -93,7 +97,8 @@ void main() {
             float value = views[at].values[value_at];
             vec2 moments = views[at].moments[value_at];
             adam(value, moments, gradient, rate, 1.0 / share_of(t, LOG_BETA1), 1.0 / share_of(t, LOG_BETA2));
-            views[at].values[value_at] = value;
+            bool radial = shared_by_all && value_at == LENS_RADIAL;
+            views[at].values[value_at] = radial ? clamp(value, -MAX_RADIAL, MAX_RADIAL) : value;
             views[at].moments[value_at] = moments;
         }
     }

@@ -1,5 +1,5 @@
 // Gradient of a view's loss by its camera's pose: a turn about the camera's center and a shift of the center, world axes.
-// With the lens, also by the logarithm of the focal lengths and the shift of the principal point in focal lengths.
+// With the lens, also by the logarithm of the focal lengths, the shift of the principal point in focal lengths, and radial distortion.
 //
 // Reads what the backward pass of projection reads, before that changes the parameters. Relative to the center, so that
 // nothing cancels in scenes far from the origin.
@@ -39,13 +39,13 @@ IN(float, entry_gradients);
 IN(float, entry_features);
 IN(uint, entry_flags);
 IN(uvec4, parameters);
-OUT(float, camera_parts); // [workgroups * VALUES]: by the turn, by the shift, by focal lengths and principal point
+OUT(float, camera_parts); // [workgroups * VALUES]: by the turn, by the shift, by focal lengths, principal point and distortion
 
 #include "splat_sum.glsl"
 
 const uint SUBGROUPS = (WORKGROUP + SUBGROUP - 1u) / SUBGROUP;
 
-const uint VALUES = LENS ? 9u : 6u;
+const uint VALUES = LENS ? 10u : 6u;
 
 shared float camera_sums[VALUES * SUBGROUPS];
 
@@ -55,6 +55,7 @@ void main() {
     float sums[SUMS];
     sum_entries(v, there, sums);
     vec3 turn = vec3(0.0), shift = vec3(0.0), lens = vec3(0.0);
+    float radial = 0.0;
     if (there) {
         Visible s = visible_splat(v, sums);
         uint degree = min(SH_DEGREE, by_workgroup(params.step.sh_degree));
@@ -72,13 +73,20 @@ void main() {
         }
         turn = s.gradient.camera_turn + cross(s.gradient.mean, s.mean - params.step.camera.position);
         shift = -(s.gradient.mean + direction_to_mean(s, degree, s_dot));
-        if (LENS) lens = s.gradient.lens;
+        if (LENS) {
+            lens = s.gradient.lens;
+            radial = s.gradient.radial;
+        }
         // As the Gaussians are: those without a gradient, or with one that is not finite, say nothing.
-        float all = dot(turn, vec3(1.0)) + dot(shift, vec3(1.0)) + dot(lens, vec3(1.0));
-        if (!s.touched || !is_finite(all)) turn = shift = lens = vec3(0.0);
+        float all = dot(turn, vec3(1.0)) + dot(shift, vec3(1.0)) + dot(lens, vec3(1.0)) + radial;
+        if (!s.touched || !is_finite(all)) {
+            turn = shift = lens = vec3(0.0);
+            radial = 0.0;
+        }
     }
     [[unroll]] for (uint j = 0u; j < VALUES; ++j) {
-        float sum = subgroupAdd(j < 3u ? turn[j % 3u] : j < 6u ? shift[j % 3u] : lens[j % 3u]);
+        float value = j < 3u ? turn[j % 3u] : j < 6u ? shift[j % 3u] : j < 9u ? lens[j % 3u] : radial;
+        float sum = subgroupAdd(value);
         if (subgroupElect()) camera_sums[j * SUBGROUPS + gl_SubgroupID] = sum;
     }
     barrier();

@@ -6,7 +6,6 @@ use crate::Gpu;
 use crate::scenes::{self, Rng};
 use glam::{DMat3, DVec3};
 use sgs_engine::graph::Graph;
-use sgs_passes::Accuracy;
 use sgs_passes::optim::{CameraParts, camera_bwd, camera_part_bytes};
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::blend::{Blended as RenderedImage, blend_at};
@@ -16,6 +15,7 @@ use sgs_passes::splat::{
     BackwardKernel, Blended, Channels, Gradients, Screen, Wanted, blend_bwd, blend_debt, blend_features,
     blend_features_bwd, blend_for, features_bwd, intersect, project, project_bwd, wanted_words,
 };
+use sgs_passes::{Accuracy, Tuning};
 
 /// Scene, view and loss weights; the loss is the dot product of weights and render.
 #[derive(Clone, Debug)]
@@ -45,9 +45,9 @@ fn wants(pixel: usize) -> bool {
     pixel % 7 < 3 || (100..230).contains(&pixel)
 }
 
-/// Numbers of a camera with gradients: the rotation's rows, the translation, the logarithm of the focal lengths, and the
-/// shift of the principal point in focal lengths.
-pub const CAMERA_NUMBERS: usize = 15;
+/// Numbers of a camera with gradients: the rotation's rows, the translation, the logarithm of the focal lengths, the
+/// shift of the principal point in focal lengths, and radial distortion.
+pub const CAMERA_NUMBERS: usize = 16;
 
 /// Returns the camera whose number `i` of [`CAMERA_NUMBERS`] is larger by `change`.
 pub fn changed_camera(camera: &Camera, i: usize, change: f64) -> Camera {
@@ -60,7 +60,8 @@ pub fn changed_camera(camera: &Camera, i: usize, change: f64) -> Camera {
         }
         9..12 => camera.translation[i - 9] += change,
         12 => camera.focal *= change.exp(),
-        _ => camera.center[i - 13] += change * camera.focal[i - 13],
+        13..15 => camera.center[i - 13] += change * camera.focal[i - 13],
+        _ => camera.radial += change,
     }
     camera
 }
@@ -156,11 +157,11 @@ impl Case {
     /// Tests the gradient by turn and shift against that by the pose's numbers. Returns that by the lens.
     ///
     /// Parts of workgroups without visible splats must stay unwritten.
-    fn check_camera(&self, pose: &[f32], parts: &[f32]) -> [f32; 3] {
+    fn check_camera(&self, pose: &[f32], parts: &[f32]) -> [f32; 4] {
         let written: Vec<&[f32]> =
-            parts.chunks_exact(9).take_while(|part| part.iter().any(|x| x.to_bits() != u32::MAX)).collect();
-        assert!(!written.is_empty() && parts[9 * written.len()..].iter().all(|x| x.to_bits() == u32::MAX));
-        let lens = [6, 7, 8].map(|i| written.iter().map(|part| part[i]).sum());
+            parts.chunks_exact(10).take_while(|part| part.iter().any(|x| x.to_bits() != u32::MAX)).collect();
+        assert!(!written.is_empty() && parts[10 * written.len()..].iter().all(|x| x.to_bits() == u32::MAX));
+        let lens = [6, 7, 8, 9].map(|i| written.iter().map(|part| part[i]).sum());
         if !pose.iter().all(|x| x.is_finite()) {
             return lens;
         }
@@ -195,7 +196,7 @@ impl Case {
             mip: self.gaussians.mip,
         };
         let channels = Channels { colors: true, normals: model.normals, depth: self.depth };
-        let t = gpu.tuning().with(self.accuracy);
+        let t = Tuning { distorted: self.camera.radial != 0.0, ..gpu.tuning().with(self.accuracy) };
         let data = scenes::data(&self.gaussians);
         // Declared by hand, since the harness owns the memory of a single run.
         let gaussians = GpuGaussians::new(gpu.device(), model, n, false).unwrap();

@@ -41,6 +41,7 @@ pub fn camera(size: [u32; 2]) -> Camera {
         center: DVec2::new(0.47 * width, 0.52 * f64::from(size[1])),
         size,
         near: 0.01,
+        radial: 0.0,
     }
 }
 
@@ -59,6 +60,7 @@ pub fn gpu_camera(c: &Camera) -> gpu::Camera {
         center: [c.center.x as f32, c.center.y as f32],
         size: c.size,
         tiles: [0, 0],
+        radial: c.radial as f32,
     }
 }
 

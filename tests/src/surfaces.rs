@@ -4,7 +4,7 @@ use crate::Gpu;
 use sgs_engine::graph::Graph;
 use sgs_passes::Tuning;
 use sgs_passes::loss::{DepthFit, GeometryLoss, Photometric, depth_fit, geometry_loss, loss_sum, photometric};
-use sgs_passes::reference::geometry_loss::{Scene, Terms};
+use sgs_passes::reference::geometry_loss::{Lens, Scene, Terms};
 use sgs_shaders::structs::{LossStats, Step};
 
 /// First pixel of the view in the buffers of all views.
@@ -94,10 +94,11 @@ pub fn run(gpu: &Gpu, tuning: Tuning, s: &Scene, largest: [u32; 2], weights: &Te
     values.weight_depth_smooth = weights.depth_smooth as f32;
     values.weight_depth_variance = weights.depth_variance as f32;
     values.weight_depth = weights.depth as f32;
-    let seen_by = |[fx, fy, cx, cy]: [f64; 4]| {
+    let seen_by = |lens: Lens| {
         let mut seen = values;
-        seen.camera.focal = [fx as f32, fy as f32];
-        seen.camera.center = [cx as f32, cy as f32];
+        seen.camera.focal = lens.focal.as_vec2().to_array();
+        seen.camera.center = lens.center.as_vec2().to_array();
+        seen.camera.radial = lens.radial as f32;
         seen
     };
     let [view, sensor] = s.depth_lens.map_or([values; 2], |lenses| lenses.map(seen_by));

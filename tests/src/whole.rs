@@ -3,6 +3,7 @@
 use crate::{Gpu, scenes};
 use sgs_config::Settings;
 use sgs_engine::Location;
+use sgs_passes::Tuning;
 use sgs_passes::loss::octahedral_encode;
 use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Inputs, Renderer, Status, StepReport};
 use sgs_passes::reference::project::{Camera, Gaussians as ReferenceGaussians};
@@ -38,6 +39,11 @@ pub fn rendered(gpu: &Gpu, g: &ReferenceGaussians, camera: &Camera) -> sgs_engin
     channels_of(gpu, g, camera, false)
 }
 
+/// Returns the tuning for a camera, which may have distortion.
+fn tuning(gpu: &Gpu, camera: &Camera) -> Tuning {
+    Tuning { distorted: camera.radial != 0.0, ..gpu.tuning() }
+}
+
 /// Renders one view: colors, normals if present, depth if requested, and transmittance.
 ///
 /// Depth comes with its square.
@@ -51,7 +57,7 @@ pub fn channels_of(
     depth: bool,
 ) -> sgs_engine::Result<(Vec<f32>, Vec<f32>)> {
     let gaussians = upload(gpu, g, false)?;
-    let mut renderer = Renderer::new(gpu.device(), gpu.tuning(), &gaussians, camera.size, channels(g, depth))?;
+    let mut renderer = Renderer::new(gpu.device(), tuning(gpu, camera), &gaussians, camera.size, channels(g, depth))?;
     let background = BACKGROUND.map(|b| b as f32);
     let rendered = renderer.render(&gaussians, &scenes::gpu_camera(camera), degree(g), background)?;
     Ok((rendered.image, rendered.transmittance))
@@ -108,9 +114,9 @@ pub fn steps_of(
         frames_in_flight: 1,
     };
     let schedule = Schedule::new(&Settings::default(), 1.0, 1);
-    let camera = scenes::gpu_camera(camera);
+    let (tuning, camera) = (tuning(gpu, camera), scenes::gpu_camera(camera));
     let status = Status::new(device)?;
-    let mut exec = GeometryStep::new(device, &gpu.tuning(), &gaussians, &inputs, &status, options)?;
+    let mut exec = GeometryStep::new(device, &tuning, &gaussians, &inputs, &status, options)?;
     let mut reports = Vec::new();
     while (reports.len() as u32) < count {
         let step = reports.len() as u32 + 1;
@@ -121,7 +127,7 @@ pub fn steps_of(
             // Like the trainer: raise the capacity to the requested number and repeat the step.
             assert!(report.entries > options.entry_capacity, "a flag without reason: {report:?}");
             options.entry_capacity = report.entries;
-            exec = GeometryStep::new(device, &gpu.tuning(), &gaussians, &inputs, &status, options)?;
+            exec = GeometryStep::new(device, &tuning, &gaussians, &inputs, &status, options)?;
             status.clear_flags(device)?;
             continue;
         }

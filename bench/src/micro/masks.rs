@@ -34,6 +34,7 @@ fn view(size: [u32; 2], aside: f64, rng: &mut Pcg) -> View {
         center: DVec2::new(0.48 * side[0], 0.53 * side[1]),
         size,
         near: 0.01,
+        radial: 0.0,
     };
     let pixels = size[0] as usize * size[1] as usize;
     let single = |v: f64| f64::from(v as f32);

@@ -155,5 +155,6 @@ pub fn reference_camera(c: &Camera) -> reference::Camera {
         center: glam::DVec2::new(f64::from(c.center[0]), f64::from(c.center[1])),
         size: c.size,
         near: f64::from(c.near),
+        radial: f64::from(c.radial),
     }
 }

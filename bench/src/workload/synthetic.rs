@@ -102,6 +102,7 @@ fn view(index: u32, size: [u32; 2]) -> Camera {
         center: [0.5 * size[0] as f32, 0.5 * size[1] as f32],
         size,
         tiles: [0, 0],
+        radial: 0.0,
     }
 }
 

@@ -16,7 +16,7 @@ use sgs_shaders::{camera_bwd as bwd, view_gain, view_gain_bwd, view_place, view_
 /// Gradients by what is learned of a view, in parts.
 #[derive(Clone, Copy, Debug)]
 pub struct ViewGradients {
-    /// `[parts * 6]` by turn and shift, of workgroups of visible splats; `[parts * 9]` with the lens.
+    /// `[parts * 6]` by turn and shift, of workgroups of visible splats; `[parts * 10]` with the lens.
     pub cameras: Option<Buffer>,
     /// `[parts * 3]` by the logarithms of color factors, of workgroups of pixels; `[parts * 4]` with the lens.
     pub gains: Option<(Buffer, u32)>,
@@ -86,8 +86,8 @@ pub fn view_gain_bwd(
 /// Result of [`camera_bwd()`].
 #[derive(Clone, Copy, Debug)]
 pub struct CameraParts {
-    /// `[parts * 6]` by turn and shift, [`camera_part_bytes`]. With the lens, `[parts * 9]`: also by the logarithm of the
-    /// focal lengths, and by the shift of the principal point in focal lengths.
+    /// `[parts * 6]` by turn and shift, [`camera_part_bytes`]. With the lens, `[parts * 10]`: also by the logarithm of the
+    /// focal lengths, by the shift of the principal point in focal lengths, and by radial distortion.
     pub parts: Buffer,
     /// Whether it includes the lens.
     pub lens: bool,
@@ -119,6 +119,8 @@ pub fn camera_bwd(
         parameters: gaussians.parameters.into(),
         camera_parts: into.parts.into(),
     };
+    // The gradient by distortion is learned with the lens.
+    let t = &Tuning { distorted: t.distorted || into.lens, ..*t };
     let specs = backward_specs!(bwd, t, gaussians, visible, entries, { lens: into.lens, });
     stage(g, "camera_bwd", &bwd::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
@@ -127,7 +129,7 @@ pub fn camera_bwd(
 
 /// Returns the bytes of the parts of a camera's gradient.
 pub fn camera_part_bytes(t: &Tuning, visible: &Visible, lens: bool) -> u64 {
-    let bytes = if lens { 36 } else { 24 };
+    let bytes = if lens { 40 } else { 24 };
     bytes * u64::from(visible.capacity).div_ceil(u64::from(t.workgroup)).max(1)
 }
 

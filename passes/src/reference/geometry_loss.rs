@@ -3,13 +3,26 @@
 //!
 //! Filters are applied tap by tap, and transposed by scattering tap by tap, without the kernel's rearrangements.
 
+use super::project::Camera;
 use crate::loss::octahedral::octahedral_decode;
 use crate::loss::unpack_depth;
+use glam::{DMat3, DVec2, DVec3};
 
 /// Minimum divisor, as in the kernel; smaller divisors are replaced by it.
 pub const FLOOR: f64 = 1e-3;
 /// Minimum variance under the root.
 pub const VARIANCE_MIN: f64 = 1e-6;
+
+/// Focal lengths and principal point in pixels, and radial distortion.
+#[derive(Clone, Copy, Debug)]
+pub struct Lens {
+    /// Focal lengths.
+    pub focal: DVec2,
+    /// Principal point.
+    pub center: DVec2,
+    /// As in [`Camera::radial`].
+    pub radial: f64,
+}
 
 /// Blended values and the targets that they are compared with.
 #[derive(Clone, Debug)]
@@ -32,8 +45,7 @@ pub struct Scene {
     pub depth_line: Option<[f64; 2]>,
     /// Lenses of the view and of the prior depths, if they differ.
     ///
-    /// Focal lengths and principal points.
-    pub depth_lens: Option<[[f64; 4]; 2]>,
+    pub depth_lens: Option<[Lens; 2]>,
     /// Photograph, packed RGBA8.
     pub photo: Vec<u32>,
 }
@@ -69,6 +81,18 @@ impl Scene {
         self.width * self.height
     }
 
+    fn camera(&self, lens: Lens) -> Camera {
+        Camera {
+            rotation: DMat3::IDENTITY,
+            translation: DVec3::ZERO,
+            focal: lens.focal,
+            center: lens.center,
+            size: [self.width as u32, self.height as u32],
+            near: 0.0,
+            radial: lens.radial,
+        }
+    }
+
     fn unit_normals(&self) -> Vec<[f64; 3]> {
         self.normals.iter().flatten().map(|n| n.map(|x| x / length(*n).max(FLOOR))).collect()
     }
@@ -88,7 +112,8 @@ impl Scene {
             None => p,
             Some([view, sensor]) => {
                 let pixel = [p % self.width, p / self.width].map(|n| n as f64 + 0.5);
-                let [x, y] = [0, 1].map(|i| (pixel[i] - view[2 + i]) / view[i] * sensor[i] + sensor[2 + i]);
+                let slope = self.camera(view).slope(pixel.into());
+                let [x, y] = (slope * sensor.focal + sensor.center).to_array();
                 let inside = (0.0..self.width as f64).contains(&x) && (0.0..self.height as f64).contains(&y);
                 inside.then_some(y as usize * self.width + x as usize)?
             }
@@ -290,6 +315,10 @@ mod tests {
         pack_depth(depth as f32, rng.range(0.1, 1.0) as f32)
     }
 
+    fn lens([fx, fy, cx, cy]: [f64; 4], radial: f64) -> Lens {
+        Lens { focal: DVec2::new(fx, fy), center: DVec2::new(cx, cy), radial }
+    }
+
     fn scene(width: usize, height: usize) -> Scene {
         let mut rng = Pcg::new(width as u32);
         let n = width * height;
@@ -303,7 +332,7 @@ mod tests {
             priors: Some((0..n).map(|_| octahedral_encode(normal(&mut rng).map(|x| x as f32))).collect()),
             depth_priors: Some((0..n).map(|_| random_depth(&mut rng)).collect()),
             depth_line: (width.is_multiple_of(2)).then_some([0.7, -0.05]),
-            depth_lens: (width == 6).then_some([[7.0, 7.0, 3.0, 2.0], [7.7, 6.5, 3.2, 2.3]]),
+            depth_lens: (width == 6).then_some([lens([7.0, 7.0, 3.0, 2.0], 0.05), lens([7.7, 6.5, 3.2, 2.3], 0.0)]),
             photo: (0..n).map(|_| rng.next_u32()).collect(),
         }
     }

@@ -23,6 +23,39 @@ pub struct Camera {
     pub size: [u32; 2],
     /// Near plane: minimum visible depth along z.
     pub near: f64,
+    /// Radial distortion of a pixel at half the diagonal of the image from the principal point.
+    ///
+    /// It is the shift relative to this distance, and grows with its third power.
+    pub radial: f64,
+}
+
+impl Camera {
+    /// Returns a distorted offset and the columns of its derivative.
+    ///
+    /// Offsets are from the principal point, in pixels.
+    pub(super) fn distorted(&self, offset: DVec2) -> (DVec2, [DVec2; 2]) {
+        let half = 0.5 * f64::from(self.size[0]).hypot(f64::from(self.size[1]));
+        let r = offset.length() / half;
+        let factor = |r: f64| 1.0 + self.radial * r.powi(2);
+        // Along the radius the derivative is that of r times its factor, across it is the factor.
+        let along = 1.0 + 3.0 * self.radial * r.powi(2);
+        let direction = offset.normalize_or_zero();
+        let column = |axis: DVec2| {
+            let part = axis.dot(direction) * direction;
+            along * part + factor(r) * (axis - part)
+        };
+        (factor(r) * offset, [column(DVec2::X), column(DVec2::Y)])
+    }
+
+    /// Returns the slopes x/z and y/z of the points that a pixel shows.
+    pub fn slope(&self, pixel: DVec2) -> DVec2 {
+        let target = pixel - self.center;
+        let mut offset = target;
+        for _ in 0..200 {
+            offset += target - self.distorted(offset).0;
+        }
+        offset / self.focal
+    }
 }
 
 /// Parameters of some Gaussians, before activation.
@@ -157,7 +190,11 @@ fn project_one(
     let (rx, ry, rz) = (q.row(0), q.row(1), q.row(2));
     let t0 = camera.focal.x / p.z * (rx - held.x * rz);
     let t1 = camera.focal.y / p.z * (ry - held.y * rz);
-    let center = camera.focal * slope + camera.center;
+    // Beyond the held slopes the image goes straight on.
+    let (place, [x, y]) = camera.distorted(camera.focal * held);
+    let (t0, t1) = (x.x * t0 + y.x * t1, x.y * t0 + y.y * t1);
+    let beyond = camera.focal * (slope - held);
+    let center = place + beyond.x * x + beyond.y * y + camera.center;
     if !(t0.is_finite() && t1.is_finite() && center.is_finite()) {
         return None;
     }

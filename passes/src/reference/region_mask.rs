@@ -1,7 +1,7 @@
 //! References of `region_mask` and `carry_mask`.
 
 use super::project::Camera;
-use glam::DVec3;
+use glam::DVec2;
 
 /// Valid range of depths. Within this range, single precision neither overflows nor underflows.
 pub const DEPTHS: std::ops::RangeInclusive<f64> = 1e-15..=1e15;
@@ -60,7 +60,7 @@ pub fn carry_mask(trained: &View, mask: &[bool], pseudo: &View, least_opacity: f
             continue;
         };
         let [x, y] = [pixel as u32 % from.size[0], pixel as u32 / from.size[0]].map(|i| f64::from(i) + 0.5);
-        let ray = DVec3::new((x - from.center.x) / from.focal.x, (y - from.center.y) / from.focal.y, 1.0);
+        let ray = from.slope(DVec2::new(x, y)).extend(1.0);
         let world = from.rotation.inverse() * (ray * depth - from.translation);
         let p = to.rotation * world + to.translation;
         if !p.is_finite() || p.z < to.near.max(*DEPTHS.start()) {
@@ -68,7 +68,7 @@ pub fn carry_mask(trained: &View, mask: &[bool], pseudo: &View, least_opacity: f
             continue;
         }
         margin = margin.min(p.z - to.near);
-        let at = [to.focal.x * p.x / p.z + to.center.x, to.focal.y * p.y / p.z + to.center.y];
+        let at = (to.distorted(to.focal * p.truncate() / p.z).0 + to.center).to_array();
         // Every border between pixels is a threshold, including those of the image.
         margin = at.iter().fold(margin, |m, a| m.min((a - a.round()).abs()));
         if !(0..2).all(|k| at[k] >= 0.0 && at[k] < size[k]) {
@@ -95,7 +95,7 @@ pub fn carry_mask(trained: &View, mask: &[bool], pseudo: &View, least_opacity: f
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::{DMat3, DVec2};
+    use glam::{DMat3, DVec2, DVec3};
 
     /// Returns a camera at (x, 0, 0) that looks along z at a wall at depth 2.
     fn before_a_wall(x: f64) -> View {
@@ -106,6 +106,7 @@ mod tests {
             center: DVec2::new(4.0, 1.0),
             size: [8, 2],
             near: 0.1,
+            radial: 0.0,
         };
         View { camera, depth: vec![2.0; 16], transmittance: vec![0.0; 16] }
     }

@@ -2,7 +2,7 @@
 //!
 //! A correction is a shift of the camera's center and a turn about it, in world axes; the factors are those of red, green
 //! and blue. The mean of each number over all views is zero: a motion or a tint of the whole scene shows in no photograph.
-//! All views share a lens: a factor on focal lengths, a shift of the principal point, and vignetting.
+//! All views share a lens: a factor on focal lengths, a shift of the principal point, vignetting, and radial distortion.
 
 use sgs_engine::exec::Executor;
 use sgs_engine::graph::{Buffer, Graph};
@@ -16,7 +16,7 @@ pub struct ViewKinds {
     pub cameras: bool,
     /// Factors on colors.
     pub gains: bool,
-    /// Focal length and principal point that all views share.
+    /// Focal length, principal point and radial distortion that all views share.
     ///
     /// With `gains`, also vignetting.
     pub lens: bool,

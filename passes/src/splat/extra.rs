@@ -67,6 +67,7 @@ pub fn project_bwd_features(
         moment_columns: gaussians.model.columns(),
         compact: gaussians.compact(),
         mip_filter: gaussians.model.mip,
+        distorted: t.distorted,
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         features: Group::Semantics.width(), });

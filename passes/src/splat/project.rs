@@ -72,7 +72,8 @@ pub fn project(
         columns: gaussians.columns(),
         moment_columns: gaussians.model.columns(),
         compact: gaussians.compact(),
-        mip_filter: gaussians.model.mip, });
+        mip_filter: gaussians.model.mip,
+        distorted: t.distorted, });
     stage(g, "project_count", &project_count::KERNEL, bindings.entries(), specs.entries(), &[])
         .subgroup_size(Some(t.subgroup_size))
         .dispatch(groups(n, t.workgroup))?;
@@ -115,6 +116,7 @@ pub fn project(
         moment_columns: gaussians.model.columns(),
         compact: gaussians.compact(),
         mip_filter: gaussians.model.mip,
+        distorted: t.distorted,
         subgroup: t.subgroup_size,
         large_tiles: t.large_tiles,
         sh_degree: if channels.colors { gaussians.model.sh_degree } else { 0 },
@@ -178,6 +180,7 @@ macro_rules! backward_specs {
             moment_columns: $gaussians.model.columns(),
             compact: $gaussians.compact(),
             mip_filter: $gaussians.model.mip,
+            distorted: $t.distorted,
             subgroup: $t.subgroup_size,
             large_tiles: $t.large_tiles,
             sh_degree: $gaussians.model.sh_degree,

@@ -84,6 +84,8 @@ fn place(all: &[One], size: [u32; 2], width: f64, turn: [f64; 3], away: [f64; 3]
         center: DVec2::new(0.5 * f64::from(size[0]), 0.5 * f64::from(size[1])),
         size,
         near: f64::from(0.01_f32),
+        // Half of the cameras have distortion as training may learn it.
+        radial: if away[0] > 0.0 { single(0.1 * (1e3 * turn[0]).sin()) } else { 0.0 },
     };
     let mut g = Gaussians::default();
     for one in all {

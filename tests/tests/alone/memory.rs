@@ -54,11 +54,11 @@ fn training_memory_matches_estimate() {
     let scene = Scene::open(&place.path("scene"), &SceneOptions::default()).unwrap();
     let gpu = Gpu::fresh();
     let cases = [
-        (true, Backward::Auto, 32, [0.0; 3]),
-        (false, Backward::Auto, 32, [0.0; 3]),
-        (false, Backward::Bucket, 32, [1e-4; 3]),
-        (true, Backward::Auto, 16, [0.0; 3]),
-        (false, Backward::Auto, 16, [1e-4, 0.0, 0.0]),
+        (true, Backward::Auto, 32, [0.0; 4]),
+        (false, Backward::Auto, 32, [0.0; 4]),
+        (false, Backward::Bucket, 32, [1e-4; 4]),
+        (true, Backward::Auto, 16, [0.0; 4]),
+        (false, Backward::Auto, 16, [1e-4, 0.0, 0.0, 0.0]),
     ];
     for (densify, backward, bits, views) in cases {
         let mut s = settings(4);

@@ -170,6 +170,7 @@ fn cameras() -> Vec<(&'static str, Camera)> {
         center: DVec2::new(20.5, 71.25),
         size: [97, 61],
         near: 0.01,
+        radial: 0.0,
     };
     let outside = Camera { center: DVec2::new(-30.0, 12.0), size: [33, 130], ..ahead };
     vec![("ahead", ahead), ("aside", aside), ("outside", outside)]
@@ -229,6 +230,7 @@ fn values_are_not_clamped() {
         center: DVec2::new(10.0, 8.0),
         size: [20, 16],
         near: 0.01,
+        radial: 0.0,
     };
     let p = &rendered(&g, &[("a", camera)], [0.0, 2.0, -1.0])[0];
     let middle = 3 * (8 * 20 + 10);
@@ -273,6 +275,7 @@ fn render_many_splats(count: usize, compared_with_reference: bool) {
         center: DVec2::new(48.0, 32.0),
         size,
         near: 0.01,
+        radial: 0.0,
     };
     let mut r = scenes::Rng::new(17);
     let mut g = Gaussians::default();

@@ -63,6 +63,7 @@ fn straight(size: [u32; 2], width: f64) -> Camera {
         center: DVec2::new(0.5 * w, 0.5 * h),
         size,
         near: f64::from(0.01_f32),
+        radial: 0.0,
     }
 }
 

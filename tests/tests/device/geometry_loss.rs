@@ -1,9 +1,10 @@
 //! Normal and depth losses on a device against their reference.
 
+use glam::DVec2;
 use sgs_passes::Tuning;
 use sgs_passes::loss::{octahedral_encode, pack_depth, pack_relative_depth};
 use sgs_passes::reference::geometry_loss as reference;
-use sgs_passes::reference::geometry_loss::{Gradient, Scene, Terms};
+use sgs_passes::reference::geometry_loss::{Gradient, Lens, Scene, Terms};
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::LossStats;
 use sgs_tests::surfaces::{Found, WEIGHTS, fit, narrow, run};
@@ -121,11 +122,19 @@ fn prior_depths_follow_the_rays_of_their_lens() {
     let gpu = Gpu::new();
     let s = random_scene(57, 33, 3);
     // Rays of the view that fall between pixels of the sensor, outside of it, and far outside.
-    let view = [60.0, 59.0, 28.3, 16.9];
-    for sensor in [view, [66.1, 65.3, 28.7, 16.1], [40.0, 45.0, 20.0, 30.0], [60.0, 59.0, 300.0, -90.0]] {
-        let s = Scene { depth_lens: Some([view, sensor]), ..s.clone() };
-        let found = check(&gpu, &s, [57, 33]);
-        assert_eq!(found.stats.depth == 0.0, sensor[2] == 300.0);
+    let lens = |[fx, fy, cx, cy]: [f64; 4], radial: f64| Lens {
+        focal: DVec2::new(fx, fy),
+        center: DVec2::new(cx, cy),
+        radial,
+    };
+    let numbers = [60.0, 59.0, 28.3, 16.9];
+    let view = lens(numbers, 0.0);
+    for sensor in [numbers, [66.1, 65.3, 28.7, 16.1], [40.0, 45.0, 20.0, 30.0], [60.0, 59.0, 300.0, -90.0]] {
+        for radial in [0.0, 0.1, -0.1] {
+            let lenses = [lens(numbers, radial), lens(sensor, 0.0)];
+            let found = check(&gpu, &Scene { depth_lens: Some(lenses), ..s.clone() }, [57, 33]);
+            assert_eq!(found.stats.depth == 0.0, sensor[2] == 300.0);
+        }
     }
     let same = check(&gpu, &Scene { depth_lens: Some([view, view]), ..s.clone() }, [57, 33]);
     assert_eq!(same.depths, check(&gpu, &s, [57, 33]).depths);

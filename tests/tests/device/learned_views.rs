@@ -15,8 +15,8 @@ use sgs_tests::{Gpu, Tolerance, assert_close, scenes};
 
 const KINDS: ViewKinds = ViewKinds { cameras: true, gains: true, lens: false };
 const WITH_LENS: ViewKinds = ViewKinds { lens: true, ..KINDS };
-/// Numbers of the lens: logarithm of the factor on focal lengths, shift of the principal point, vignetting.
-const LENS: usize = 4;
+/// Numbers of the lens: logarithm of the factor on focal lengths, shift of the principal point, vignetting, radial distortion.
+const LENS: usize = 5;
 const BYTES: u64 = size_of::<LearnedView>() as u64;
 
 fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
@@ -38,7 +38,7 @@ fn views(count: usize, turn: f64, shift: f64, seed: u32) -> Vec<LearnedView> {
     };
     let mut all: Vec<LearnedView> = (0..count).map(|i| view(i as u32 % 5)).collect();
     let mut lens = view(9);
-    lens.values = [0.1, -0.02, 0.03, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0];
+    lens.values = [0.1, -0.02, 0.03, -0.4, -0.0999, 0.0, 0.0, 0.0, 0.0];
     all.push(lens);
     all
 }
@@ -54,7 +54,8 @@ fn moved(camera: &Camera, view: &LearnedView) -> Camera {
 fn through(camera: &Camera, lens: &LearnedView) -> Camera {
     let number = |i: usize| f64::from(lens.values[i]);
     let center = camera.center + camera.focal * glam::DVec2::new(number(1), number(2));
-    Camera { focal: camera.focal * number(0).exp(), center, ..*camera }
+    let radial = number(4);
+    Camera { focal: camera.focal * number(0).exp(), center, radial, ..*camera }
 }
 
 #[test]
@@ -85,7 +86,7 @@ fn cameras_are_placed_as_in_double_precision() {
         let expected = scenes::gpu_camera(&expected);
         let numbers = |c: &sgs_passes::pipeline::Camera| -> Vec<f32> {
             let pose = c.world_to_camera.iter().flatten().chain(&c.position);
-            pose.chain(&c.focal).chain(&c.center).copied().collect()
+            pose.chain(&c.focal).chain(&c.center).chain([&c.radial]).copied().collect()
         };
         let wide: Vec<f64> = numbers(&expected).into_iter().map(f64::from).collect();
         assert_close("camera", &wide, &numbers(&found.camera), Tolerance::new(2e-6 * (1.0 + shift), 2e-6));
@@ -175,7 +176,7 @@ fn views_follow_adam_with_a_mean_of_zero() {
             "lens alone" => ViewKinds { lens: true, ..ViewKinds::default() },
             _ => KINDS,
         };
-        let (camera_width, gain_width) = if kinds.lens { (9, 4) } else { (6, 3) };
+        let (camera_width, gain_width) = if kinds.lens { (10, 4) } else { (6, 3) };
         let count = if case == "one view" { 1 } else { count };
         let at = if case == "one view" { 0 } else { at };
         let all = views(count, 0.01, 0.1, 3);
@@ -189,7 +190,7 @@ fn views_follow_adam_with_a_mean_of_zero() {
         if case == "not finite" {
             cameras[6 + 4] = f32::NAN;
         }
-        cameras.extend([f32::NAN; 18]);
+        cameras.extend([f32::NAN; 20]);
         let mut g = Graph::new("step");
         let step = g.uniform("step", size_of::<Step>() as u64);
         let handles =
@@ -209,6 +210,7 @@ fn views_follow_adam_with_a_mean_of_zero() {
             lr_shift: 2.0 * rate,
             lr_gain: 3.0 * rate,
             lr_lens: 4.0 * rate,
+            lr_radial: 5.0 * rate,
             ..Default::default()
         };
         let inputs = [
@@ -245,18 +247,22 @@ fn views_follow_adam_with_a_mean_of_zero() {
             (expected[at][i], moments[i]) = reference_adam::adam(expected[at][i], moments[i], gradient, rates);
         }
         let mut lens_moments: Vec<[f64; 2]> = all[count].moments.map(|m| m.map(f64::from)).to_vec();
-        let numbers = if kinds.gains { LENS } else { LENS - 1 };
-        for i in (0..numbers).filter(|_| kinds.lens) {
+        for i in (0..LENS).filter(|i| kinds.lens && (*i != 3 || kinds.gains)) {
             let focal = f64::from(all[count].values[0]).exp();
             let gradient = match i {
                 0 => sum(&cameras, camera_width, 6, camera_groups),
                 // By a shift in given focal lengths.
                 1 | 2 => sum(&cameras, camera_width, 6 + i, camera_groups) / focal,
-                _ => sum(&gains, gain_width, 3, gain_groups),
+                3 => sum(&gains, gain_width, 3, gain_groups),
+                _ => sum(&cameras, camera_width, 9, camera_groups),
             };
-            let rates = reference_adam::Rates::at(if i < 3 { 0.04 } else { 0.03 }, all[count].steps + 1);
+            let rate = [0.04, 0.04, 0.04, 0.03, 0.05][i];
+            let rates = reference_adam::Rates::at(rate, all[count].steps + 1);
             (expected[count][i], lens_moments[i]) =
                 reference_adam::adam(expected[count][i], lens_moments[i], gradient, rates);
+            if i == 4 {
+                expected[count][i] = expected[count][i].clamp(-0.1, 0.1);
+            }
         }
         if count > 1 {
             for i in 0..9 {

@@ -53,6 +53,7 @@ fn check(gpu: &Gpu, size: [u32; 2], count: usize, wall: bool, which: BackwardKer
         center: DVec2::new(0.5 * f64::from(size[0]), 0.5 * f64::from(size[1])),
         size,
         near: 0.01,
+        radial: 0.0,
     };
     let mut g = Graph::new("long_tiles");
     let model = Model { semantics: true, ..Default::default() };

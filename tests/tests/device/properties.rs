@@ -105,13 +105,14 @@ fn differences(case: &Case) -> Vec<Vec<Option<f64>>> {
 }
 
 /// Returns the step of one of the [`CAMERA_NUMBERS`], comparable to [`unit`]. The step is a pixel at the nearest Gaussian,
-/// or a radian; for the lens it is a pixel.
+/// or a radian; for the lens it is a pixel, at a corner for radial distortion.
 fn pose_unit(case: &Case, i: usize) -> f64 {
     let nearest = (0..case.gaussians.len()).map(|k| unit(case, Group::Means, 3 * k)).fold(f64::INFINITY, f64::min);
     let far = case.gaussians.means.iter().fold(0.0_f64, |m, x| m.max(x.abs()));
     match i {
         0..9 => (nearest / far).min(1.0),
         9..12 => nearest,
+        15.. => 2.0 / f64::from(case.camera.size[0]).hypot(f64::from(case.camera.size[1])),
         _ => 1.0 / case.camera.focal[0].max(case.camera.focal[1]),
     }
 }
@@ -266,6 +267,7 @@ fn gaussian_of_condition_1e17_is_rendered_in_place() {
         center: DVec2::new(16.0, 1.0),
         size: [32, 2],
         near: f64::from(0.01_f32),
+        radial: 0.0,
     };
     let mut g = Gaussians {
         means: vec![-0.0019358055433258414, -0.0009268075809814036, 0.007066803984344006],

@@ -2,6 +2,7 @@
 //! harmonics and blending.
 
 use sgs_passes::Accuracy;
+use sgs_passes::reference::project::Camera;
 use sgs_passes::scene::Group;
 use sgs_passes::splat::BackwardKernel;
 use sgs_tests::gradients::{CAMERA_NUMBERS, Case, changed_camera, parameters};
@@ -75,6 +76,23 @@ fn gradients_of_all_kernels_match_reference() {
         check(&gpu, &Case::new(scenes::ordinary(12, 3, true, 5), [24, 19], true), which);
         check(&gpu, &Case::new(scenes::ordinary(20, 1, false, 6), [33, 9], false), which);
         check(&gpu, &Case::new(scenes::ordinary(6, 0, false, 8), [1, 1], false), which);
+    }
+}
+
+/// Tests the distortion that training learns, at its limits, too. Some splats lie beyond the limits of slopes.
+#[test]
+fn gradients_of_distorted_splats_match_reference() {
+    let gpu = Gpu::new();
+    for (seed, radial) in [0.03_f32, 0.1, -0.1].into_iter().enumerate() {
+        let mut g = scenes::ordinary(16, 1, true, seed as u64);
+        for i in 0..4 {
+            g.means[3 * i] += [-4.0, 4.0][i % 2];
+            g.log_scales[3 * i] += 1.5;
+        }
+        let camera = Camera { radial: radial.into(), ..scenes::camera([24, 19]) };
+        for which in kernels(&gpu) {
+            check(&gpu, &Case::seen(g.clone(), camera, true), which);
+        }
     }
 }
 

@@ -9,7 +9,7 @@ use sgs_tests::cli::sgs;
 use sgs_tests::rooms::Room;
 use std::path::Path;
 
-const LEARN: [&str; 2] = ["--set", "geometry.rates.views=[1e-3, 5e-3, 1e-3]"];
+const LEARN: [&str; 2] = ["--set", "geometry.rates.views=[1e-3, 5e-3, 1e-3, 1e-3]"];
 
 #[test]
 fn killed_training_of_cameras_resumes_with_the_same_bits() {
@@ -20,7 +20,7 @@ fn killed_training_of_cameras_resumes_with_the_same_bits() {
     place.assert_same("straight", "killed");
     assert!(place.read("straight/cameras.json") == place.read("killed/cameras.json"));
     // A training without them removes the file of the one before.
-    let again = [&["--force"][..], &["--set", "geometry.rates.views=[0, 0, 0]"]].concat();
+    let again = [&["--force"][..], &["--set", "geometry.rates.views=[0, 0, 0, 0]"]].concat();
     sgs(&place.arguments("killed", 20, &again)).ok();
     assert!(!place.path("killed/cameras.json").exists());
 }
@@ -47,7 +47,8 @@ fn noisy_cameras_are_corrected() {
     let text = root.display().to_string();
     let lean = ["--set", "geometry.semantics=false", "--set", "noise.cameras=[0.5, 0.0]", "--no-densify", "-q"];
     let mut psnr = Vec::new();
-    for (name, learn) in [("given", "geometry.rates.views=[0, 0, 0]"), ("learned", "geometry.rates.views=[5e-4, 0, 0]")]
+    for (name, learn) in
+        [("given", "geometry.rates.views=[0, 0, 0, 0]"), ("learned", "geometry.rates.views=[5e-4, 0, 0, 0]")]
     {
         let run = path(name);
         let options = ["--stage", "geometry", "--geometry-steps", "500", "--set", learn];
@@ -102,13 +103,47 @@ fn wrong_focal_lengths_come_together() {
         }
         std::fs::write(scene.join("transforms.json"), transforms.to_string()).unwrap();
         let more = ["--geometry-steps", "500", "--no-densify", "--set", "geometry.semantics=false"];
-        let learn = ["--set", "geometry.rates.views=[0, 0, 1e-3]"];
+        let learn = ["--set", "geometry.rates.views=[0, 0, 1e-3, 0]"];
         wrong * learned_focal(&scene, &scene.join("run"), &[&more[..], &learn].concat())
     };
     let (large, small) = (learned(1.03), learned(0.97));
     println!("{large} {small}");
     let apart = (large / small).ln().abs();
     assert!(apart < 0.5 * (1.03_f64 / 0.97).ln(), "{large} {small}");
+}
+
+/// Tests that training learns half of the distortion of a wrong calibration.
+///
+/// Gaussians repeat the rest: photographs show a lens only by their disagreement.
+#[test]
+fn wrong_distortion_is_reduced() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room");
+    let folder = tempfile::tempdir().unwrap();
+    let place = folder.path().join("scene");
+    std::fs::create_dir(&place).unwrap();
+    for name in ["images", "points.ply", "split.json"] {
+        std::os::unix::fs::symlink(root.join(name), place.join(name)).unwrap();
+    }
+    let text = std::fs::read_to_string(root.join("transforms.json")).unwrap();
+    let mut transforms: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let focal = transforms["fl_x"].as_f64().unwrap();
+    let size = ["w", "h"].map(|name| transforms[name].as_f64().unwrap());
+    let corner = 0.5 * size[0].hypot(size[1]) / focal;
+    // The corners are 8 % away from where they belong: the room's images have no distortion.
+    transforms["k1"] = (0.08 / corner.powi(2)).into();
+    std::fs::write(place.join("transforms.json"), transforms.to_string()).unwrap();
+    let run = folder.path().join("run");
+    let (scene, text) = (place.display().to_string(), run.display().to_string());
+    let learn = ["--geometry-steps", "500", "--set", "geometry.rates.views=[0, 0, 0, 1e-3]"];
+    let lean = ["--no-densify", "--set", "geometry.semantics=false", "-q"];
+    sgs(&[&["train", &scene, "-o", &text, "--stage", "geometry"], &learn[..], &lean].concat()).ok();
+    let learned = RunDirectory::open(&run).unwrap().learned_views().unwrap().unwrap();
+    let mut scene = Scene::open(&place, &SceneOptions::default()).unwrap();
+    sgs_run::use_learned_views(&mut scene, &learned);
+    let (x, _) = scene.views[0].distortion.distort(0.7 * corner, 0.0);
+    let (wrong, left) = (0.08 * 0.7_f64.powi(2), x / (0.7 * corner) - 1.0);
+    println!("{wrong} -> {left}");
+    assert!(left.abs() < 0.6 * wrong, "{wrong} -> {left}");
 }
 
 /// Tests that the depths of a sensor show the focal length of its color camera: 525 of 585 pixels in a recording with a Kinect.
@@ -120,7 +155,7 @@ fn lens_of_a_color_camera_is_found_by_its_sensor() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let more = ["--geometry-steps", "2", "--scale", "0.5", "--set", "geometry.rates.views=[0, 0, 1e-3]"];
+    let more = ["--geometry-steps", "2", "--scale", "0.5", "--set", "geometry.rates.views=[0, 0, 1e-3, 0]"];
     let focal = learned_focal(&scene, &folder.path().join("run"), &more);
     // The sensor's centers lie apart, so that depth alone does not show the last percent.
     assert!((focal * 585.0 / 525.0 - 1.0).abs() < 0.03, "{focal}");

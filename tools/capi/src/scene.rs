@@ -45,6 +45,7 @@ pub(crate) fn camera(c: &SgsCamera) -> Outcome<Camera> {
         center: c.center,
         size: [c.width, c.height],
         tiles: [0, 0],
+        radial: 0.0,
     })
 }
 

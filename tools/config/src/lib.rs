@@ -208,11 +208,12 @@ pub struct Rates {
     pub factor: f64,
     /// Rates of means at the first step and at the last, times the extent; log-linear between.
     pub means: [f64; 2],
-    /// Three rates of what is learned of the photographs; 0 learns nothing. The first is that of each camera: the turn in
+    /// Four rates of what is learned of the photographs; 0 learns nothing. The first is that of each camera: the turn in
     /// radians, and the shift times the extent. The second is that of each exposure: the logarithms of factors on red, green
     /// and blue. The third is that of the lens that all share: the logarithm of the focal length, and the principal point in
-    /// focal lengths. With the second and the third, vignetting is learned, too.
-    pub views: [f64; 3],
+    /// focal lengths. With the second and the third, vignetting is learned, too. The fourth is that of the lens's radial distortion,
+    /// relative to the distance of the corners.
+    pub views: [f64; 4],
     /// Rate of log scales. Not a setting.
     #[serde(skip)]
     pub scales: f64,
@@ -244,7 +245,7 @@ impl Default for Rates {
         Rates {
             factor: 0.0,
             means: [1.6e-4, 1.6e-6],
-            views: [0.0; 3],
+            views: [0.0; 4],
             scales: 5e-3,
             rotations: 1e-3,
             opacities: 0.05,
@@ -393,6 +394,7 @@ impl Settings {
             ("rates.views", r.views[0]),
             ("rates.views", r.views[1]),
             ("rates.views", r.views[2]),
+            ("rates.views", r.views[3]),
             ("losses.dssim", f64::from(l.dssim)),
             ("losses.normal", f64::from(l.normal)),
             ("losses.normal_smooth", f64::from(l.normal_smooth)),
@@ -458,7 +460,7 @@ mod tests {
         assert!(fail("[provider]\nseconds = [1, 0]").ends_with("but must be two finite numbers above 0."));
         assert!(fail("[intrinsic.automatic]\nlimits = [-1, 0]").ends_with("two finite numbers of at least 0."));
         assert!(fail("steps = 1").contains("did you mean \"geometry.steps\"?"));
-        assert!(fail("[geometry.rates]\nviews = [0, 0, -1]").contains("geometry.rates.views"));
+        assert!(fail("[geometry.rates]\nviews = [0, 0, 0, -1]").contains("geometry.rates.views"));
         assert!(fail("[geometry.rates]\nmeans_final = 1e-6").contains("did you mean \"geometry.rates.means\"?"));
         assert!(fail("[geometry.densify]\nstatistic = \"total\"").contains("did you mean \"geometry.densify.rule\"?"));
         assert!(fail("[geometry.rates]\nzebra = 1").contains("there are geometry.rates.factor, geometry.rates.means"));

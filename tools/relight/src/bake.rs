@@ -137,7 +137,7 @@ fn settings(options: &BakeOptions, mip: bool, [sh0, sh_rest]: [f64; 2], steps: u
     g.rates = Rates {
         factor: 1.0,
         means: [0.0; 2],
-        views: [0.0; 3],
+        views: [0.0; 4],
         scales: 0.0,
         rotations: 0.0,
         opacities: 0.0,

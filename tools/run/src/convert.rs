@@ -16,6 +16,7 @@ pub fn camera(c: &sgs_scene::Camera) -> Camera {
         world_to_camera: [row(0), row(1), row(2)],
         position: c.position().as_vec3().to_array(),
         near: c.near as f32,
+        radial: 0.0,
         focal: [c.fx as f32, c.fy as f32],
         center: [c.cx as f32, c.cy as f32],
         size: [c.width, c.height],

@@ -4,7 +4,7 @@ use crate::directory::RunDirectory;
 use crate::error::{Result, error};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
-use sgs_scene::{Camera, Scene};
+use sgs_scene::{Camera, Residual, Scene};
 
 /// Name of the file.
 const FILE: &str = "cameras.json";
@@ -37,11 +37,14 @@ pub struct LearnedLens {
     pub center: [f64; 2],
     /// [Vignetting](sgs_scene::View::vignetting) of the photographs.
     pub vignetting: f32,
+    /// [Radial distortion](sgs_scene::Residual::radial) of the photographs.
+    #[serde(default)]
+    pub distortion: f64,
 }
 
 impl Default for LearnedLens {
     fn default() -> Self {
-        LearnedLens { focal: 1.0, center: [0.0; 2], vignetting: 0.0 }
+        LearnedLens { focal: 1.0, center: [0.0; 2], vignetting: 0.0, distortion: 0.0 }
     }
 }
 
@@ -93,7 +96,7 @@ impl LearnedLens {
         if !(self.focal.is_finite() && self.focal > 0.0) {
             return Some("a factor on focal lengths that is not positive");
         }
-        let rest = self.center.iter().all(|c| c.is_finite()) && self.vignetting.is_finite();
+        let rest = self.center.iter().chain([&self.distortion]).all(|c| c.is_finite()) && self.vignetting.is_finite();
         (!rest).then_some("a lens with numbers that are not finite")
     }
 }
@@ -136,10 +139,12 @@ impl RunDirectory {
 
 /// Gives a scene the learned cameras and lens.
 ///
-/// Its photographs are divided by the learned exposures and vignetting.
+/// Loading divides its photographs by the learned exposures and vignetting, and removes the learned distortion from
+/// them and from their priors.
 pub fn use_learned_views(scene: &mut Scene, learned: &LearnedCameras) {
-    let LearnedLens { focal, center, vignetting } = learned.lens;
+    let LearnedLens { focal, center, vignetting, distortion } = learned.lens;
     for view in &mut scene.views {
+        view.distortion.residual = (distortion != 0.0).then(|| Residual::of(&view.camera, center, distortion));
         let camera = &mut view.camera;
         (camera.cx, camera.cy) = (camera.cx + center[0] * camera.fx, camera.cy + center[1] * camera.fy);
         (camera.fx, camera.fy) = (focal * camera.fx, focal * camera.fy);
@@ -172,7 +177,7 @@ mod tests {
     fn rows_are_read_as_written() {
         let (_folder, run) = run();
         assert_eq!(run.learned_views().unwrap(), None);
-        let lens = LearnedLens { focal: 0.9, center: [0.01, -0.02], vignetting: -0.3 };
+        let lens = LearnedLens { focal: 0.9, center: [0.01, -0.02], vignetting: -0.3, distortion: 0.02 };
         let learned = LearnedCameras { views: vec![row()], lens };
         run.write_learned_views(Some(&learned)).unwrap();
         assert_eq!(run.learned_views().unwrap(), Some(learned));

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::beside::SensorDepth;
-use crate::camera::Camera;
+use crate::camera::{Camera, Distortion};
 use crate::error::Result;
 use crate::image::{Image, read_ids};
 use crate::map_file::{self, Meaning};
@@ -31,10 +31,10 @@ impl Scene {
     pub fn depth_prior(&self, view: usize) -> Result<Option<MaskedMap>> {
         let view = self.view(view)?;
         let Some(file) = self.depth_file(view) else { return Ok(None) };
-        let mut map = self.load_depth(&file, view, self.depth_meaning())?;
-        if self.depth_is_of_sensor() {
-            map = seen_by(map, view);
-        }
+        let mut map = match self.depth_is_of_sensor() {
+            true => seen_by(self.load_depth(&file, view, self.depth_meaning(), &view.distortion.given())?, view),
+            false => self.load_depth(&file, view, self.depth_meaning(), &view.distortion)?,
+        };
         if let Some(path) = self.prior_path("depth/confidence", view, &["exr", "npy", "png"]) {
             let confidence = maps::load(&path, view, Meaning::Scalar)?;
             let both = confidence.image.data.iter().zip(&confidence.valid.data);
@@ -49,7 +49,8 @@ impl Scene {
     pub fn sensor_depth(&self, view: usize) -> Result<Option<MaskedMap>> {
         let view = self.view(view)?;
         let Some(file) = &view.beside.depth else { return Ok(None) };
-        self.load_depth(file, view, DepthMeaning::Metric).map(|map| Some(seen_by(map, view)))
+        let map = self.load_depth(file, view, DepthMeaning::Metric, &view.distortion.given())?;
+        Ok(Some(seen_by(map, view)))
     }
 
     /// Returns whether prior depths are those of a sensor. They belong to the rays of the cameras that the scene gives.
@@ -64,7 +65,13 @@ impl Scene {
         Ok(Some((path, depth)))
     }
 
-    fn load_depth(&self, file: &SensorDepth, view: &View, meaning: DepthMeaning) -> Result<MaskedMap> {
+    fn load_depth(
+        &self,
+        file: &SensorDepth,
+        view: &View,
+        meaning: DepthMeaning,
+        lens: &Distortion,
+    ) -> Result<MaskedMap> {
         let SensorDepth { path, unit } = file;
         let stored = read(path)?;
         // With a shift, inverse depths may be negative.
@@ -74,7 +81,7 @@ impl Scene {
         let mut image = Image::new(camera.width, camera.height, 1);
         let mut valid = Image::new(camera.width, camera.height, 1);
         let given = view.given_camera();
-        let pixels = stored_pixels(&given, &view.distortion, (stored.width, stored.height));
+        let pixels = stored_pixels(&given, lens, (stored.width, stored.height));
         for ((z, known), at) in image.data.iter_mut().zip(&mut valid.data).zip(pixels) {
             let depth = (f64::from(stored.data.get(at).copied().unwrap_or(0.0)) * unit) as f32;
             if depth.is_finite() && depth != 0.0 && (relative || depth > 0.0) {

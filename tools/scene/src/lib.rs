@@ -47,7 +47,7 @@ mod web;
 
 pub use atomic::atomic_write;
 pub use beside::GroundTruthKind;
-pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR, Projection};
+pub use camera::{Camera, Distortion, MAX_CAMERA_NUMBER, MAX_IMAGE_SIDE, NEAR, Projection, Residual};
 pub use depth::DepthDefinition;
 pub use dot_splat::{read_splat, write_splat};
 pub use error::{Result, SceneError, is_storage_error};

@@ -122,6 +122,7 @@ impl Schedule {
             lr_shift: (views * g.rates.views[0] * self.extent) as f32,
             lr_gain: (views * g.rates.views[1]) as f32,
             lr_lens: (views * g.rates.views[2]) as f32,
+            lr_radial: (views * g.rates.views[3]) as f32,
             correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
             correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
             weight_opacity: mcmc(MCMC_OPACITY) as f32,

@@ -90,6 +90,7 @@ pub(super) fn build(
         Some(views) => view_place(g, steps.step, views)?,
         None => steps.step,
     };
+    let t = &Tuning { distorted: t.distorted || inputs.views.as_ref().is_some_and(|views| views.kinds.lens), ..*t };
     let view = render(g, t, step, gaussians, status, o.channels, o, o.backward)?;
     let screen = view.screen;
     let stats = g.transient("loss_stats", size_of::<sgs_shaders::structs::LossStats>() as u64);

@@ -87,6 +87,7 @@ impl Inputs {
             center: [cx, cy],
             size,
             tiles: [0, 0],
+            radial: 0.0,
         };
         let channels = Channels { colors: true, normals: model.normals, depth };
         Ok(Inputs { data, model, channels, camera, background })

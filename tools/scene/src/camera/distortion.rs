@@ -6,6 +6,7 @@
 //! has the coefficients `p1` and `p2`, the thin prism those of [`Distortion::prism`]. Only this direction is needed:
 //! undistortion samples the distorted image at the position of each ideal pixel.
 
+use super::Camera;
 use std::f64::consts::PI;
 
 /// Radius of an ideal lens.
@@ -82,9 +83,44 @@ impl Projection {
     }
 }
 
+/// Radial distortion that a calibration left and training learned.
+///
+/// It comes before the calibrated one. All lengths are in focal lengths, those of each axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Residual {
+    /// Learned principal point, relative to the calibrated one.
+    pub center: [f64; 2],
+    /// Half the diagonal of the image.
+    pub half_diagonal: [f64; 2],
+    /// Shift of a point at half the diagonal from the principal point.
+    ///
+    /// It is relative to this distance, and grows with its third power.
+    pub radial: f64,
+}
+
+impl Residual {
+    /// Makes the residual of a camera's images.
+    pub fn of(camera: &Camera, center: [f64; 2], radial: f64) -> Residual {
+        let half = 0.5 * f64::from(camera.width).hypot(f64::from(camera.height));
+        Residual { center, half_diagonal: [half / camera.fx, half / camera.fy], radial }
+    }
+
+    /// Returns the distorted position, and whether the distortion folds there.
+    fn distort(&self, x: f64, y: f64) -> ([f64; 2], bool) {
+        let Residual { center, half_diagonal, radial } = *self;
+        let away = [x - center[0], y - center[1]];
+        let q = (away[0] / half_diagonal[0]).powi(2) + (away[1] / half_diagonal[1]).powi(2);
+        let factor = 1.0 + radial * q;
+        let folds = 1.0 + 3.0 * radial * q <= 0.0;
+        ([0, 1].map(|i| center[i] + factor * away[i]), folds)
+    }
+}
+
 /// Distortion coefficients; all zero for an ideal lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Distortion {
+    /// Learned distortion, which comes first.
+    pub residual: Option<Residual>,
     /// Radius to which the coefficients apply.
     pub projection: Projection,
     /// Radial coefficient of r².
@@ -120,6 +156,7 @@ impl Default for Distortion {
 impl Distortion {
     /// Ideal lens.
     pub const NONE: Self = Self {
+        residual: None,
         projection: Projection::Perspective,
         k1: 0.0,
         k2: 0.0,
@@ -132,6 +169,12 @@ impl Distortion {
         prism: [0.0; 4],
         after_radial: false,
     };
+
+    /// Returns the calibrated distortion, without what training learned.
+    #[must_use]
+    pub fn given(&self) -> Distortion {
+        Distortion { residual: None, ..*self }
+    }
 
     /// Returns whether the lens is ideal, that is, all coefficients are zero.
     pub fn is_none(&self) -> bool {
@@ -150,6 +193,7 @@ impl Distortion {
 
     /// Returns the distorted position of the ideal normalized point `(x, y)`.
     pub fn distort(&self, x: f64, y: f64) -> (f64, f64) {
+        let [x, y] = self.residual.map_or([x, y], |residual| residual.distort(x, y).0);
         let scale = self.projection.scale(x.hypot(y));
         let (x, y) = (x * scale, y * scale);
         let (radial, _) = self.radial(x * x + y * y);
@@ -196,6 +240,10 @@ impl Distortion {
     /// Returns whether the distortion is one-to-one at `(x, y)`. Fitted polynomials fold back outside the calibrated
     /// field, where they would show a mirrored part of the image.
     pub fn is_one_to_one_at(&self, x: f64, y: f64) -> bool {
+        let ([x, y], folds) = self.residual.map_or(([x, y], false), |residual| residual.distort(x, y));
+        if folds {
+            return false;
+        }
         let r = x.hypot(y);
         if !self.projection.shows(r) {
             return false;

@@ -8,7 +8,7 @@ mod distortion;
 
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 
-pub use distortion::{Distortion, Projection};
+pub use distortion::{Distortion, Projection, Residual};
 
 /// Largest accepted image side in pixels; larger values indicate a damaged file.
 pub const MAX_IMAGE_SIDE: u32 = 65_536;

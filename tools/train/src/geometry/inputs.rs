@@ -34,8 +34,8 @@ impl GeometryInputs<'_> {
     pub fn learned(&self, g: &GeometrySettings) -> ViewKinds {
         match self {
             GeometryInputs::Scene(_) => {
-                let [cameras, gains, lens] = g.rates.views.map(|rate| rate > 0.0);
-                ViewKinds { cameras, gains, lens }
+                let [cameras, gains, intrinsics, distortion] = g.rates.views.map(|rate| rate > 0.0);
+                ViewKinds { cameras, gains, lens: intrinsics || distortion }
             }
             GeometryInputs::Renderings(_) => ViewKinds::default(),
         }
@@ -44,9 +44,9 @@ impl GeometryInputs<'_> {
     /// Returns the first lens for training, if it is not the given one.
     ///
     /// The depths of a sensor may show a better one.
-    pub fn first_lens(&self) -> Result<Option<Lens>> {
+    pub fn first_lens(&self, g: &GeometrySettings) -> Result<Option<Lens>> {
         match self {
-            GeometryInputs::Scene(scene) => lens::from_depth(scene),
+            GeometryInputs::Scene(scene) => lens::from_depth(scene, [g.rates.views[2] > 0.0, g.rates.views[3] > 0.0]),
             GeometryInputs::Renderings(_) => Ok(None),
         }
     }

@@ -26,10 +26,15 @@ const ROUNDS: usize = 4;
 /// Views of a point at least, so that its colors have a variance.
 const VIEWS: usize = 2;
 
-/// Logarithm of the factor on focal lengths, and shift of the principal point.
+/// Numbers of a lens that may be wrong.
 ///
-/// The shift is in given focal lengths.
-pub(super) type Lens = [f64; 3];
+/// They are the logarithm of the factor on focal lengths, the shift of the principal point in given focal lengths, and radial distortion.
+pub(super) type Lens = [f64; 4];
+/// Numbers that [`from_depth`] may search.
+const INTRINSICS: [bool; 4] = [true, true, true, false];
+const DISTORTION: [bool; 4] = [false, false, false, true];
+/// Largest distortion, as training has it.
+const BEND: f64 = 0.1;
 
 /// Logarithms of a photograph's gray values, so that an exposure is an offset.
 struct Gray {
@@ -80,9 +85,10 @@ struct Sight {
 
 /// Finds the lens with which views agree best about the colors of points.
 ///
-/// The points are those of the sensor in the training views. Returns `None` without a sensor, or if no lens is clearly
+/// The points are those of the sensor in the training views. `learned` says whether the lens has other intrinsics, and
+/// whether it has distortion. Returns `None` without a sensor, or if no lens is clearly
 /// better than the given one.
-pub(super) fn from_depth(scene: &Scene) -> Result<Option<Lens>> {
+pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> Result<Option<Lens>> {
     let mut views = Vec::new();
     for &i in &scene.split.train {
         let Some(mut depth) = scene.sensor_depth(i)? else { continue };
@@ -114,39 +120,40 @@ pub(super) fn from_depth(scene: &Scene) -> Result<Option<Lens>> {
         }
     }
     let (cameras, images): (Vec<&Camera>, Vec<Image>) = views.into_iter().map(|(c, _, image)| (c, image)).unzip();
-    Ok(search(&points, &cameras, &images))
+    let free = [0, 1, 2, 3].map(|i| intrinsics && INTRINSICS[i] || distortion && DISTORTION[i]);
+    Ok(search(&points, &cameras, &images, free))
 }
 
 /// Searches on ever finer photographs.
-fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image]) -> Option<Lens> {
-    let mut best = [0.0; 3];
+fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image], free: [bool; 4]) -> Option<Lens> {
+    let mut best = [0.0; 4];
     let (mut given, mut found) = (0.0, 0.0);
     for width in WIDTHS {
         let images: Vec<Gray> = photographs.iter().map(|image| Gray::of(image, width)).collect();
         let cost = |lens: &Lens| disagreement(points, cameras, &images, lens);
-        if width == WIDTHS[0] {
-            let grid = (-STEPS..=STEPS).map(|i| [REACH * f64::from(i) / f64::from(STEPS), 0.0, 0.0]);
+        if width == WIDTHS[0] && free[0] {
+            let grid = (-STEPS..=STEPS).map(|i| [REACH * f64::from(i) / f64::from(STEPS), 0.0, 0.0, 0.0]);
             let costs = grid.map(|lens| (cost(&lens), lens));
             best = costs.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(best, |(_, lens)| lens);
         }
-        best = descend(&cost, best, 0.8 / f64::from(width));
-        (given, found) = (cost(&[0.0; 3]), cost(&best));
+        best = descend(&cost, best, free, 0.8 / f64::from(width));
+        (given, found) = (cost(&[0.0; 4]), cost(&best));
     }
     tracing::debug!("lens from depth: {best:?}, disagreement {found:.4} instead of {given:.4}");
     (found < GAIN * given).then_some(best)
 }
 
 /// Moves one number at a time while that lowers the cost, in ever smaller steps.
-fn descend(cost: &dyn Fn(&Lens) -> f64, mut best: Lens, mut step: f64) -> Lens {
+fn descend(cost: &dyn Fn(&Lens) -> f64, mut best: Lens, free: [bool; 4], mut step: f64) -> Lens {
     let mut least = cost(&best);
     for _ in 0..6 {
         let mut moved = true;
         while moved {
             moved = false;
-            for (i, sign) in (0..3).flat_map(|i| [(i, 1.0), (i, -1.0)]) {
+            for (i, sign) in (0..4).filter(|i| free[*i]).flat_map(|i| [(i, 1.0), (i, -1.0)]) {
                 let mut lens = best;
                 lens[i] += sign * step;
-                let found = if lens[0].abs() <= REACH { cost(&lens) } else { f64::INFINITY };
+                let found = if lens[0].abs() <= REACH && lens[3].abs() <= BEND { cost(&lens) } else { f64::INFINITY };
                 if found < least {
                     (best, least, moved) = (lens, found, true);
                 }
@@ -164,9 +171,12 @@ fn disagreement(points: &[Vec<Sight>], cameras: &[&Camera], images: &[Gray], len
     let factor = lens[0].exp();
     let look = |Sight { view, slope }: &Sight| {
         let c = cameras[*view];
-        let x = c.fx * (factor * slope[0] + lens[1]) + c.cx;
-        let y = c.fy * (factor * slope[1] + lens[2]) + c.cy;
-        images[*view].at(x, y).map(|value| (*view, value))
+        let offset = [c.fx * factor * slope[0], c.fy * factor * slope[1]];
+        let corner = 0.25 * (f64::from(c.width).powi(2) + f64::from(c.height).powi(2));
+        let grown = 1.0 + lens[3] * (offset[0] * offset[0] + offset[1] * offset[1]) / corner;
+        images[*view]
+            .at(grown * offset[0] + c.fx * lens[1] + c.cx, grown * offset[1] + c.fy * lens[2] + c.cy)
+            .map(|value| (*view, value))
     };
     let seen = points.iter().map(|sights| sights.iter().filter_map(look).collect::<Vec<_>>());
     let seen: Vec<Vec<(usize, f64)>> = seen.filter(|values| values.len() >= VIEWS).collect();
@@ -242,7 +252,15 @@ mod tests {
             };
             for y in 0..c.height {
                 for x in 0..c.width {
-                    let ray = seen.unproject((f64::from(x) + 0.5, f64::from(y) + 0.5).into(), 1.0) - c.position();
+                    // The pixel's offset without distortion, by iteration.
+                    let away = [f64::from(x) + 0.5 - seen.cx, f64::from(y) + 0.5 - seen.cy];
+                    let mut straight = away;
+                    for _ in 0..30 {
+                        let q = (straight[0].powi(2) + straight[1].powi(2)) / (80.0_f64.powi(2) + 60.0_f64.powi(2));
+                        straight = away.map(|a| a / (1.0 + lens[3] * q));
+                    }
+                    let pixel = [seen.cx + straight[0], seen.cy + straight[1]];
+                    let ray = seen.unproject(pixel.into(), 1.0) - c.position();
                     let p = c.position() + ray * (3.0 - c.position().z) / ray.z;
                     // Exposures differ.
                     let value = wall(p.x, p.y) * (0.8 + 0.1 * c.position().x);
@@ -266,11 +284,17 @@ mod tests {
     #[test]
     fn lens_of_photographs_is_found() {
         // The first is about that of a Kinect's color camera.
-        for lens in [[-0.108, 0.012, -0.02], [0.15, -0.01, 0.0], [0.0; 3]] {
+        for lens in [
+            [-0.108, 0.012, -0.02, 0.0],
+            [0.15, -0.01, 0.0, 0.0],
+            [0.0, 0.0, 0.0, 0.03],
+            [-0.05, 0.0, 0.01, -0.025],
+            [0.0; 4],
+        ] {
             let (points, cameras, images) = captured(&lens);
             let cameras: Vec<&Camera> = cameras.iter().collect();
             // None keeps the given lens.
-            let found = search(&points, &cameras, &images).unwrap_or_default();
+            let found = search(&points, &cameras, &images, [true, true, true, lens[3] != 0.0]).unwrap_or_default();
             println!("{lens:?} {found:?}");
             assert!(lens.iter().zip(found).all(|(a, b)| (a - b).abs() < 4e-3), "{lens:?} {found:?}");
         }
@@ -278,10 +302,10 @@ mod tests {
 
     #[test]
     fn photographs_without_colors_keep_the_lens() {
-        let (points, cameras, images) = captured(&[0.1, 0.0, 0.0]);
+        let (points, cameras, images) = captured(&[0.1, 0.0, 0.0, 0.0]);
         let cameras: Vec<&Camera> = cameras.iter().collect();
         let gray: Vec<Image> = images.iter().map(|image| Image::new(image.width, image.height, 3)).collect();
-        assert_eq!(search(&points, &cameras, &gray), None);
-        assert_eq!(search(&[], &cameras, &images), None);
+        assert_eq!(search(&points, &cameras, &gray, [true; 4]), None);
+        assert_eq!(search(&[], &cameras, &images, [true; 4]), None);
     }
 }

@@ -394,8 +394,13 @@ impl Geometry {
         };
         let mut numbers = views.download(&self.device)?;
         let lens = numbers.pop().map_or_else(LearnedLens::default, |lens| {
-            let [focal, x, y, vignetting, ..] = lens.values;
-            LearnedLens { focal: f64::from(focal).exp(), center: [x, y].map(f64::from), vignetting }
+            let [focal, x, y, vignetting, distortion, ..] = lens.values;
+            LearnedLens {
+                focal: f64::from(focal).exp(),
+                center: [x, y].map(f64::from),
+                vignetting,
+                distortion: distortion.into(),
+            }
         });
         Ok(Some(LearnedCameras { views: numbers.into_iter().zip(&self.cameras).map(row).collect(), lens }))
     }

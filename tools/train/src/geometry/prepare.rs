@@ -179,13 +179,15 @@ impl Geometry {
         let views = match inputs.views {
             Some((count, kinds)) => {
                 let views = LearnedViews::new(device, count)?;
-                if let Some([focal, x, y]) = kinds.lens.then(|| source.first_lens()).transpose()?.flatten() {
+                let first = kinds.lens.then(|| source.first_lens(&settings.geometry)).transpose()?.flatten();
+                if let Some([focal, x, y, distortion]) = first {
                     let percent = 100.0 * focal.exp();
                     tracing::info!(
                         "the color camera's focal length is {percent:.1} % of the given one, by the sensor's depth"
                     );
                     let mut numbers = vec![LearnedView::default(); count as usize + 1];
-                    numbers[count as usize].values[..3].copy_from_slice(&[focal, x, y].map(|n| n as f32));
+                    let [focal, x, y, distortion] = [focal, x, y, distortion].map(|n| n as f32);
+                    numbers[count as usize].values[..5].copy_from_slice(&[focal, x, y, 0.0, distortion]);
                     views.upload(device, &numbers)?;
                 }
                 Some((views, kinds))
