@@ -23,9 +23,9 @@ pub struct Camera {
     pub size: [u32; 2],
     /// Near plane: minimum visible depth along z.
     pub near: f64,
-    /// Radial distortion of a pixel at half the diagonal of the image from the principal point.
+    /// Radial distortion: the shift at half the image's diagonal.
     ///
-    /// It is the shift relative to this distance, and grows with its third power.
+    /// It is the shift of a pixel at that distance from the principal point, relative to this distance, and grows with its third power.
     pub radial: f64,
 }
 
