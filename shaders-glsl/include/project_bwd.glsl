@@ -81,10 +81,10 @@ SplatGradient project_gradient(Camera camera, Projection o, vec3 mean, vec3 log_
     if (DISTORTED) {
         t0 = f.x * (vec3(q[0].x, q[1].x, q[2].x) - o.slope.x * r2);
         t1 = f.y * (vec3(q[0].y, q[1].y, q[2].y) - o.slope.y * r2);
-        // With offsets m at the clamped slope, and with a and b of `bend_terms`: T = (a I + b m mᵀ) T', offset = a o + b m (m·(o - m)).
+        // With offsets m at the clamped slope, and with a and b of `distortion_terms`: T = (a I + b m mᵀ) T', offset = a o + b m (m·(o - m)).
         vec2 m = camera.focal * o.slope, offset = camera.focal * free_slope, beyond = offset - m;
-        vec2 terms = bend_terms(camera, m);
-        float unit = bend_unit(camera);
+        vec2 terms = distortion_terms(camera, m);
+        float unit = distortion_unit(camera);
         vec3 along = m.x * t0 + m.y * t1, by_along = m.x * dt0 + m.y * dt1;
         float by_mean = dot(g.mean2d, m), out_by = dot(m, beyond);
         float by_a = dot(dt0, t0) + dot(dt1, t1) + dot(g.mean2d, offset);

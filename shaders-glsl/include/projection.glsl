@@ -62,7 +62,7 @@ bool project_splat(Camera camera, vec3 mean, vec3 log_scale, vec4 quaternion, fl
     vec2 offset = camera.focal * slope;
     if (DISTORTED) {
         // Beyond the limits of slopes the image goes straight on: a polynomial would fold back.
-        vec2 m = camera.focal * o.slope, terms = bend_terms(camera, m);
+        vec2 m = camera.focal * o.slope, terms = distortion_terms(camera, m);
         vec3 along = terms.y * (m.x * o.t0 + m.y * o.t1);
         o.t0 = terms.x * o.t0 + m.x * along;
         o.t1 = terms.x * o.t1 + m.y * along;

@@ -58,7 +58,7 @@ bool carried(uint pixel) {
                   dot(to.world_to_camera[2], world));
     if (!finite_bits(p.z) || !(p.z >= max(to.near, DEPTH_MIN))) return false;
     vec2 offset = to.focal * p.xy / p.z;
-    if (bends(to)) offset *= bend_terms(to, offset).x;
+    if (is_distorted(to)) offset *= distortion_terms(to, offset).x;
     vec2 at = offset + to.center;
     if (!finite_bits(at.x) || !finite_bits(at.y)) return false;
     if (!(all(greaterThanEqual(at, vec2(0.0))) && all(lessThan(at, vec2(to.size))))) return false;

@@ -34,7 +34,7 @@ layout(local_size_x_id = 0) in;
 #include "large_splats.glsl"
 
 layout(scalar) uniform StepBlock { Step step; } params;
-IN(Work, visible);        // three records of the visible splats; with regularizers, one of all Gaussians
+IN(Work, visible); // three records of the visible splats; with regularizers, one of all Gaussians
 IN(uint, flags);
 IN(uint, splat_ids);
 IN(uint, entry_starts);

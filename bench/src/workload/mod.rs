@@ -70,15 +70,8 @@ pub struct Priors {
 impl Workload {
     /// Returns the input buffers of a step.
     pub fn inputs(&self) -> Inputs<'_> {
-        Inputs {
-            targets: &self.targets,
-            normals: self.normals.as_ref(),
-            depths: None,
-            semantics: self.semantics.as_deref().map(|(data, decoder)| data.inputs(decoder)),
-            regions: None,
-            pseudo_regions: None,
-            views: None,
-        }
+        let semantics = self.semantics.as_deref().map(|(data, decoder)| data.inputs(decoder));
+        Inputs { normals: self.normals.as_ref(), semantics, ..Inputs::of(&self.targets) }
     }
 }
 

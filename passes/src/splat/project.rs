@@ -11,6 +11,7 @@ use crate::kernel::{groups, splat_specs, stage};
 use crate::prim::{Count, Overflow, Records, ScanShape, SortShape, exclusive_scan, work};
 use crate::scene::{Group, Handles};
 use sgs_engine::graph::{Buffer, Graph, GraphError, Slice};
+use sgs_shaders::structs::Work;
 use sgs_shaders::{pose_sum, project as kernel, project_bwd as bwd, project_bwd_adam as fused, project_count};
 
 /// Visible splats of a view, compacted.
@@ -285,10 +286,9 @@ pub fn project_bwd_adam(
     };
     let seen = adam.seen.unwrap_or_else(|| g.transient("seen", 4));
     if adam.regularize {
-        // The kernel has no binding left for this record, so the last record of the visible splats holds it.
-        let work = visible.work.slice;
-        let last = Slice { offset: work.offset + 48, bytes: 16, ..work };
-        g.copy("copy_live", gaussians.work, last)?;
+        // The kernel has no binding left for this record. The last record of the visible splats is unused.
+        let (work, bytes) = (visible.work.slice, size_of::<Work>() as u64);
+        g.copy("copy_live", gaussians.work, Slice { offset: work.offset + 3 * bytes, bytes, ..work })?;
     }
     let bindings = fused::Bindings {
         params: screen.step.into(),

@@ -39,6 +39,7 @@ mod properties;
 mod random_graphs;
 mod region_masks;
 mod regions;
+mod regularize;
 mod relocate;
 mod room;
 mod semantic;

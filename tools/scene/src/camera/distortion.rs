@@ -6,7 +6,7 @@
 //! has the coefficients `p1` and `p2`, the thin prism those of [`Distortion::prism`]. Only this direction is needed:
 //! undistortion samples the distorted image at the position of each ideal pixel.
 
-use super::Camera;
+use super::Residual;
 use std::f64::consts::PI;
 
 /// Radius of an ideal lens.
@@ -80,39 +80,6 @@ impl Projection {
             }
             _ => None,
         }
-    }
-}
-
-/// Radial distortion that a calibration left and training learned.
-///
-/// It comes before the calibrated one. All lengths are in focal lengths, those of each axis.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Residual {
-    /// Learned principal point, relative to the calibrated one.
-    pub center: [f64; 2],
-    /// Half the diagonal of the image.
-    pub half_diagonal: [f64; 2],
-    /// Shift of a point at half the diagonal from the principal point.
-    ///
-    /// It is relative to this distance, and grows with its third power.
-    pub radial: f64,
-}
-
-impl Residual {
-    /// Makes the residual of a camera's images.
-    pub fn of(camera: &Camera, center: [f64; 2], radial: f64) -> Residual {
-        let half = 0.5 * f64::from(camera.width).hypot(f64::from(camera.height));
-        Residual { center, half_diagonal: [half / camera.fx, half / camera.fy], radial }
-    }
-
-    /// Returns the distorted position, and whether the distortion folds there.
-    fn distort(&self, x: f64, y: f64) -> ([f64; 2], bool) {
-        let Residual { center, half_diagonal, radial } = *self;
-        let away = [x - center[0], y - center[1]];
-        let q = (away[0] / half_diagonal[0]).powi(2) + (away[1] / half_diagonal[1]).powi(2);
-        let factor = 1.0 + radial * q;
-        let folds = 1.0 + 3.0 * radial * q <= 0.0;
-        ([0, 1].map(|i| center[i] + factor * away[i]), folds)
     }
 }
 
@@ -313,6 +280,8 @@ impl Distortion {
 mod tests {
     use super::*;
 
+    const RESIDUAL: Residual = Residual { center: [0.01, -0.02], half_diagonal: [0.9, 0.95], radial: -0.05 };
+
     const LENS: Distortion = Distortion {
         k1: 0.0578421,
         k2: -0.0805099,
@@ -394,6 +363,7 @@ mod tests {
             },
             Distortion { prism: [0.2, 0.0, 0.1, 0.0], k2: -0.4, p2: -0.05, ..Distortion::NONE },
             Distortion { projection: Projection::FieldOfView(0.9), k1: -0.2, ..Distortion::NONE },
+            Distortion { residual: Some(RESIDUAL), p1: 0.02, ..Distortion::NONE },
             Distortion { projection: Projection::Division(0.1), k2: 0.01, ..Distortion::NONE },
             Distortion { projection: Projection::Unified { alpha: 0.6, beta: 1.1 }, k1: -0.3, ..Distortion::NONE },
             Distortion {
@@ -463,6 +433,7 @@ mod tests {
         for lens in [
             Distortion::NONE,
             LENS,
+            Distortion { residual: Some(RESIDUAL), ..LENS },
             Distortion { k1: 0.05, k2: -0.01, prism, ..equidistant },
             Distortion {
                 k1: 0.05,

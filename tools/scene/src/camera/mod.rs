@@ -5,10 +5,12 @@
 //! Cameras have no lens distortion: images are undistorted on load ([`Distortion`]).
 
 mod distortion;
+mod residual;
 
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 
-pub use distortion::{Distortion, Projection, Residual};
+pub use distortion::{Distortion, Projection};
+pub use residual::Residual;
 
 /// Largest accepted image side in pixels; larger values indicate a damaged file.
 pub const MAX_IMAGE_SIDE: u32 = 65_536;

@@ -30,11 +30,10 @@ const VIEWS: usize = 2;
 ///
 /// They are the logarithm of the factor on focal lengths, the shift of the principal point in given focal lengths, and radial distortion.
 pub(super) type Lens = [f64; 4];
-/// Numbers that [`from_depth`] may search.
-const INTRINSICS: [bool; 4] = [true, true, true, false];
-const DISTORTION: [bool; 4] = [false, false, false, true];
-/// Largest distortion, as training has it.
-const BEND: f64 = 0.1;
+/// Largest distortion, as in training.
+const DISTORTION: f64 = 0.1;
+/// A lens with no number above this is the given one: half a pixel of the finest photographs.
+const SAME: f64 = 0.5 / 160.0;
 
 /// Logarithms of a photograph's gray values, so that an exposure is an offset.
 struct Gray {
@@ -85,8 +84,8 @@ struct Sight {
 
 /// Finds the lens with which views agree best about the colors of points.
 ///
-/// The points are those of the sensor in the training views. `learned` says whether the lens has other intrinsics, and
-/// whether it has distortion. Returns `None` without a sensor, or if no lens is clearly
+/// The points are those of the sensor in the training views. The flags say whether to search intrinsics, and whether to search
+/// distortion. Returns `None` without a sensor, or if no lens is clearly
 /// better than the given one.
 pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> Result<Option<Lens>> {
     let mut views = Vec::new();
@@ -120,11 +119,10 @@ pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> 
         }
     }
     let (cameras, images): (Vec<&Camera>, Vec<Image>) = views.into_iter().map(|(c, _, image)| (c, image)).unzip();
-    let free = [0, 1, 2, 3].map(|i| intrinsics && INTRINSICS[i] || distortion && DISTORTION[i]);
-    Ok(search(&points, &cameras, &images, free))
+    Ok(search(&points, &cameras, &images, [intrinsics, intrinsics, intrinsics, distortion]))
 }
 
-/// Searches on ever finer photographs.
+/// Searches the free numbers of the lens on ever finer photographs.
 fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image], free: [bool; 4]) -> Option<Lens> {
     let mut best = [0.0; 4];
     let (mut given, mut found) = (0.0, 0.0);
@@ -140,7 +138,7 @@ fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image], fre
         (given, found) = (cost(&[0.0; 4]), cost(&best));
     }
     tracing::debug!("lens from depth: {best:?}, disagreement {found:.4} instead of {given:.4}");
-    (found < GAIN * given).then_some(best)
+    (found < GAIN * given && best.iter().any(|n| n.abs() > SAME)).then_some(best)
 }
 
 /// Moves one number at a time while that lowers the cost, in ever smaller steps.
@@ -153,7 +151,8 @@ fn descend(cost: &dyn Fn(&Lens) -> f64, mut best: Lens, free: [bool; 4], mut ste
             for (i, sign) in (0..4).filter(|i| free[*i]).flat_map(|i| [(i, 1.0), (i, -1.0)]) {
                 let mut lens = best;
                 lens[i] += sign * step;
-                let found = if lens[0].abs() <= REACH && lens[3].abs() <= BEND { cost(&lens) } else { f64::INFINITY };
+                let found =
+                    if lens[0].abs() <= REACH && lens[3].abs() <= DISTORTION { cost(&lens) } else { f64::INFINITY };
                 if found < least {
                     (best, least, moved) = (lens, found, true);
                 }
@@ -293,8 +292,12 @@ mod tests {
         ] {
             let (points, cameras, images) = captured(&lens);
             let cameras: Vec<&Camera> = cameras.iter().collect();
-            // None keeps the given lens.
-            let found = search(&points, &cameras, &images, [true, true, true, lens[3] != 0.0]).unwrap_or_default();
+            let found = search(&points, &cameras, &images, [true, true, true, lens[3] != 0.0]);
+            if lens == [0.0; 4] {
+                assert_eq!(found, None);
+                continue;
+            }
+            let found = found.unwrap();
             println!("{lens:?} {found:?}");
             assert!(lens.iter().zip(found).all(|(a, b)| (a - b).abs() < 4e-3), "{lens:?} {found:?}");
         }

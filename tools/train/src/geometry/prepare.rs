@@ -181,9 +181,9 @@ impl Geometry {
                 let views = LearnedViews::new(device, count)?;
                 let first = kinds.lens.then(|| source.first_lens(&settings.geometry)).transpose()?.flatten();
                 if let Some([focal, x, y, distortion]) = first {
-                    let percent = 100.0 * focal.exp();
+                    let (percent, corners) = (100.0 * focal.exp(), 100.0 * distortion);
                     tracing::info!(
-                        "the color camera's focal length is {percent:.1} % of the given one, by the sensor's depth"
+                        "by the sensor's depth, the color camera's focal length is {percent:.1} % of the given one, and distortion moves its corners by {corners:.1} %"
                     );
                     let mut numbers = vec![LearnedView::default(); count as usize + 1];
                     let [focal, x, y, distortion] = [focal, x, y, distortion].map(|n| n as f32);
