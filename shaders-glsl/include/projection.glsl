@@ -1,12 +1,10 @@
-// Projection of a Gaussian to a splat of one camera. Included after step.glsl and splat.glsl.
+// Projection of a Gaussian to a splat of one camera. Included after distortion.glsl and splat.glsl.
 
 const float DILATION = 0.3;         // px² added to the projected covariance
 const float JACOBIAN_LIMIT = 1.3;   // of half the field of view, from the image center
 
 // Whether the 2D Mip filter scales opacities (Yu et al. 2024, Mip-Splatting): where dilation makes a footprint larger, the splat fades.
 layout(constant_id = 38) const bool MIP_FILTER = false;
-// Whether cameras may have radial distortion.
-layout(constant_id = 39) const bool DISTORTED = false;
 
 // x/z and y/z clamped to 1.3 half fields of view of the image center, where the linearization is still good.
 vec2 clamped_slope(Camera c, vec2 slope, out bvec2 clamped) {

@@ -7,6 +7,7 @@
 #include "common.glsl"
 #include "finite.glsl"
 #include "step.glsl"
+#include "distortion.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 256; // a multiple of 32
 layout(local_size_x_id = 0) in;
@@ -58,7 +59,7 @@ bool carried(uint pixel) {
                   dot(to.world_to_camera[2], world));
     if (!finite_bits(p.z) || !(p.z >= max(to.near, DEPTH_MIN))) return false;
     vec2 offset = to.focal * p.xy / p.z;
-    if (is_distorted(to)) offset *= distortion_terms(to, offset).x;
+    if (DISTORTED) offset *= distortion_terms(to, offset).x;
     vec2 at = offset + to.center;
     if (!finite_bits(at.x) || !finite_bits(at.y)) return false;
     if (!(all(greaterThanEqual(at, vec2(0.0))) && all(lessThan(at, vec2(to.size))))) return false;

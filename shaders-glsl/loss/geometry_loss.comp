@@ -11,6 +11,7 @@
 #version 460
 #include "common.glsl"
 #include "step.glsl"
+#include "distortion.glsl"
 #include "octahedral.glsl"
 
 layout(constant_id = 0) const uint WORKGROUP = 96;

@@ -5,6 +5,7 @@
 #version 460
 #include "common.glsl"
 #include "step.glsl"
+#include "distortion.glsl"
 #include "work.glsl"
 #include "adam.glsl"
 #include "splat.glsl"

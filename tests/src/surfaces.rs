@@ -81,6 +81,7 @@ pub fn run(gpu: &Gpu, tuning: Tuning, s: &Scene, largest: [u32; 2], weights: &Te
         depth_lens: s.depth_lens.map(|_| lens),
         largest,
     };
+    let tuning = Tuning { distorted: s.depth_lens.is_some(), ..tuning };
     let geometry = geometry_loss(&mut g, tuning, &a, grad_image, grad_transmittance).unwrap();
     // The photometric pass only fills its sums, so that the statistics are complete.
     let color = Photometric { step, image: image_buffer, targets, channels: channels as u32, largest };

@@ -154,6 +154,7 @@ pub fn geometry_loss(
         depth_prior: depth,
         depth_fit: depth && a.depth_line.is_some(),
         sensor: depth && a.depth_lens.is_some(),
+        distorted: tuning.distorted,
     };
     stage(g, "geometry_loss", &kernel::KERNEL, bindings.entries(), specs.entries(), &[])
         .dispatch(groups(u64::from(count), 1))?;

@@ -111,6 +111,7 @@ pub fn carry_mask(
         depth_at: mine - 2,
         trained_channels: theirs,
         trained_depth_at: theirs - 2,
+        distorted: tuning.distorted,
     };
     let push = carry::Push { least_opacity: options.least_opacity, tolerance: options.tolerance };
     stage(g, name, &carry::KERNEL, bindings.entries(), specs.entries(), bytemuck::bytes_of(&push))

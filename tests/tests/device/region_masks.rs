@@ -3,6 +3,7 @@
 
 use glam::{DMat3, DVec3};
 use sgs_engine::graph::{Buffer, Graph};
+use sgs_passes::Tuning;
 use sgs_passes::loss::{CarryOptions, Seen, carry_mask, pack_mask, pack_regions, region_mask};
 use sgs_passes::pipeline::{RenderedImage, Renderer};
 use sgs_passes::reference::project::{Camera, Gaussians};
@@ -108,7 +109,9 @@ fn carried(gpu: &Gpu, c: &Case) -> Vec<u32> {
     let mask = g.input("mask", 4 * words.len() as u64);
     inputs.push((mask, bytes(&words)));
     let into = g.external("carried", 4 * wanted_words(pseudo.screen.pixels()));
-    carry_mask(&mut g, gpu.tuning(), "carry_mask", &trained, mask, &pseudo, c.options, into).unwrap();
+    let distorted = [&c.trained, &c.pseudo].iter().any(|v| v.camera.radial != 0.0);
+    let t = Tuning { distorted, ..gpu.tuning() };
+    carry_mask(&mut g, t, "carry_mask", &trained, mask, &pseudo, c.options, into).unwrap();
     gpu.run(g, &inputs).get(into)
 }
 
@@ -177,6 +180,11 @@ fn carried_mask_matches_reference() {
     for (i, (sizes, aside, turn, channels)) in cases.into_iter().enumerate() {
         inside += check(&gpu, &format!("case {i}"), &case(sizes, aside, turn, channels, i as u64));
     }
+    for radial in [[0.1, -0.1], [-0.1, 0.0], [0.0, 0.1]] {
+        let mut c = case([LARGEST, [47, 33]], [0.1, -0.1, 0.2], 0.1, [ALL, DEPTH], 20);
+        [c.trained.camera.radial, c.pseudo.camera.radial] = radial.map(|k| f64::from(k as f32));
+        inside += check(&gpu, &format!("distortion {radial:?}"), &c);
+    }
     assert!(inside > 500, "only {inside} pixels are in the regions");
     // No pixel is in front of the training camera, or none is inside its image.
     assert_eq!(check(&gpu, "behind", &case([LARGEST; 2], [0.0; 3], 3.0, [DEPTH; 2], 1)), 0);
@@ -239,8 +247,8 @@ fn carried_masks_are_deterministic() {
     assert!((0..3).all(|_| carried(&gpu, &c) == first));
 }
 
-/// Tests that the comparison detects planted errors. Errors are: one bit, a principal point taken for central, an
-/// inverted pose.
+/// Tests that the comparison detects planted errors. Errors are: one bit, a principal point taken for central, a
+/// distorted lens, an inverted pose.
 #[test]
 fn comparisons_of_masks_can_fail() {
     let c = case([LARGEST; 2], [0.2, -0.1, 0.1], 0.07, [DEPTH; 2], 9);
@@ -254,6 +262,9 @@ fn comparisons_of_masks_can_fail() {
     let mut central = case([LARGEST; 2], [0.2, -0.1, 0.1], 0.07, [DEPTH; 2], 9);
     central.trained.camera.center = central.trained.camera.size.map(|s| 0.5 * f64::from(s)).into();
     assert!(wrong(&exact, &inside(&central)).0.len() > 20);
+    let mut straight = case([LARGEST; 2], [0.2, -0.1, 0.1], 0.07, [DEPTH; 2], 9);
+    straight.pseudo.camera.radial = 0.1;
+    assert!(wrong(&exact, &inside(&straight)).0.len() > 20);
     let mut inverted = case([LARGEST; 2], [0.2, -0.1, 0.1], 0.07, [DEPTH; 2], 9);
     inverted.pseudo.camera.rotation = inverted.pseudo.camera.rotation.transpose();
     assert!(wrong(&exact, &inside(&inverted)).0.len() > 20);
