@@ -74,8 +74,8 @@ pub struct DensifyOptions {
 impl Default for DensifyOptions {
     fn default() -> Self {
         DensifyOptions {
-            from: 500,
-            until: 0.8,
+            from: 150,
+            until: 0.6,
             interval: 100,
             rule: DensifyRule::Total,
             grad_threshold: 4e-4,

@@ -157,7 +157,7 @@ impl Default for GeometrySettings {
             steps: 7000,
             sh_degree: ShDegree::Fixed(3),
             sh_gain: 0.02,
-            coarse: 0.0,
+            coarse: 0.5,
             background: [0.0; 3],
             filter: Filter::Dilated,
             normals: true,
