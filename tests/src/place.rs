@@ -42,14 +42,15 @@ impl Place {
 
     /// Returns arguments of a training into `run`, with early densification.
     ///
-    /// Densification starts at step 5 and repeats every 5 steps. Opacities are reset every 12 steps and checkpoints are
-    /// written every 7.
+    /// Densification starts at step 5 and repeats every 5 steps, until four fifths of the steps. Opacities are reset every
+    /// 12 steps and checkpoints are written every 7.
     pub fn arguments(&self, run: &str, steps: u32, more: &[&str]) -> Vec<String> {
         let mut all: Vec<String> = ["train", &self.text("scene"), "-o", &self.text(run)].map(String::from).to_vec();
         all.extend(["--geometry-steps".into(), steps.to_string()]);
         for pair in [
             "geometry.densify.from=5",
             "geometry.densify.interval=5",
+            "geometry.densify.until=0.8",
             "geometry.densify.reset_interval=12",
             "geometry.densify.grad_threshold=0.00005",
             "geometry.densify.max_gaussians=3000",

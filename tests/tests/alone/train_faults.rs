@@ -21,7 +21,8 @@ fn settings() -> Settings {
     // Entries overflow at once. Gaussians are added twice, and opacities are reset once.
     s.geometry.entry_capacity = 8;
     let d = &mut s.geometry.densify;
-    (d.from, d.interval, d.reset_interval, d.grad_threshold, d.max_gaussians) = (5, 5, 6, 5e-5, 3000);
+    (d.from, d.interval, d.until, d.reset_interval) = (5, 5, 0.8, 6);
+    (d.grad_threshold, d.max_gaussians) = (5e-5, 3000);
     s
 }
 

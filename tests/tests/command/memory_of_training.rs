@@ -13,6 +13,7 @@ fn cli_reports_memory_shortage() {
         for pair in [
             "geometry.densify.from=5",
             "geometry.densify.interval=1",
+            "geometry.densify.until=0.8",
             "geometry.densify.grad_threshold=0.0",
             "geometry.densify.max_gaussians=100000",
             "train.checkpoint_interval=4",

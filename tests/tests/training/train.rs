@@ -13,7 +13,8 @@ fn settings(steps: u32) -> Settings {
     let mut s = Settings::default();
     s.geometry.steps = steps;
     let d = &mut s.geometry.densify;
-    (d.from, d.interval, d.reset_interval, d.grad_threshold, d.max_gaussians) = (5, 5, 12, 5e-5, 3000);
+    (d.from, d.interval, d.until, d.reset_interval) = (5, 5, 0.8, 12);
+    (d.grad_threshold, d.max_gaussians) = (5e-5, 3000);
     s
 }
 

@@ -147,8 +147,11 @@ impl Packed {
 
     /// Adds smaller copies of all photographs and priors.
     ///
-    /// Each has half the width and height of the one before. Call it once, before [`Packed::split`].
-    pub fn reduce(&mut self, halvings: u32) {
+    /// Each has half the width and height of the one before. There are `most` at most, and none that no view has with `least`
+    /// pixels across and down. Call it once, before [`Packed::split`].
+    pub fn reduce(&mut self, most: u32, least: u32) {
+        let useful = |k: &u32| self.views.iter().any(|(c, _)| c.size.iter().all(|n| n >> k >= least));
+        let halvings = (1..=most).take_while(useful).last().unwrap_or(0);
         let add = |data: &mut Vec<Vec<u32>>, halved: fn(&[u32], [u32; 2]) -> Vec<u32>| {
             data.par_iter_mut().zip(&self.views).for_each(|(data, (camera, _))| {
                 let (mut size, mut first) = (camera.size, 0);
@@ -346,7 +349,9 @@ mod tests {
             largest: [5, 4],
             ..Packed::without_priors(vec![white.clone(); 2])
         };
-        data.reduce(2);
+        data.reduce(2, 3);
+        assert_eq!((data.halvings, data.image_bytes()), (0, 2 * 4 * 20));
+        data.reduce(2, 1);
         data.split(1000);
         // 5 x 4, 2 x 2 and 1 x 1 pixels.
         assert_eq!((data.image_bytes(), data.image(1), data.views[1].1), (2 * 4 * 25, &white[..], 25));

@@ -10,6 +10,7 @@ use crate::idle::{self, FoundForGeometry};
 use crate::limits;
 use crate::memory::Needs;
 use crate::normals::{Prior, initial_normals};
+use crate::reduce::LEAST;
 use crate::schedule::{MOST_HALVINGS, Schedule};
 use crate::semantics::SemanticMaps;
 use sgs_config::{Filter, Settings, ShDegree};
@@ -76,7 +77,7 @@ impl Geometry {
         let wants_views = g.losses.correspondence > 0.0 && g.correspondence_from <= g.steps;
         let wants_semantics = g.semantics && (g.losses.semantic > 0.0 || g.losses.semantic_class > 0.0);
         let (mut data, maps) = source.read(wanted, wants_semantics)?;
-        data.reduce(if g.coarse > 0.0 { MOST_HALVINGS } else { 0 });
+        data.reduce(if g.coarse > 0.0 { MOST_HALVINGS } else { 0 }, LEAST);
         data.split(device.info().largest_binding());
         maps.iter().try_for_each(|maps| maps.check(device))?;
         let kinds = source.learned(g);
