@@ -78,6 +78,23 @@ pub fn steps(
     steps_of(gpu, g, camera, false, count)
 }
 
+/// Returns options of a training step that gathers no statistics.
+pub fn step_options(largest: [u32; 2], channels: Channels) -> GeometryOptions {
+    GeometryOptions {
+        largest,
+        entry_capacity: 1 << 14,
+        channels,
+        statistics: None,
+        mcmc: false,
+        dense_adam: false,
+        backward: BackwardKernel::Pixel,
+        semantic_geometry: false,
+        pseudo: None,
+        timestamps: false,
+        frames_in_flight: 1,
+    }
+}
+
 /// Trains like [`steps`], with the losses of normals and depth.
 ///
 /// The loss of normals needs Gaussians with normals and uses a constant prior. The loss of depth is on if requested.
@@ -100,19 +117,7 @@ pub fn steps_of(
     device.upload(&priors, 0, bytemuck::cast_slice(&vec![octahedral_encode([0.6, -0.2, -0.7]); pixels]))?;
     let normals = (!g.normals.is_empty()).then_some(&priors);
     let inputs = Inputs { normals, ..Inputs::of(&targets) };
-    let mut options = GeometryOptions {
-        largest: camera.size,
-        entry_capacity: 1 << 14,
-        channels: channels(g, depth),
-        statistics: None,
-        mcmc: false,
-        dense_adam: false,
-        backward: BackwardKernel::Pixel,
-        semantic_geometry: false,
-        pseudo: None,
-        timestamps: false,
-        frames_in_flight: 1,
-    };
+    let mut options = step_options(camera.size, channels(g, depth));
     let schedule = Schedule::new(&Settings::default(), 1.0, 1);
     let (tuning, camera) = (tuning(gpu, camera), scenes::gpu_camera(camera));
     let status = Status::new(device)?;

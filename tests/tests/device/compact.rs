@@ -11,8 +11,9 @@ use sgs_passes::reference::project::Gaussians as ReferenceGaussians;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::reference::rounding;
 use sgs_passes::scene::{GaussianData, Gaussians, Group, Layout, Model, Storage};
-use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_passes::splat::Channels;
 use sgs_shaders::structs::{Step, Work};
+use sgs_tests::whole::step_options;
 use sgs_tests::{Gpu, scenes};
 use sgs_train::Schedule;
 
@@ -135,19 +136,8 @@ fn step_of(gpu: &Gpu, g: &ReferenceGaussians, start: &State, storage: Storage, d
     let targets = device.buffer("targets", 4 * pixels as u64, Location::Device).unwrap();
     device.upload(&targets, 0, bytemuck::cast_slice(&vec![0xff80_8080_u32; pixels])).unwrap();
     let inputs = Inputs::of(&targets);
-    let options = GeometryOptions {
-        largest: camera.size,
-        entry_capacity: 1 << 14,
-        channels: Channels { colors: true, normals: model.normals, depth: false },
-        statistics: None,
-        mcmc: false,
-        dense_adam: dense,
-        backward: BackwardKernel::Pixel,
-        semantic_geometry: false,
-        pseudo: None,
-        timestamps: false,
-        frames_in_flight: 1,
-    };
+    let channels = Channels { colors: true, normals: model.normals, depth: false };
+    let options = GeometryOptions { dense_adam: dense, ..step_options(camera.size, channels) };
     let status = Status::new(device).unwrap();
     let mut exec = GeometryStep::new(device, &gpu.tuning(), &gaussians, &inputs, &status, options).unwrap();
     let mut values = Schedule::new(&Settings::default(), 1.0, 1).step(1, &scenes::gpu_camera(&camera), 0);

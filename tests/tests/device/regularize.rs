@@ -5,26 +5,10 @@ use sgs_passes::pipeline::{GeometryOptions, GeometryStep, Inputs, Status};
 use sgs_passes::reference::project::rotation;
 use sgs_passes::reference::relocate as reference;
 use sgs_passes::scene::{GaussianData, Gaussians, Group, Layout, Model, Storage};
-use sgs_passes::splat::{BackwardKernel, Channels};
+use sgs_passes::splat::Channels;
 use sgs_shaders::structs::Step;
+use sgs_tests::whole::step_options;
 use sgs_tests::{Gpu, Tolerance, assert_close, scenes};
-
-/// Returns options of a step that gathers no statistics.
-pub fn options(largest: [u32; 2], channels: Channels, mcmc: bool) -> GeometryOptions {
-    GeometryOptions {
-        largest,
-        entry_capacity: 1 << 14,
-        channels,
-        statistics: None,
-        mcmc,
-        dense_adam: false,
-        backward: BackwardKernel::Pixel,
-        semantic_geometry: false,
-        pseudo: None,
-        timestamps: false,
-        frames_in_flight: 1,
-    }
-}
 
 /// Gaussians and moments after one step of training from zero moments.
 fn step_of(gpu: &Gpu, data: &GaussianData, model: Model, mcmc: bool, values: &Step) -> [GaussianData; 2] {
@@ -38,7 +22,8 @@ fn step_of(gpu: &Gpu, data: &GaussianData, model: Model, mcmc: bool, values: &St
     let targets = device.buffer("targets", 4 * pixels as u64, Location::Device).unwrap();
     device.upload(&targets, 0, bytemuck::cast_slice(&vec![0xff80_8080_u32; pixels])).unwrap();
     let inputs = Inputs::of(&targets);
-    let options = options(size, Channels { colors: true, normals: false, depth: false }, mcmc);
+    let channels = Channels { colors: true, normals: false, depth: false };
+    let options = GeometryOptions { mcmc, ..step_options(size, channels) };
     let status = Status::new(device).unwrap();
     let mut exec = GeometryStep::new(device, &gpu.tuning(), &gaussians, &inputs, &status, options).unwrap();
     exec.submit(values).unwrap();

@@ -2,18 +2,18 @@
 //!
 //! Relocation of Gaussians and noise on means.
 
-use crate::regularize::options;
 use sgs_engine::graph::Graph;
 use sgs_passes::Tuning;
 use sgs_passes::cost::{Counts, of_plan};
 use sgs_passes::optim::{Relocate, position_noise, relocate};
-use sgs_passes::pipeline::{DensifyRule, DensifyStep, GeometryStep, InputSizes};
+use sgs_passes::pipeline::{DensifyRule, DensifyStep, GeometryOptions, GeometryStep, InputSizes};
 use sgs_passes::reference::project::rotation;
 use sgs_passes::reference::relocate as reference;
 use sgs_passes::reference::rng::Pcg;
 use sgs_passes::scene::{GaussianData, Group, Layout, Model, Storage};
 use sgs_passes::splat::Channels;
 use sgs_shaders::structs::{Densify, DensifyStats, Step, Work};
+use sgs_tests::whole::step_options;
 use sgs_tests::{Gpu, Tolerance, assert_close};
 
 const MODEL: Model = Model { sh_degree: 1, normals: true, semantics: true, mip: false };
@@ -319,7 +319,8 @@ fn passes_have_costs() {
         let inputs = InputSizes { targets: 4 * 64 * 48, ..Default::default() };
         let colors = Channels { colors: true, normals: false, depth: false };
         let layout = Layout { model: Model { semantics: false, normals: false, ..MODEL }, ..layout };
-        let plan = GeometryStep::plan(&tuning, &layout, &inputs, &options([64, 48], colors, true)).unwrap();
+        let options = GeometryOptions { mcmc: true, ..step_options([64, 48], colors) };
+        let plan = GeometryStep::plan(&tuning, &layout, &inputs, &options).unwrap();
         assert!(plan.passes.iter().any(|p| p.name == "position_noise"));
         assert_eq!(of_plan(&plan, &counts).1, 0);
     }

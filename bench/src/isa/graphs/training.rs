@@ -93,7 +93,7 @@ pub fn depths(device: &Device, scene: &Path) -> anyhow::Result<()> {
             let s = with(|s| (s.geometry.normals, s.geometry.semantics) = (normals, normals));
             Geometry::new(device, &scene, &s, None)?.build_graphs()?;
         }
-        // Of a learned lens, depths of a sensor keep the given one.
+        // A sensor measures along the rays of the given lens, also while training learns another.
         Geometry::new(device, &scene, &with(|s| s.geometry.rates.views = [1e-3; 4]), None)?.build_graphs()?;
     }
     Ok(())
