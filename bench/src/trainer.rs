@@ -317,3 +317,63 @@ fn locked(c: &Mutex<Correspondence>) -> anyhow::Result<MutexGuard<'_, Correspond
 pub fn first_entry_capacity(gaussians: usize) -> u32 {
     u32::try_from(gaussians).unwrap_or(u32::MAX).clamp(1 << 14, 1 << 26)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use sgs_config::{Settings, accuracy_named};
+    use sgs_engine::{DeviceOptions, Location};
+    use sgs_passes::scene::Model;
+
+    /// Returns a workload of Gaussians of degree 3, without views.
+    fn workload(device: &Device, gaussians: usize, densify: bool) -> Workload {
+        let model = Model { sh_degree: 3, ..Model::default() };
+        let mut start = GaussianData::default();
+        for group in model.groups() {
+            start.groups[group as usize] = vec![0.5; gaussians * group.width() as usize];
+        }
+        let mut settings = Settings::default();
+        if !densify {
+            settings.geometry.densify.until = 0.0;
+        }
+        let largest = [32, 24];
+        Workload {
+            name: "none".to_owned(),
+            model,
+            start,
+            targets: device.buffer("targets", 4 * 32 * 24, Location::Device).unwrap(),
+            normals: None,
+            semantics: None,
+            correspondence: None,
+            views: Vec::new(),
+            largest,
+            extent: 1.0,
+            settings,
+        }
+    }
+
+    /// Returns the bytes of state that a trainer allocates per further Gaussian.
+    ///
+    /// The state is parameters, moments and statistics.
+    fn state(device: &Device, level: &str, densify: bool) -> f64 {
+        let tuning = Settings::from_table(accuracy_named(level).unwrap()).unwrap().tuning(device.info());
+        // Whole blocks of 32, also with the capacity for new Gaussians.
+        let [(few, less), (many, more)] = [640, 1280].map(|gaussians| {
+            let workload = workload(device, gaussians, densify);
+            let trainer = Trainer::with(device, &workload, tuning, BackwardKernel::Pixel, false, 1 << 14).unwrap();
+            (trainer.gaussians.capacity, trainer.gaussians.bytes())
+        });
+        (more - less) as f64 / f64::from(many - few)
+    }
+
+    #[test]
+    fn state_of_a_gaussian_takes_the_documented_bytes() {
+        let select = std::env::var("SGS_TEST_DEVICE").ok();
+        let device = Device::open(&DeviceOptions { select, ..Default::default() }).unwrap();
+        for (level, densify, bytes) in
+            [("exact", false, 720.0), ("exact", true, 736.0), ("compact", false, 384.0), ("compact", true, 400.0)]
+        {
+            assert_eq!(state(&device, level, densify), bytes, "{level}, densification {densify}");
+        }
+    }
+}

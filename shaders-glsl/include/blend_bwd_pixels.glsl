@@ -137,8 +137,8 @@ void main() {
             [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
                 float lane_sum[SUBGROUP];
                 [[unroll]] for (uint j = 0u; j < SUBGROUP; ++j) lane_sum[j] = sum[part * SUBGROUP + j];
-                LANE_SUMS(lane_sum)
-                uint j = part * SUBGROUP + gl_SubgroupInvocationID;
+                LANE_SUMS_OF(lane_sum, GRADIENTS - part * SUBGROUP)
+                uint j = part * SUBGROUP + lane_of_sum();
 #ifdef ATOMIC
                 if (j < GRADIENTS && lane_sum[0] != 0.0) atomicAdd(splat_gradients[owner * GRADIENTS + j], lane_sum[0]);
 #else

@@ -2,6 +2,7 @@
 //
 // One workgroup processes one tile. It loads materials and the photograph with a margin of two pixels. Sobel filters
 // run with a margin of one pixel, then the transposed filters of the weighted signs. Borders repeat the last pixel.
+// A response with an invalid pixel of the photograph, alpha 0, does not count.
 #version 460
 #include "common.glsl"
 #include "step.glsl"
@@ -35,12 +36,13 @@ OUT(vec2, sums);                 // by workgroup: sum of albedo over pixels and 
 
 struct PhotoRow {
     vec3 difference, smoothed;
+    uint least; // smallest word: its alpha is 0 if a pixel of the row is invalid
 };
 
 PhotoRow photo_row(uint at) {
-    vec3 a = unpackUnorm4x8(tile_word(at)).rgb, b = unpackUnorm4x8(tile_word(at + 1u)).rgb;
-    vec3 c = unpackUnorm4x8(tile_word(at + 2u)).rgb;
-    return PhotoRow(c - a, a + 2.0 * b + c);
+    uint u = tile_word(at), v = tile_word(at + 1u), w = tile_word(at + 2u);
+    vec3 a = unpackUnorm4x8(u).rgb, b = unpackUnorm4x8(v).rgb, c = unpackUnorm4x8(w).rgb;
+    return PhotoRow(c - a, a + 2.0 * b + c, min(u, min(v, w)));
 }
 
 // Edge factors of the three channels of albedo and of roughness. That of roughness is the mean of the others.
@@ -68,11 +70,12 @@ void march_next(inout March m, uint column, uint row, out vec4 slope_x, out vec4
     vec4 dx = tile_along_x(m.above, m.here, below), dy = tile_along_y(m.above, below);
     vec4 edge_x = edge(0.125 * (m.photo_above.difference + 2.0 * m.photo_here.difference + photo_below.difference));
     vec4 edge_y = edge(0.125 * (photo_below.smoothed - m.photo_above.smoothed));
-    bool inside = x >= 0 && y >= 0 && x <= tile_last.x && y <= tile_last.y;
-    slope_x = inside ? edge_x * sign(dx) : vec4(0.0);
-    slope_y = inside ? edge_y * sign(dy) : vec4(0.0);
+    bool valid = min(m.photo_above.least, min(m.photo_here.least, photo_below.least)) >> 24 != 0u;
+    bool counts = valid && x >= 0 && y >= 0 && x <= tile_last.x && y <= tile_last.y;
+    slope_x = counts ? edge_x * sign(dx) : vec4(0.0);
+    slope_y = counts ? edge_y * sign(dy) : vec4(0.0);
     bool mine = column - 1u < TILE_X && row - 1u < TILE_Y;
-    if (inside && mine) tile_sum += edge_x * abs(dx) + edge_y * abs(dy);
+    if (counts && mine) tile_sum += edge_x * abs(dx) + edge_y * abs(dy);
     m.above = m.here;
     m.here = below;
     m.photo_above = m.photo_here;

@@ -1,7 +1,7 @@
 // Losses of blended normals and depths, with their gradients.
 //
 // Terms: agreement with prior normals and prior depths, edge-aware smoothness of unit normals and of depth, spread of
-// depth along the ray.
+// depth along the ray. Invalid pixels of the photograph, alpha 0, have no terms and no gradient.
 //
 // One workgroup processes one tile. It loads unit normals, depths and the photograph with a margin of two pixels. Sobel
 // filters run with a margin of one pixel and march down columns, so that each value is loaded once for three rows. The
@@ -68,13 +68,14 @@ vec3 blended_normal(uint pixel) {
 struct FilterRow {
     vec4 data_d, data_s;
     vec3 photo_d, photo_s;
+    uint least; // smallest word of the photograph: its alpha is 0 if a neighbor is invalid
 };
 
 FilterRow filter_row(uint at) {
     vec4 a = tile_data(at), b = tile_data(at + 1u), c = tile_data(at + 2u);
-    vec3 p = unpackUnorm4x8(tile_word(at)).rgb, q = unpackUnorm4x8(tile_word(at + 1u)).rgb;
-    vec3 r = unpackUnorm4x8(tile_word(at + 2u)).rgb;
-    return FilterRow(c - a, a + 2.0 * b + c, r - p, p + 2.0 * q + r);
+    uint u = tile_word(at), v = tile_word(at + 1u), w = tile_word(at + 2u);
+    vec3 p = unpackUnorm4x8(u).rgb, q = unpackUnorm4x8(v).rgb, r = unpackUnorm4x8(w).rgb;
+    return FilterRow(c - a, a + 2.0 * b + c, r - p, p + 2.0 * q + r, min(u, min(v, w)));
 }
 
 // Contribution of one row to the transposed filters. `low` and `high` are 1 at the first and last column.
@@ -127,7 +128,8 @@ void march_next(inout March m, uint column, uint row, out vec4 slope_x, out vec4
     vec3 edge_x = exp(-0.125 * abs(m.above.photo_d + 2.0 * m.here.photo_d + below.photo_d));
     vec3 edge_y = exp(-0.125 * abs(below.photo_s - m.above.photo_s));
     vec2 edge = vec2(edge_x.r + edge_x.g + edge_x.b, edge_y.r + edge_y.g + edge_y.b) / 3.0;
-    if (x < 0 || y < 0 || x > tile_last.x || y > tile_last.y) {
+    bool valid = min(m.above.least, min(m.here.least, below.least)) >> 24 != 0u;
+    if (!valid || x < 0 || y < 0 || x > tile_last.x || y > tile_last.y) {
         dx = vec4(0.0);
         dy = vec4(0.0);
     }
@@ -193,6 +195,18 @@ void finish(uint pixel, vec4 smoothness, float mean) {
     grad_transmittance[pixel] = by_transmittance;
 }
 
+// Clears the gradients of an invalid pixel, whose blended values may be non-finite.
+void clear(uint pixel) {
+    uint i = pixel * CHANNELS;
+    if (NORMALS != 0u) {
+        for (uint c = 0u; c < 3u; c++) grad_image[i + NORMAL_AT + c] = 0.0;
+    }
+    if (DEPTH != 0u) {
+        for (uint c = 0u; c < 2u; c++) grad_image[i + DEPTH_AT + c] = 0.0;
+    }
+    grad_transmittance[pixel] = 0.0;
+}
+
 void main() {
     uvec2 size = params.step.camera.size;
     uint tiles_x = (size.x + TILE_X - 1u) / TILE_X;
@@ -243,7 +257,9 @@ void main() {
             float top = float(y == 0), bottom = float(y == last.y);
             vec4 d = above.d + (2.0 + top + bottom) * here.d + below.d;
             vec4 s = above.s + (bottom - top) * here.s - below.s;
-            finish(uint(y) * size.x + uint(x), weight * (d + s), mean);
+            uint pixel = uint(y) * size.x + uint(x);
+            if (targets[params.step.target_offset + pixel] >> 24 != 0u) finish(pixel, weight * (d + s), mean);
+            else clear(pixel);
             above = here;
             here = below;
         }

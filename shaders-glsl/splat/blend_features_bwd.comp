@@ -131,8 +131,8 @@ void main() {
                     [[unroll]] for (uint part = 0u; part < PARTS; ++part) {
                         float lane_sum[SUBGROUP];
                         [[unroll]] for (uint j = 0u; j < SUBGROUP; ++j) lane_sum[j] = sum[part * SUBGROUP + j];
-                        LANE_SUMS(lane_sum)
-                        uint j = part * SUBGROUP + gl_SubgroupInvocationID;
+                        LANE_SUMS_OF(lane_sum, GRADIENTS - part * SUBGROUP)
+                        uint j = part * SUBGROUP + lane_of_sum();
                         if (j < GRADIENTS) {
                             uint into = at_entry * GRADIENTS + j;
                             entry_features[into] = first ? lane_sum[0] : entry_features[into] + lane_sum[0];

@@ -46,6 +46,11 @@ impl Emulated {
         Emulated { emulator: Emulator::default(), run: Run { lanes, schedule, replays: 1, tolerated: TOLERATED } }
     }
 
+    /// Returns the lanes of a subgroup.
+    pub fn lanes(&self) -> u32 {
+        self.run.lanes
+    }
+
     /// Runs a plan and returns the contents of its external buffers.
     pub fn run(&self, plan: &Plan, inputs: &[(Buffer, Vec<u8>)], replays: usize) -> Vec<Vec<u8>> {
         let inputs: Vec<(usize, &[u8])> = inputs.iter().map(|(b, bytes)| (b.index(), bytes.as_slice())).collect();

@@ -108,7 +108,9 @@ impl Gpu {
 
     /// Returns kernel sizes for the device.
     pub fn tuning(&self) -> Tuning {
-        let tuning = Tuning::for_device(self.device().info());
+        let (info, lanes) = (self.device().info(), self.subgroup_size());
+        let other = lanes != info.subgroup_size;
+        let tuning = if other { Tuning::for_subgroups(lanes) } else { Tuning::for_device(info) };
         let own = (tuning.sub_tiles, tuning.slot_width, tuning.slot_margin);
         let (sub_tiles, slot_width, slot_margin) = self.slots.unwrap_or(own);
         let large_tiles = self.large_tiles.unwrap_or(tuning.large_tiles);
@@ -124,17 +126,23 @@ impl Gpu {
         if self.device().info().kind == "cpu" { 1.0 } else { 5.0 }
     }
 
-    /// Returns the subgroup size of the device.
+    /// Returns the subgroup size of the device, or of the emulator in its place.
     pub fn subgroup_size(&self) -> u32 {
-        self.device().info().subgroup_size
+        self.emulated.as_ref().map_or(self.device().info().subgroup_size, Emulated::lanes)
     }
 
     /// Runs `f` with this device while the emulator runs its graphs.
     ///
     /// The emulator has the subgroup size of the device.
     pub fn emulating<T>(&mut self, schedule: Schedule, f: impl FnOnce(&Gpu) -> T) -> T {
-        let emulated = Emulated::new(self.subgroup_size(), schedule);
-        let before = self.emulated.replace(emulated);
+        self.emulating_lanes(self.subgroup_size(), schedule, f)
+    }
+
+    /// Runs `f` like [`Gpu::emulating`], with any subgroup size.
+    ///
+    /// At another size than that of the device, kernels have the tuning of a GPU.
+    pub fn emulating_lanes<T>(&mut self, lanes: u32, schedule: Schedule, f: impl FnOnce(&Gpu) -> T) -> T {
+        let before = self.emulated.replace(Emulated::new(lanes, schedule));
         let result = f(self);
         self.emulated = before;
         result

@@ -35,6 +35,29 @@ pub fn bytes<T: bytemuck::NoUninit>(data: &[T]) -> Vec<u8> {
     bytemuck::cast_slice(data).to_vec()
 }
 
+/// Whether a pixel is invalid, by its column and row and the photograph's size.
+pub type Invalid = fn([usize; 2], [usize; 2]) -> bool;
+
+/// Patterns of invalid pixels at ordinary and extreme positions.
+pub const INVALID: [(&str, Invalid); 7] = [
+    ("single pixels", |[x, y], _| (7 * x + 5 * y) % 29 == 3),
+    ("rows", |[_, y], _| y % 6 == 2),
+    ("columns on both sides of a tile's border", |[x, _], _| x == 27 || x == 28),
+    ("border", |[x, y], [w, h]| x == 0 || y == 0 || x + 1 == w || y + 1 == h),
+    ("corners", |[x, y], [w, h]| (x < 3 || x + 3 >= w) && (y < 3 || y + 3 >= h)),
+    ("all but one pixel", |at, size| at != size.map(|n| n / 2)),
+    ("all", |_, _| true),
+];
+
+/// Gives a packed photograph these invalid pixels, and no others. Returns their indices.
+pub fn invalidate(photo: &mut [u32], size: [usize; 2], invalid: Invalid) -> Vec<usize> {
+    let is_invalid = |p: usize| invalid([p % size[0], p / size[0]], size);
+    for (p, word) in photo.iter_mut().enumerate() {
+        *word = (*word & 0x00ff_ffff) | if is_invalid(p) { 0 } else { 0xff00_0000 };
+    }
+    (0..photo.len()).filter(|p| is_invalid(*p)).collect()
+}
+
 /// Runs the photometric loss.
 ///
 /// Returns all of `grad_image`, including the spare pixels, and the statistics.

@@ -14,9 +14,23 @@ const WIDTH: &str = "512";
 
 /// Programs and tests that run by default.
 ///
-/// Their sizes or strides depend on the subgroup.
-const DEFAULT: &[(&str, &[&str])] =
-    &[("alone", &["subgroups::"]), ("device", &["visible_bits::", "splat::", "long_tiles::"])];
+/// Their sizes or strides depend on the subgroup. Of sub-tiles, buckets and parts of tiles only the short tests run: the
+/// others compile dozens of kernels.
+const DEFAULT: &[(&str, &[&str])] = &[
+    ("alone", &["subgroups::"]),
+    (
+        "device",
+        &[
+            "buckets::buckets_fit_the_capacity_of_entries",
+            "buckets::gradients_over_many_buckets_match_reference",
+            "long_tiles::",
+            "splat::",
+            "sub_tiles::weights_keep_their_bits",
+            "tile_parts::stopped_parts_need_no_checkpoints",
+            "visible_bits::",
+        ],
+    ),
+];
 
 /// Programs that need no device or open their own devices.
 const WITHOUT_DEVICE: &[&str] = &["docs", "emulated", "lanes", "layers", "modules"];

@@ -36,7 +36,7 @@ fn settings() -> Settings {
     let g = &mut s.geometry;
     g.correspondence_from = 1;
     g.pseudo.poses = 3;
-    g.rates.views = [1e-5, 1e-4, 1e-4, 1e-4];
+    g.rates.views = [1e-5, 1e-4, 1e-4, 1e-4].into();
     (g.densify.max_gaussians, g.entry_capacity) = (1000, 1 << 14);
     let i = &mut s.intrinsic;
     i.metallic = Metallic::On;

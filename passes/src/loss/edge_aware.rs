@@ -4,7 +4,8 @@
 //! stage, in the form of the first stage's smoothness of normals. The absolute Sobel responses of an image (divided by
 //! 8, border repeated) are multiplied by `exp(-|Sobel of the photograph|)` and summed over both directions. Albedo is
 //! compared by channel; its loss is the mean over pixels and channels. Roughness uses the mean of the three factors.
-//! All pixels of the view count.
+//! A response contributes 0 if one of its nine pixels is invalid: alpha 0 in the photograph. The mean stays that over all
+//! pixels of the view.
 //!
 //! Guarantees: adds gradients, which must have been written. Nothing after the view's pixels is changed. Results are
 //! bit-identical between runs. Without roughness its term is compiled out.
@@ -27,7 +28,7 @@ pub struct EdgeAware {
     pub weights: Buffer,
     /// Images of materials. The first channel of roughness counts.
     pub images: MaterialImages,
-    /// All photographs, packed RGBA8.
+    /// All photographs, packed RGBA8. A pixel with alpha 0 has no loss and no gradient.
     pub targets: Buffer,
     /// Upper bounds of the width and height of all views, in pixels.
     pub largest: [u32; 2],

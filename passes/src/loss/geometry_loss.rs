@@ -10,6 +10,9 @@
 //! * `weight_depth`: `confidence |depth / prior depth - 1|`. Pixels without a prior contribute 0. Priors up to a factor
 //!   and a shift are fitted to the view first ([`super::depth_fit()`]).
 //!
+//! A pixel with alpha 0 in the photograph is invalid: it contributes 0 and has no gradient. A Sobel response contributes 0
+//! if one of its nine pixels is invalid. The mean stays that over all pixels, as in [`super::photometric()`].
+//!
 //! Depth is `sum(w z) / max(opacity, 1e-3)`, the unit normal is `sum(w n) / max(length, 1e-3)`. The floors bound the
 //! gradients of nearly empty pixels. The variance is a difference of squares. Its error in 32 bits is about 2e-7 of the
 //! squared depth, so scenes should be scaled to depths of a few units.
@@ -18,7 +21,7 @@
 //! latter is zero without depth. Nothing after the view's pixels is changed. Results are bit-identical between runs.
 //! Terms that the model lacks are compiled out.
 //!
-//! Cost per pixel with all terms: 32 bytes read (60 from caches, with the margins), 24 written; about 450 operations, 6
+//! Cost per pixel with all terms: 32 bytes read (64 from caches, with the margins), 24 written; about 450 operations, 6
 //! exponentials among them. Prior depths add 4 bytes and 8 operations.
 
 use super::edge_aware::Tiles;
@@ -42,7 +45,7 @@ pub struct GeometryLoss {
     pub depth: Option<u32>,
     /// `[P]` floats.
     pub transmittance: Buffer,
-    /// All photographs, packed RGBA8.
+    /// All photographs, packed RGBA8. A pixel with alpha 0 has no loss and no gradient.
     pub targets: Buffer,
     /// Prior normals of all views ([`super::octahedral_encode`], world space), if any.
     pub priors: Option<Buffer>,

@@ -3,6 +3,7 @@
 //!
 //! Filters are applied tap by tap, and transposed by scattering tap by tap, without the kernel's rearrangements.
 
+use super::photometric::{counts, unpack};
 use super::project::Camera;
 use crate::loss::octahedral::octahedral_decode;
 use crate::loss::unpack_depth;
@@ -46,7 +47,7 @@ pub struct Scene {
     /// Lenses of the view and of the prior depths, if they differ.
     ///
     pub depth_lens: Option<[Lens; 2]>,
-    /// Photograph, packed RGBA8.
+    /// Photograph, packed RGBA8. Pixels with alpha 0 are invalid.
     pub photo: Vec<u32>,
 }
 
@@ -97,6 +98,11 @@ impl Scene {
         self.normals.iter().flatten().map(|n| n.map(|x| x / length(*n).max(FLOOR))).collect()
     }
 
+    /// Returns whether a pixel of the photograph is valid. Others have no terms.
+    fn valid(&self, p: usize) -> bool {
+        counts(self.photo[p])
+    }
+
     fn opacity(&self, p: usize) -> f64 {
         1.0 - self.transmittance[p]
     }
@@ -129,8 +135,8 @@ impl Scene {
     }
 
     /// Returns the nine taps, pixel and weight, of a direction's Sobel filter. The taps surround pixel `p`. Borders
-    /// repeat.
-    fn taps(&self, p: usize, vertical: bool) -> Vec<(usize, f64)> {
+    /// repeat. Returns none if a tap is invalid.
+    fn taps(&self, p: usize, vertical: bool) -> Option<Vec<(usize, f64)>> {
         let (x, y) = ((p % self.width) as i64, (p / self.width) as i64);
         let mut taps = Vec::with_capacity(9);
         for dy in -1..=1_i64 {
@@ -141,13 +147,13 @@ impl Scene {
                 taps.push((row * self.width + column, (along * (2 - across.abs())) as f64 / 8.0));
             }
         }
-        taps
+        taps.iter().all(|&(q, _)| self.valid(q)).then_some(taps)
     }
 
     /// Returns `exp(-|gradient|)` of the photograph, by channel.
     fn edge(&self, taps: &[(usize, f64)]) -> [f64; 3] {
         [0, 1, 2].map(|c| {
-            let g: f64 = taps.iter().map(|&(q, w)| w * super::photometric::unpack(self.photo[q], c)).sum();
+            let g: f64 = taps.iter().map(|&(q, w)| w * unpack(self.photo[q], c)).sum();
             (-g.abs()).exp()
         })
     }
@@ -190,7 +196,7 @@ pub fn geometry_loss(s: &Scene) -> Terms {
     let mut t = Terms::default();
     for p in 0..s.pixels() {
         for vertical in [false, true] {
-            let taps = s.taps(p, vertical);
+            let Some(taps) = s.taps(p, vertical) else { continue };
             let edge = s.edge(&taps);
             if s.normals.is_some() {
                 for c in 0..3 {
@@ -201,6 +207,9 @@ pub fn geometry_loss(s: &Scene) -> Terms {
                 let g = taps.iter().map(|&(q, w)| w * depth[q]).sum::<f64>().abs();
                 t.depth_smooth += edge.iter().sum::<f64>() / 3.0 * g;
             }
+        }
+        if !s.valid(p) {
+            continue;
         }
         if let (Some(priors), true) = (&s.priors, s.normals.is_some())
             && let Some(prior) = octahedral_decode(priors[p])
@@ -243,7 +252,7 @@ pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradien
     let add = |to: &mut [f64; 2], x: f64| *to = [to[0] + x, to[1] + x.abs()];
     for p in 0..s.pixels() {
         for vertical in [false, true] {
-            let taps = s.taps(p, vertical);
+            let Some(taps) = s.taps(p, vertical) else { continue };
             let edge = s.edge(&taps);
             if s.normals.is_some() {
                 for c in 0..3 {
@@ -260,7 +269,7 @@ pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradien
                 }
             }
         }
-        if let (Some(priors), true) = (&s.priors, s.normals.is_some())
+        if let (Some(priors), true) = (&s.priors, s.normals.is_some() && s.valid(p))
             && let Some(prior) = octahedral_decode(priors[p])
         {
             for c in 0..3 {
@@ -273,6 +282,11 @@ pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradien
     let none = Gradient { normals: vec![], depths: vec![], transmittance: vec![0.0; s.pixels()] };
     let (mut out, mut sizes) = (none.clone(), none);
     for (p, &blended) in s.normals.iter().flatten().enumerate() {
+        if !s.valid(p) {
+            out.normals.push([0.0; 3]);
+            sizes.normals.push([0.0; 3]);
+            continue;
+        }
         let (size, unit) = (length(blended), units[p]);
         let (g, all) = (by_unit[p].map(|g| g[0]), by_unit[p].map(|g| g[1]));
         let (along, most) = if size > FLOOR { (dot(unit, g), dot(unit.map(f64::abs), all)) } else { (0.0, 0.0) };
@@ -280,6 +294,11 @@ pub fn geometry_loss_bwd_sized(s: &Scene, weights: &Terms) -> (Gradient, Gradien
         sizes.normals.push([0, 1, 2].map(|c| (all[c] + unit[c].abs() * most) / size.max(FLOOR)));
     }
     for (p, &[z, z2]) in s.depths.iter().flatten().enumerate() {
+        if !s.valid(p) {
+            out.depths.push([0.0; 2]);
+            sizes.depths.push([0.0; 2]);
+            continue;
+        }
         let (opacity, variance) = (s.opacity(p), s.variance(p, depth[p]));
         let by_variance = match variance > VARIANCE_MIN {
             true => weights.depth_variance / n * 0.5 / variance.sqrt(),
@@ -333,7 +352,7 @@ mod tests {
             depth_priors: Some((0..n).map(|_| random_depth(&mut rng)).collect()),
             depth_line: (width.is_multiple_of(2)).then_some([0.7, -0.05]),
             depth_lens: (width == 6).then_some([lens([7.0, 7.0, 3.0, 2.0], 0.05), lens([7.7, 6.5, 3.2, 2.3], 0.0)]),
-            photo: (0..n).map(|_| rng.next_u32()).collect(),
+            photo: (0..n).map(|p| (rng.next_u32() & 0x00ff_ffff) | if p % 7 == 3 { 0 } else { 0xff00_0000 }).collect(),
         }
     }
 
@@ -369,6 +388,29 @@ mod tests {
     }
 
     #[test]
+    fn invalid_pixels_have_no_loss_and_no_gradient() {
+        let weights = Terms { normal: 0.3, normal_smooth: 0.7, depth_smooth: 0.5, depth_variance: 0.9, depth: 0.6 };
+        let mut s = scene(6, 4);
+        let (loss, gradient) = (geometry_loss(&s), geometry_loss_bwd(&s, &weights));
+        for p in (0..24).filter(|p| p % 7 == 3) {
+            s.normals.as_mut().unwrap()[p] = [f64::NAN; 3];
+            s.depths.as_mut().unwrap()[p] = [f64::NAN; 2];
+            s.transmittance[p] = f64::NAN;
+            assert_eq!((gradient.normals[p], gradient.depths[p], gradient.transmittance[p]), ([0.0; 3], [0.0; 2], 0.0));
+        }
+        assert_eq!(geometry_loss(&s), loss);
+        let again = geometry_loss_bwd(&s, &weights);
+        assert_eq!((&again.normals, &again.depths), (&gradient.normals, &gradient.depths));
+        assert_eq!(again.transmittance, gradient.transmittance);
+        // If every pixel is valid, all terms differ.
+        s = scene(6, 4);
+        s.photo.iter_mut().for_each(|word| *word |= 0xff00_0000);
+        let all = geometry_loss(&s);
+        assert!(all.normal > loss.normal && all.normal_smooth > loss.normal_smooth, "{all:?} {loss:?}");
+        assert!(all.depth_smooth > loss.depth_smooth && all.depth_variance > loss.depth_variance, "{all:?} {loss:?}");
+    }
+
+    #[test]
     fn flat_wall_with_exact_prior_has_minimal_loss() {
         let n = 30;
         let s = Scene {
@@ -381,7 +423,7 @@ mod tests {
             depth_priors: Some([vec![pack_depth(2.0, 0.5); 20], vec![0; 10]].concat()),
             depth_line: None,
             depth_lens: None,
-            photo: (0..n as u32).collect(),
+            photo: (0..n as u32).map(|p| p | 0xff00_0000).collect(),
         };
         let t = geometry_loss(&s);
         assert!(t.normal.abs() < 1e-8 && t.normal_smooth == 0.0 && t.depth_smooth < 1e-12, "{t:?}");

@@ -26,6 +26,8 @@ pub(crate) fn scene(place: &Place) {
     place.put("priors/semantic/000.npy", &binary::npy("<f2", &[2, 3, 3], 2));
     place.put("images/000.png", &png(8, 6));
     place.put("images/001.png", &png(8, 6));
+    place.put("mask/000.png", &binary::gray(8, 6));
+    place.put("depth/000.png", &binary::gray16(8, 6));
 }
 
 /// Writes the same scene with held-out frames in a separate file.
@@ -114,13 +116,27 @@ pub(crate) fn seven_scenes(place: &Place) {
     for number in ["000000", "000001"] {
         place.put(&format!("frame-{number}.color.png"), &png(8, 6));
         place.put(&format!("frame-{number}.pose.txt"), RGBD_POSE.as_bytes());
+        place.put(&format!("frame-{number}.depth.png"), &binary::gray16(8, 6));
     }
 }
 
 /// Writes a recording in TUM's layout.
 pub(crate) fn tum(place: &Place) {
-    place.put("rgb.txt", b"# images\n1.0 rgb/1.0.png\n2.0 rgb/2.0.png\n");
+    place.put("rgb.txt", TUM_IMAGES.as_bytes());
+    place.put("depth.txt", TUM_DEPTHS.as_bytes());
     place.put("groundtruth.txt", TUM_POSES.as_bytes());
-    place.put("rgb/1.0.png", &png(8, 6));
-    place.put("rgb/2.0.png", &png(8, 6));
+    for time in ["1.0", "2.0"] {
+        place.put(&format!("rgb/{time}.png"), &png(8, 6));
+        place.put(&format!("depth/{time}.png"), &binary::gray16(8, 6));
+    }
+}
+
+/// Writes three frames in ScanNet's layout.
+pub(crate) fn scannet(place: &Place) {
+    place.put("intrinsic/intrinsic_color.txt", SCANNET_INTRINSICS.as_bytes());
+    for number in ["0", "1", "2"] {
+        place.put(&format!("color/{number}.png"), &png(8, 6));
+        place.put(&format!("pose/{number}.txt"), RGBD_POSE.as_bytes());
+        place.put(&format!("depth/{number}.png"), &binary::gray16(8, 6));
+    }
 }

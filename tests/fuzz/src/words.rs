@@ -68,7 +68,9 @@ impl Words {
                 "\"OPENCV_FISHEYE\"" "\"frame\"" "\"world\"" "\"camera-opencv\"" "\"normal\"" "\"labels\"" "\"dim\"" "\"images/000.png\""
                 "PINHOLE" "SIMPLE_PINHOLE" "SIMPLE_RADIAL" "RADIAL" "OPENCV" "FULL_OPENCV" "FOV" "SIMPLE_DIVISION" "DIVISION" "FISHEYE"
                 "EUCM" "RAD_TAN_THIN_PRISM_FISHEYE" "EQUIRECTANGULAR" "000.png" "001.png" "\n" " " "#" "\t"
-                "\"images/\"" "images\\\\000.png" "\"points.ply\"" "\"000\"" "\"001\""
+                "\"images/\"" "images\\\\000.png" "\"points.ply\"" "\"000\"" "\"001\"" "\"mask_path\"" "\"depth_file_path\""
+                "\"depth_unit_scale_factor\"" "\"mask/000.png\"" "\"depth/000.png\"" "OPENCV_FISHEYE" "THIN_PRISM_FISHEYE"
+                "SIMPLE_RADIAL_FISHEYE" "RADIAL_FISHEYE" "SIMPLE_FISHEYE" "rgb/1.0.png" "rgb/2.0.png" "depth/1.0.png"
             ),
             Words::Ply => words!(
                 "ply\n" "format ascii 1.0\n" "format binary_little_endian 1.0\n" "format binary_big_endian 1.0\n" "comment \n"
@@ -157,7 +159,8 @@ impl Words {
             Words::Run => words!(
                 "\"step\":" "\"stage\":\"intrinsic\"" "\"loss\":" "\"test\"" "\"train\"" "\"mean\"" "\"views\"" "\"nvs\"" "\"psnr\"" "\"relit\""
                 "\"resumed_from\":0" "\"intrinsic\"" "\"steps_per_second\"" "\"gaussians\"" "\"traceEvents\"" "\"ph\":\"X\"" "\"dur\":" "\"name\":"
-                "\n" "\r\n" "\"seconds\"" "\"peak_device_bytes\"" "\"lpips\""
+                "\n" "\r\n" "\"seconds\"" "\"peak_device_bytes\"" "\"lpips\"" "\"sgs-cameras-1\"" "\"lens\"" "\"focal\"" "\"center\""
+                "\"vignetting\"" "\"distortion\"" "\"world_to_camera\"" "\"gains\"" "\"000\""
             ),
             Words::Http => words!(
                 "GET " "HEAD " "POST " "/ " "/live" "?images=1" " HTTP/1.1\r\n" " HTTP/1.0\r\n" "\r\n" "\r\n\r\n" "Host: 127.0.0.1:8117\r\n" "localhost:8117"

@@ -77,7 +77,23 @@ fn every_target_has_files_that_it_reads() {
     }
     assert!(outcome("sog_meta", "meta.json").contains("means_l.webp"));
     assert!(outcome("transforms", "two.json").starts_with("Transforms"));
+    let measured = outcome("transforms", "measured.json");
+    assert!(measured.starts_with("Transforms") && measured.contains("mask_path that does not exist"), "{measured}");
     assert!(outcome("colmap_images_bin", "two.bin").starts_with("Colmap"));
+    assert!(outcome("colmap_cameras_txt", "fisheyes.txt").starts_with("Colmap"));
+    assert!(outcome("colmap_cameras_bin", "polynomials.bin").starts_with("Colmap"));
+    for (target, file) in [
+        ("rgbd_depths", "two.txt"),
+        ("rgbd_images", "two.txt"),
+        ("rgbd_intrinsics", "kinect.txt"),
+        ("scannet_intrinsics", "color.txt"),
+        ("scannet_pose", "one.txt"),
+        ("scannet_pose", "lost.txt"),
+    ] {
+        assert!(outcome(target, file).starts_with("Rgbd"), "{target}: {}", outcome(target, file));
+    }
+    assert!(outcome("scannet_pose", "lost.txt").contains("because they have no pose"));
+    assert_eq!(outcome("run_cameras", "two.json"), "2 views photograph ");
     assert!(outcome("blender", "two.json").starts_with("Blender"));
     assert!(outcome("interiorverse", "two.json").starts_with("InteriorVerse"));
     assert!(

@@ -63,7 +63,7 @@ fn training_memory_matches_estimate() {
     ];
     for (densify, backward, bits, views) in cases {
         let mut s = settings(4);
-        s.geometry.rates.views = views;
+        s.geometry.rates.views = views.into();
         s.accuracy.state_bits = bits;
         s.geometry.backward = backward;
         s.geometry.densify.until = if densify { 0.8 } else { 0.0 };

@@ -1,9 +1,11 @@
-//! `sgs capture`: refusals and stopping. [`crate::captured`] makes scenes.
+//! `sgs capture`: refusals, stopping and HEIC. [`crate::captured`] makes scenes.
 //!
-//! Tests that need COLMAP, or photographs beside the repository, are skipped without them.
+//! Tests that need COLMAP, libheif's programs, or photographs beside the repository, are skipped without them.
 
-use sgs_scene::{Image, write_png};
+use sgs_evaluate::metrics::psnr;
+use sgs_scene::{Image, encode_jpeg, read_upright, write_png};
 use sgs_tests::cli::{self, sgs, sgs_with};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -93,4 +95,72 @@ fn missing_programs_and_wrong_sources_are_refused() {
     let few = sgs(&["capture", &text("photos"), "-o", &text("scene"), "--frames", "1"]);
     assert_eq!(few.status, Some(2), "{}", few.stderr);
     assert_eq!(entries(place.path()), ["photos"]);
+}
+
+/// Stand-in for COLMAP: keeps the images and the options of feature extraction, and finds no cameras.
+const STAND_IN: &str = r#"#!/bin/sh
+case "$1 $2" in
+    "feature_extractor --"*) cp "$5"/* "$KEPT" && echo "$@" >>"$KEPT/options" ;;
+    "mapper --"*) exit 1 ;;
+esac
+"#;
+
+/// Returns a JPEG image with EXIF data: a focal length of 26 mm, for a film of 36 mm × 24 mm.
+fn with_focal_length(image: &Image) -> Vec<u8> {
+    let exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x69\x87\x04\0\x01\0\0\0\x1a\0\0\0\0\0\0\0\
+        \x01\0\x05\xa4\x03\0\x01\0\0\0\x1a\0\0\0\0\0\0\0";
+    let jpeg = encode_jpeg(image, 100).unwrap();
+    [&jpeg[..2], &[0xff, 0xe1, 0, exif.len() as u8 + 2], exif, &jpeg[2..]].concat()
+}
+
+#[test]
+fn heic_photographs_reach_colmap_as_taken() {
+    if !(has("heif-enc") && has("heif-convert")) {
+        return;
+    }
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name);
+    for folder in ["photos", "bin", "kept"] {
+        std::fs::create_dir(at(folder)).unwrap();
+    }
+    let room = Path::new(env!("CARGO_MANIFEST_DIR")).join("data/room/images");
+    let images = ["000.png", "001.png"].map(|name| read_upright(&room.join(name)).unwrap().image);
+    write_png(&at("a.png"), &images[0]).unwrap();
+    std::fs::write(at("b.jpg"), with_focal_length(&images[1])).unwrap();
+    for (from, to) in [("a.png", "photos/a.heic"), ("b.jpg", "photos/b.HEIC")] {
+        let mut encoder = Command::new("heif-enc");
+        encoder.args(["-q", "95", "-o"]).args([at(to), at(from)]);
+        let output = encoder.output().unwrap();
+        assert!(output.status.success() && at(to).is_file(), "{output:?}");
+    }
+    std::fs::write(at("photos/c.heic"), "no image").unwrap();
+    std::fs::write(at("bin/colmap"), STAND_IN).unwrap();
+    std::fs::set_permissions(at("bin/colmap"), std::fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!("{}:{}", at("bin").display(), std::env::var("PATH").unwrap());
+    let text = |name: &str| at(name).display().to_string();
+    let kept = text("kept");
+    let environment = [("PATH", path.as_str()), ("KEPT", kept.as_str())];
+    sgs_with(&["-q", "capture", &text("photos"), "-o", &text("scene")], &environment)
+        .refused_with(42, &["COLMAP registered none of the 2 images"]);
+    assert_eq!(entries(&at("kept")), ["a.jpg", "b.jpg", "options"]);
+    for (name, original) in ["a.jpg", "b.jpg"].into_iter().zip(&images) {
+        let converted = read_upright(&at("kept").join(name)).unwrap().image;
+        let db = psnr(&converted, original, None).unwrap();
+        println!("{name}: {db:.1} dB");
+        // Of other photographs of the room, and of mirrored ones, it is below 15 dB.
+        assert!(db > 30.0, "{name}: {db:.1} dB");
+    }
+    // Images of different focal lengths have cameras of their own. The diagonal is 120 pixels, that of the film 43.27 mm.
+    let options = std::fs::read_to_string(at("kept/options")).unwrap();
+    let cameras: Vec<Option<Vec<f64>>> = options.lines().map(camera_parameters).collect();
+    let [None, Some(camera)] = &cameras[..] else { panic!("{options}") };
+    let expected = [26.0 * 120.0 / 36_f64.hypot(24.0), 48.0, 36.0, 0.0];
+    assert_eq!(camera.len(), expected.len(), "{options}");
+    assert!(camera.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-6), "{options}");
+}
+
+/// Returns the initial camera parameters among the options of an extraction.
+fn camera_parameters(options: &str) -> Option<Vec<f64>> {
+    let mut words = options.split(' ').skip_while(|word| *word != "--ImageReader.camera_params").skip(1);
+    Some(words.next()?.split(',').map(|number| number.parse().unwrap()).collect())
 }

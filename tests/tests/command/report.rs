@@ -106,11 +106,26 @@ fn run_report_is_one_page() {
     // Recorded metrics are shown unchanged, and foreign text is escaped.
     let mut changed = metrics.clone();
     changed["test"]["mean"]["nvs"]["psnr"] = 77.25.into();
+    assert!(!html.contains("aligned"), "nothing was aligned");
+    changed["test"]["mean"]["nvs"]["psnr_aligned"] = 78.5.into();
     changed["test"]["views"][0]["name"] = "<script>alert(1)</script>".into();
+    let shown = &mut changed["test"]["views"][1]["nvs"];
+    shown["psnr"] = 33.25.into();
+    shown["psnr_aligned"] = 34.75.into();
     std::fs::write(place.path("run/metrics.json"), changed.to_string()).unwrap();
     sgs(&["report", &run, "-o", &page, "--views", "1", "--width", "16"]).ok();
     let html = String::from_utf8(place.read("page.html")).unwrap();
     assert!(html.contains("<td>77.25</td>") && !html.contains("<script>alert") && html.contains("1 more are left out"));
+    // Aligned measures stand beside the others, and below the image.
+    for text in [
+        "<th>PSNR (dB)</th><th>PSNR, aligned (dB)</th>",
+        "<td>77.25</td><td>78.50</td>",
+        "<td>33.25</td><td>34.75</td>",
+        "<dt>PSNR, aligned (dB)</dt><dd>78.50</dd>",
+        "33.25 dB, 34.75 dB aligned",
+    ] {
+        assert!(html.contains(text), "{text}");
+    }
 
     // The run has geometry alone: no lights, no environment map.
     for file in ["lights.json", "environment.exr", "visibility.safetensors"] {

@@ -164,12 +164,12 @@ fn label_maps_match_reference() {
 
 /// Uploads semantic targets of a scene on disk.
 ///
-/// Maps have different sizes, one view has none, and some cells are unlabeled. Images of four sizes are labeled.
+/// Maps have different sizes, one view has none, and some cells are unlabeled or masked. Images of four sizes are labeled.
 #[test]
 fn semantic_priors_of_a_scene_reach_the_device() {
     use sgs_engine::Location;
     use sgs_passes::pipeline::{FeatureImage, Labeler, Query};
-    use sgs_scene::{Scene, SceneOptions};
+    use sgs_scene::{Image, Scene, SceneOptions, write_png};
     use sgs_tests::{Place, rooms::Room};
     use sgs_train::{SemanticData, SemanticView};
     let gpu = Gpu::new();
@@ -202,6 +202,20 @@ fn semantic_priors_of_a_scene_reach_the_device() {
     let targets: Vec<SemanticTarget> = device.download_as(&data.targets, 7).unwrap();
     let labels: Vec<u32> = targets.iter().map(|t| t.label).collect();
     assert_eq!(labels, [2, 0, NO_LABEL, 1, 1, NO_LABEL, 1]);
+    // Cell 1 lies between the pixels 3 and 4 of the first row, the only cell of view 3 at its first pixel.
+    std::fs::create_dir_all(place.path("scene/masks")).unwrap();
+    for (name, invalid) in [("000", 4), ("003", 0)] {
+        let mut mask = Image::new(8, 6, 1);
+        mask.data.fill(1.0);
+        mask.data[invalid] = 0.0;
+        write_png(&place.path(&format!("scene/masks/{name}.png")), &mask).unwrap();
+    }
+    let masked = SemanticData::load(device, &open()).unwrap().unwrap();
+    assert_eq!(masked.views, [view([3, 2], 0, 3), view([0, 0], 6, 0), view([1, 1], 6, 0)]);
+    let targets: Vec<SemanticTarget> = device.download_as(&masked.targets, 7).unwrap();
+    let labels: Vec<u32> = targets.iter().map(|t| t.label).collect();
+    assert_eq!(labels, [2, NO_LABEL, NO_LABEL, 1, 1, NO_LABEL, NO_LABEL]);
+    std::fs::remove_dir_all(place.path("scene/masks")).unwrap();
     let unit: Vec<f32> = device.download_as(&data.embeddings, 3 * EMBEDDING).unwrap();
     assert_close("texts", &h.text, &unit, Tolerance::new(1e-8, 2e-7));
 

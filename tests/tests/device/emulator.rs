@@ -3,12 +3,18 @@
 use sgs_emulator::{Binding, Dispatch, Emulator, Fault, Kernel, Run, Schedule, Store};
 use sgs_engine::graph::{CompileOptions, Graph, PassKind, Plan};
 use sgs_engine::shader::Shader;
+use sgs_passes::Tuning;
 use sgs_passes::kernel::{groups, stage};
 use sgs_passes::prim::{Count, ScanShape, SortShape, exclusive_scan, radix_sort};
+use sgs_passes::reference::blend::Blended;
+use sgs_passes::reference::photometric::{Shape, photometric, photometric_bwd, unpack};
 use sgs_passes::reference::rng::Pcg;
+use sgs_passes::reference::scan;
+use sgs_passes::scene::Group;
 use sgs_passes::splat::BackwardKernel;
-use sgs_tests::gradients::Case;
+use sgs_tests::gradients::{CAMERA_NUMBERS, Case, changed_camera, parameters};
 use sgs_tests::kernels::kernel;
+use sgs_tests::photographs::{WEIGHTS, run_photometric};
 use sgs_tests::{Gpu, Tolerance, assert_close, finite_difference, scenes};
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -189,10 +195,15 @@ fn differences_of_a_small_map_match_reference() {
     assert!((total / value(&wide) - 1.0).abs() < 1e-5, "{total}");
 }
 
+/// Returns unsorted words of 19 bits.
+fn unsorted() -> Vec<u32> {
+    (0..5000).map(|i: u32| i.wrapping_mul(0x9e37_79b9) >> 13).collect()
+}
+
 /// Returns prefix sums and sorted keys of a device.
 fn integers(gpu: &Gpu) -> [Vec<u32>; 3] {
-    let count = 5000;
-    let words: Vec<u32> = (0..count).map(|i: u32| i.wrapping_mul(0x9e37_79b9) >> 13).collect();
+    let words = unsorted();
+    let count = words.len() as u32;
     let mut g = Graph::new("integers");
     let bytes = 4 * u64::from(count);
     let source = g.input("source", bytes);
@@ -234,4 +245,139 @@ fn float_kernels_agree_with_the_device_to_rounding() {
         );
     }
     assert!(largest > 0.0 && expected.len() == found.len());
+}
+
+/// Runs `f` at every width on the emulator, each in an order of its own.
+fn at_widths<T>(f: impl Fn(&Gpu) -> T) -> Vec<(u32, T)> {
+    let mut gpu = Gpu::new();
+    LANES.into_iter().zip(SCHEDULES).map(|(lanes, order)| (lanes, gpu.emulating_lanes(lanes, order, &f))).collect()
+}
+
+#[test]
+fn integer_kernels_agree_at_every_width_bit_for_bit() {
+    let words = unsorted();
+    let (sums, total) = scan::exclusive_scan(&words, None);
+    let mut keys = words;
+    keys.sort_unstable();
+    let expected = [sums, vec![total], keys];
+    for (lanes, found) in at_widths(integers) {
+        assert!(found == expected, "{lanes} lanes");
+    }
+}
+
+/// Tests tiles of splats that some widths process alone and others together.
+#[test]
+fn tile_lists_agree_at_every_width_bit_for_bit() {
+    for (scene, size) in [(scenes::large(30, 0, 1), [331, 90]), (scenes::ordinary(300, 0, false, 5), [64, 48])] {
+        let all = at_widths(|gpu| {
+            let t = Tuning { tile: [16, 16], ..gpu.tuning() };
+            super::large_splats::find_with(gpu, &t, &scene, &scenes::camera(size))
+        });
+        assert!(all[0].1.order.len() > 200, "{} entries", all[0].1.order.len());
+        for (lanes, found) in &all[1..] {
+            assert!(*found == all[0].1, "{size:?} at {lanes} lanes: {found:?}\n{:?}", all[0].1);
+        }
+    }
+}
+
+/// Returns the sum of the magnitudes of a gradient's terms.
+///
+/// Terms are those of each channel of each pixel. `render` is the reference with one number changed.
+fn magnitude(case: &Case, render: impl Fn(f64) -> Blended) -> f64 {
+    // Short, so that no splat appears at a pixel or leaves it.
+    let step = 1e-8;
+    let [low, high] = [-step, step].map(render);
+    let sum = |low: &[f64], high: &[f64], weights: &[f64]| {
+        let slopes = low.iter().zip(high).map(|(low, high)| (high - low) / (2.0 * step));
+        slopes.zip(weights).map(|(slope, weight)| (slope * weight).abs()).sum::<f64>()
+    };
+    sum(&low.image, &high.image, &case.image) + sum(&low.transmittance, &high.transmittance, &case.transmittance)
+}
+
+/// Returns the largest sum of magnitudes of each group, and of the camera.
+fn magnitudes(case: &Case) -> Vec<f64> {
+    let of_group = |group: Group| {
+        let count = parameters(&mut case.gaussians.clone(), group).len();
+        let one = |i: usize| {
+            magnitude(case, |change| {
+                let mut changed = case.gaussians.clone();
+                parameters(&mut changed, group)[i] += change;
+                case.reference(&changed, &case.camera)
+            })
+        };
+        (0..count).map(one).fold(0.0, f64::max)
+    };
+    let of_camera =
+        |i: usize| magnitude(case, |change| case.reference(&case.gaussians, &changed_camera(&case.camera, i, change)));
+    let camera = (0..CAMERA_NUMBERS).map(of_camera).fold(0.0, f64::max);
+    Group::ALL.into_iter().map(of_group).chain([camera]).collect()
+}
+
+/// Returns the first number of two results that differs by more than a bound.
+fn first_apart(a: &[f32], b: &[f32], bound: f64) -> Option<usize> {
+    assert_eq!(a.len(), b.len());
+    let apart = |(a, b): (&f32, &f32)| f64::from(*a) - f64::from(*b);
+    a.iter().zip(b).map(apart).position(|d| d.is_nan() || d.abs() > bound)
+}
+
+/// Tests sums of blending over lanes, projection, and the sums of the camera.
+///
+/// A sum over a tile adds up to 256 pixels. Added one by one in any order, its error is at most 256 roundings of the sum of
+/// magnitudes. Two widths differ by at most twice as much.
+#[test]
+fn gradients_agree_at_every_width_to_rounding() {
+    let bound = 2.0 * 256.0 * 0.5_f64.powi(24);
+    let case = Case::new(scenes::ordinary(12, 1, true, 5), [24, 19], true);
+    let sizes = magnitudes(&case);
+    for which in [BackwardKernel::Pixel, BackwardKernel::Splat, BackwardKernel::Bucket] {
+        let all = at_widths(|gpu| {
+            let (mut groups, camera) = case.gpu_gradients(gpu, which);
+            groups.push(camera);
+            groups
+        });
+        let first = &all[0].1;
+        assert_eq!(first.len(), sizes.len());
+        for (lanes, found) in &all[1..] {
+            for (k, size) in sizes.iter().enumerate() {
+                let apart = first_apart(&first[k], &found[k], bound * size);
+                let at = |i: usize| format!("{i}: {} and {}", first[k][i], found[k][i]);
+                assert!(apart.is_none(), "{which:?}, {lanes} lanes, group {k}, gradient {:?}", apart.map(at));
+            }
+        }
+        assert!(all[1..].iter().any(|(_, found)| found != first), "{which:?}: no width adds in another order");
+        // An error of a hundredth of the largest gradient of a group is beyond the bound.
+        for (group, size) in first.iter().zip(&sizes).filter(|(group, _)| !group.is_empty()) {
+            let largest = (0..group.len()).max_by(|i, j| group[*i].abs().total_cmp(&group[*j].abs())).unwrap();
+            let mut wrong = group.clone();
+            wrong[largest] *= 1.01;
+            assert_eq!(first_apart(group, &wrong, bound * size), Some(largest), "{which:?}");
+        }
+    }
+}
+
+/// Tests sums and gradient of the photometric loss against double precision.
+///
+/// The relative bounds of L1 and SSIM are 34 and 168 roundings, and the sums have 4455 terms.
+#[test]
+fn losses_at_every_width_match_reference() {
+    let shape = Shape { width: 45, height: 33, channels: 3 };
+    let mut rng = Pcg::new(7);
+    let targets: Vec<u32> = (0..shape.pixels()).map(|_| rng.next_u32() | 0xff00_0000).collect();
+    let near = |i: usize| unpack(targets[i / 3], i % 3);
+    let image: Vec<f32> = (0..3 * shape.pixels()).map(|i| (0.7 * near(i) + 0.3 * rng.uniform()) as f32).collect();
+    let wide: Vec<f64> = image.iter().map(|x| f64::from(*x)).collect();
+    let loss = photometric(&wide, &targets, shape);
+    let weights = WEIGHTS.map(f64::from);
+    let expected = photometric_bwd(&wide, &targets, shape, weights[0], weights[1]);
+    let count = expected.len() as f64;
+    let largest = [shape.width as u32, shape.height as u32];
+    for (lanes, (gradient, stats)) in
+        at_widths(|gpu| run_photometric(gpu, gpu.tuning(), shape, largest, &image, &targets))
+    {
+        let what = |name: &str| format!("{name} at {lanes} lanes");
+        assert_close(&what("L1"), &[loss.l1], &[stats.l1], Tolerance::new(1e-7, 2e-6));
+        assert_close(&what("SSIM"), &[loss.ssim], &[stats.ssim], Tolerance::new(3e-6, 1e-5));
+        let tolerance = Tolerance::new(2e-4 / count, 2e-4);
+        assert_close(&what("gradient"), &expected, &gradient[..expected.len()], tolerance);
+    }
 }

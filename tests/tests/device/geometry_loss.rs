@@ -7,6 +7,7 @@ use sgs_passes::reference::geometry_loss as reference;
 use sgs_passes::reference::geometry_loss::{Gradient, Lens, Scene, Terms};
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::LossStats;
+use sgs_tests::photographs::{INVALID, invalidate};
 use sgs_tests::surfaces::{Found, WEIGHTS, fit, narrow, run};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
@@ -52,7 +53,7 @@ fn random_scene(width: usize, height: usize, seed: u32) -> Scene {
             priors.push(pack_depth((known * z * (1.0 + off)) as f32, rng.range(0.1, 1.0) as f32));
         }
         s.transmittance.push(transmittance);
-        s.photo.push(rng.next_u32());
+        s.photo.push(rng.next_u32() | 0xff00_0000);
     }
     s
 }
@@ -197,11 +198,61 @@ fn geometry_loss_at_extremes() {
     assert!(zeros().all(|g| magnitude(g) < bound) && zeros().any(|g| magnitude(g) > 1.5 * WEIGHTS.normal));
 }
 
+/// Tests patterns of invalid pixels. Values at invalid pixels are NaN or huge, and priors there stay.
+#[test]
+fn invalid_pixels_have_no_geometry_loss_and_no_gradient() {
+    let gpu = Gpu::new();
+    for (i, (width, height)) in [(1, 1), (2, 2), (17, 3), (57, 33)].into_iter().enumerate() {
+        for (name, pattern) in INVALID {
+            let mut s = random_scene(width, height, 30 + i as u32);
+            let invalid = invalidate(&mut s.photo, [width, height], pattern);
+            let size = [width as u32, height as u32];
+            let plain = check(&gpu, &s, size);
+            for &p in &invalid {
+                let bad = if p % 2 == 0 { f64::NAN } else { 1e30 };
+                s.normals.as_mut().unwrap()[p] = [bad; 3];
+                s.depths.as_mut().unwrap()[p] = [bad; 2];
+                s.transmittance[p] = bad;
+            }
+            let found = check(&gpu, &s, size);
+            let what = format!("{name} at {width}x{height}");
+            assert!(found.normals == plain.normals && found.depths == plain.depths, "{what}");
+            assert!(found.transmittance == plain.transmittance, "{what}");
+            assert_eq!(bytes(&[found.stats]), bytes(&[plain.stats]), "{what}");
+            for p in invalid {
+                let of_pixel = found.normals[3 * p..][..3].iter().chain(&found.depths[2 * p..][..2]);
+                assert!(of_pixel.chain(&found.transmittance[p..=p]).all(|g| *g == 0.0), "{what}: pixel {p}");
+            }
+        }
+    }
+}
+
+/// Tests that a sensor's depth of a valid pixel does not count at an invalid one.
+#[test]
+fn invalid_pixels_ignore_prior_depths_of_another_lens() {
+    let gpu = Gpu::new();
+    let mut s = random_scene(57, 33, 3);
+    let lens = |focal: f64, center: [f64; 2]| Lens { focal: DVec2::splat(focal), center: center.into(), radial: 0.0 };
+    s.depth_lens = Some([lens(60.0, [28.3, 16.9]), lens(66.1, [28.7, 16.1])]);
+    let all = check(&gpu, &s, [57, 33]);
+    let invalid = invalidate(&mut s.photo, [57, 33], INVALID[1].1);
+    let found = check(&gpu, &s, [57, 33]);
+    assert!(found.stats.depth < all.stats.depth && found.stats.depth > 0.0);
+    assert!(invalid.iter().all(|p| found.depths[2 * p..][..2] == [0.0; 2]));
+}
+
 #[test]
 fn geometry_loss_gradient_is_the_finite_difference_of_the_reference() {
     let gpu = Gpu::new();
-    let s = random_scene(24, 18, 17);
-    let found = run(&gpu, gpu.tuning(), &s, [24, 18], &WEIGHTS);
+    let mut s = random_scene(24, 18, 17);
+    check_finite_differences(&gpu, &s);
+    invalidate(&mut s.photo, [24, 18], INVALID[0].1);
+    check_finite_differences(&gpu, &s);
+}
+
+/// Compares gradients with finite differences of the reference, at 24 x 18 pixels.
+fn check_finite_differences(gpu: &Gpu, s: &Scene) {
+    let found = run(gpu, gpu.tuning(), s, [24, 18], &WEIGHTS);
     let loss = |s: &Scene| {
         let t = reference::geometry_loss(s);
         WEIGHTS.normal * t.normal
@@ -339,6 +390,9 @@ fn geometry_loss_checks_can_fail() {
     assert!(differs(&reference::geometry_loss_bwd(&s, &Terms { depth: 0.65, ..WEIGHTS })));
     let mut other = s.clone();
     other.depth_priors.as_mut().unwrap()[100] = pack_depth(0.1, 1.0);
+    assert!(differs(&reference::geometry_loss_bwd(&other, &WEIGHTS)));
+    let mut other = s.clone();
+    other.photo[100] &= 0x00ff_ffff;
     assert!(differs(&reference::geometry_loss_bwd(&other, &WEIGHTS)));
     let mut other = s.clone();
     other.priors.as_mut().unwrap()[100] ^= 0x8000_0000;

@@ -1,6 +1,7 @@
 //! Splats of many tiles: the lanes of a subgroup find their tiles together. Tiles and their order must not depend on it.
 
 use sgs_engine::graph::{Buffer, Graph, Slice};
+use sgs_passes::Tuning;
 use sgs_passes::pipeline::Step;
 use sgs_passes::reference::intersect::tiles;
 use sgs_passes::reference::project::{Camera, Gaussians, Projected, project as reference};
@@ -11,7 +12,7 @@ use sgs_tests::{Gpu, scenes};
 
 /// Entries of a view.
 #[derive(Debug, PartialEq)]
-struct Found {
+pub(super) struct Found {
     /// Gaussian of each visible splat.
     ids: Vec<u32>,
     tile_counts: Vec<u32>,
@@ -21,11 +22,17 @@ struct Found {
     owners: Vec<u32>,
     /// Tile of each entry.
     tiles: Vec<u32>,
+    /// Entries by tile, and by depth within a tile.
+    pub order: Vec<u32>,
 }
 
-/// Finds the entries of a view. Every buffer holds ones before.
+/// Finds the entries of a view.
 fn find(gpu: &Gpu, scene: &Gaussians, camera: &Camera) -> Found {
-    let t = gpu.tuning();
+    find_with(gpu, &gpu.tuning(), scene, camera)
+}
+
+/// Finds the entries of a view with other kernel sizes. Every buffer holds ones before.
+pub(super) fn find_with(gpu: &Gpu, t: &Tuning, scene: &Gaussians, camera: &Camera) -> Found {
     let n = scene.len() as u32;
     let capacity = 1 << 16;
     let mut g = Graph::new("large_splats");
@@ -35,8 +42,8 @@ fn find(gpu: &Gpu, scene: &Gaussians, camera: &Camera) -> Found {
     let step = g.uniform("step", size_of::<Step>() as u64);
     let screen = Screen { step, largest: camera.size, tile: t.tile };
     let flags = g.external("flags", 4);
-    let visible = project(&mut g, &t, &screen, &handles, Channels::default()).unwrap();
-    let entries = intersect(&mut g, &t, &screen, &visible, capacity, flags).unwrap();
+    let visible = project(&mut g, t, &screen, &handles, Channels::default()).unwrap();
+    let entries = intersect(&mut g, t, &screen, &visible, capacity, flags).unwrap();
     let mut keep = |name: &str, what: Slice, words: u32| {
         let output = g.external(name, 4 * u64::from(words));
         g.copy(format!("out.{name}"), Slice { bytes: 4 * u64::from(words), ..what }, output).unwrap();
@@ -70,6 +77,7 @@ fn find(gpu: &Gpu, scene: &Gaussians, camera: &Camera) -> Found {
         starts: of(starts, seen),
         owners: of(owners, total),
         tiles,
+        order: sorted[..total].to_vec(),
     }
 }
 

@@ -5,6 +5,7 @@ use sgs_passes::Tuning;
 use sgs_passes::reference::rng::Pcg;
 use sgs_shaders::structs::MaterialStats;
 use sgs_tests::materials::{Expected, Found, Painted, Requested, expected, narrow, run};
+use sgs_tests::photographs::{INVALID, invalidate};
 use sgs_tests::{Gpu, Tolerance, assert_close, worst};
 
 /// Returns a tolerance relative to the largest gradient. Gradients scale with the inverse of the number of pixels.
@@ -46,6 +47,33 @@ fn smoothness_loss_matches_reference() {
     for (i, size) in SIZES.into_iter().enumerate() {
         for roughness in [true, false] {
             check(&gpu, &[Painted::new(size, i as u32)], Requested { edge: true, roughness, ..Default::default() });
+        }
+    }
+}
+
+/// Tests patterns of invalid pixels of the photograph. Materials there are NaN or huge.
+#[test]
+fn invalid_pixels_have_no_smoothness_loss_and_no_gradient() {
+    let gpu = Gpu::new();
+    for (i, size) in [[1, 1], [2, 2], [17, 3], [57, 33]].into_iter().enumerate() {
+        for (name, pattern) in INVALID {
+            let requested = Requested { edge: true, roughness: true, ..Default::default() };
+            let mut v = Painted::new(size, 30 + i as u32);
+            let invalid = invalidate(&mut v.photo, size, pattern);
+            let plain = check(&gpu, &[v.clone()], requested);
+            for &p in &invalid {
+                let bad = if p % 2 == 0 { f64::NAN } else { 1e30 };
+                v.albedo[3 * p..3 * p + 3].fill(bad);
+                v.roughness[p] = bad;
+            }
+            let found = check(&gpu, &[v], requested);
+            let what = format!("{name} at {size:?}");
+            assert!(found.albedo == plain.albedo && found.roughness == plain.roughness, "{what}");
+            assert_eq!(found.stats, plain.stats, "{what}");
+            for p in invalid {
+                let of_pixel = found.albedo[0][3 * p..][..3].iter().chain(&found.roughness[3 * p..][..3]);
+                assert!(of_pixel.into_iter().all(|g| *g == 0.0), "{what}: pixel {p}");
+            }
         }
     }
 }
@@ -178,8 +206,11 @@ fn gradients_are_finite_differences_of_the_reference() {
         Requested { cross: true, ..only },
     ];
     let mut rng = Pcg::new(5);
-    for requested in each {
-        let found = run(&gpu, gpu.tuning(), &views, requested);
+    let mut masked = views.clone();
+    invalidate(&mut masked[0].photo, [41, 27], INVALID[0].1);
+    let cases = each.map(|requested| (&views, requested)).into_iter().chain([(&masked, each[0])]);
+    for (views, requested) in cases {
+        let found = run(&gpu, gpu.tuning(), views, requested);
         for _ in 0..4 {
             let along: Vec<Vec<f64>> =
                 views.iter().map(|v| (0..4 * v.pixels()).map(|_| rng.normal()).collect()).collect();
@@ -228,6 +259,7 @@ fn checks_can_fail() {
     assert!(changed(&|v| v[0].estimates[0][41 * 13 + 20] ^= 0x10));
     assert!(changed(&|v| v[0].coverage[41 * 13 + 20] = 0.49));
     assert!(changed(&|v| v[0].photo[0] ^= 0x80));
+    assert!(changed(&|v| v[0].photo[41 * 13 + 20] &= 0x00ff_ffff));
     assert!(changed(&|v| v[1].mask[30 * 15 + 15] = false));
     assert!(changed(&|v| v[0].mask[41 * 13 + 20] = false));
     assert!(changed(&|v| v[0].albedo[0] = narrow(v[0].albedo[0] + 0.3)));

@@ -302,6 +302,36 @@ fn hidden_light_is_found_with_its_color() {
     assert!(place.distance(center(&BULB)) < 0.2, "{place} {found:?}");
 }
 
+/// A band of each photograph is invalid. It clips there after the first fit.
+#[test]
+fn emitters_do_not_depend_on_invalid_pixels() {
+    let gpu = Gpu::new();
+    let (mut lit, open) = (Lit::new(&gpu), Lit::new(&gpu));
+    let [width, height] = SIZE;
+    let columns = |p: u32| !(14..24).contains(&(p % width));
+    let data = (0..width * height).map(|p| f32::from(columns(p))).collect();
+    let mask = Image { width, height, channels: 1, data };
+    for view in 0..lit.cameras.len() {
+        lit.views.exclude(view, &mask);
+    }
+    let mut photographs = lit.photographs(&[BULB]);
+    let explained = |lit: &Lit, photographs: &[Image], known: Option<&[LightShape]>| {
+        lit.room.explain(&lit.views, photographs, &lit.splats, known).unwrap()
+    };
+    let bulb: &[LightShape] = &[BULB.shape];
+    let expected = explained(&lit, &photographs, None);
+    let known = explained(&lit, &photographs, Some(bulb));
+    for image in &mut photographs {
+        let pixels = image.data.chunks_exact_mut(3).zip(&mask.data);
+        pixels.filter(|(_, valid)| **valid == 0.0).for_each(|(pixel, _)| pixel.fill(1.0));
+    }
+    assert_eq!(explained(&lit, &photographs, None), expected);
+    assert_eq!(explained(&lit, &photographs, Some(bulb)), known);
+    // Without masks the clipped band changes both.
+    assert!(explained(&open, &photographs, None) != expected);
+    assert!(explained(&open, &photographs, Some(bulb)) != known);
+}
+
 /// The photographs are those of seven lights of different types; an eighth is off.
 #[test]
 fn emitters_of_known_shapes_get_their_colors() {

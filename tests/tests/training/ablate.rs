@@ -62,6 +62,7 @@ fn ablation_table_holds_means_and_spreads() {
         assert_eq!(row["runs"][1]["folder"], format!("{variant}_seed6"));
         assert!(markdown.lines().any(|l| l.starts_with(&format!("| {variant}: ")) && l.contains(" ± ")), "{markdown}");
     }
+    assert!(!markdown.contains("aligned"), "nothing was learned of the views: {markdown}");
     // The variants differ in their inputs and equal separate trainings.
     let rgb = place.read("table/rgb_seed5/scene.ply");
     assert_ne!(rgb, place.read("table/normal_seed5/scene.ply"));
@@ -72,6 +73,25 @@ fn ablation_table_holds_means_and_spreads() {
     let fixed: Vec<&str> = ["--geometry-steps", "3", "--no-densify", "--seed", "5"].into_iter().chain(off).collect();
     sgs(&[&["train", &place.text("scene"), "-o", &place.text("alone")], &fixed[..]].concat()).ok();
     assert!(rgb == place.read("alone/scene.ply"), "the run is not that of the same settings");
+}
+
+/// Runs are measured with their learned lens, and after alignment of cameras, too.
+#[test]
+fn learned_cameras_have_aligned_measures() {
+    let place = room();
+    let markdown =
+        ablate(&place, &["-q", "--only", "rgb", "--set", "geometry.rates.views=[1e-3, 0, 1e-3, 0]"]).ok().stdout;
+    assert!(markdown.contains("| PSNR, dB ↑ | PSNR, aligned, dB ↑ | SSIM ↑ | SSIM, aligned ↑ |"), "{markdown}");
+    let table = json(&place, "table/ablation.json");
+    let row = &table["variants"][0];
+    let measured = [5, 6].map(|seed| json(&place, &format!("table/rgb_seed{seed}/metrics.json")));
+    for key in ["psnr", "psnr_aligned", "ssim", "ssim_aligned"] {
+        let values = [0, 1].map(|i| measured[i]["test"]["mean"]["nvs"][key].as_f64().unwrap());
+        assert_eq!([0, 1].map(|i| row["runs"][i][key].as_f64().unwrap()), values, "{key}");
+        assert!((row["mean"][key].as_f64().unwrap() - 0.5 * (values[0] + values[1])).abs() < 1e-9, "{key}");
+    }
+    let again = sgs(&["eval", &place.text("table/rgb_seed5"), "--json"]).ok().json();
+    assert_eq!(again["mean"]["nvs"], measured[0]["test"]["mean"]["nvs"]);
 }
 
 /// Every term is added once and left out once on a room with all priors.

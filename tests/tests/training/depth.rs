@@ -9,7 +9,7 @@ use sgs_tests::{Gpu, Place};
 use std::path::Path;
 
 /// Writes a room with its true depths and without priors. Photographs and depth alone count.
-fn room() -> Place {
+pub(crate) fn room() -> Place {
     Place::new(Room { size: [64, 48], truth: true, ..Room::default() })
 }
 
@@ -68,18 +68,13 @@ fn prior_depths_of_every_meaning_improve_geometry() {
     assert!(scale < 0.8 * without && shift < 0.8 * without);
 }
 
-/// Tests that a scene without a point cloud starts from depth.
-///
-/// The sensor is measured at test views.
-#[test]
-fn sensor_depth_gives_points_and_is_measured() {
-    let place = room();
-    let scene = place.path("scene");
+/// Gives each frame the true depth as that of a sensor. Removes the points.
+pub(crate) fn add_sensor(scene: &Path) {
     let text = std::fs::read_to_string(scene.join("transforms.json")).unwrap();
     let mut listing: serde_json::Value = serde_json::from_str(&text).unwrap();
     listing.as_object_mut().unwrap().remove("ply_file_path");
     listing["depth_unit_scale_factor"] = 1.0.into();
-    let opened = Scene::open(&scene, &SceneOptions::default()).unwrap();
+    let opened = Scene::open(scene, &SceneOptions::default()).unwrap();
     let truth = GroundTruth::of(&opened);
     std::fs::create_dir(scene.join("sensor")).unwrap();
     for frame in listing["frames"].as_array_mut().unwrap() {
@@ -93,7 +88,15 @@ fn sensor_depth_gives_points_and_is_measured() {
     std::fs::write(scene.join("transforms.json"), listing.to_string()).unwrap();
     let points = std::fs::remove_file(scene.join("points.ply"));
     assert!(points.is_ok() || opened.points_are_random);
+}
 
+/// Tests that a scene without a point cloud starts from depth.
+///
+/// The sensor is measured at test views.
+#[test]
+fn sensor_depth_gives_points_and_is_measured() {
+    let place = room();
+    add_sensor(&place.path("scene"));
     let (scene, run) = (place.text("scene"), place.text("run"));
     let options = ["--stage", "geometry", "--geometry-steps", "60", "--no-densify", "--set", "random_points=3000"];
     let output = sgs(&[&["train", &scene, "-o", &run], &options[..]].concat()).ok();

@@ -100,6 +100,8 @@ fn table_matches_separate_trainings_and_survives_interruption() {
 }
 
 /// Tests every case at its default noise, with materials. All cases give different splats.
+///
+/// Cases of poses are measured after alignment, too, and so is the case that they are compared with.
 #[test]
 fn every_case_differs_and_has_materials() {
     let place = Place::new(room());
@@ -116,7 +118,7 @@ fn every_case_differs_and_has_materials() {
         more.extend(["--set", set]);
     }
     let table = robustness(&place, &[&more[..], &["--json"]].concat()).ok().json();
-    let names = ["clean", "positions", "normals", "semantics", "poses"];
+    let names = ["clean", "positions", "normals", "semantics", "poses", "learned_poses"];
     let rows = table["variants"].as_array().unwrap();
     assert_eq!(rows.iter().map(|r| r["name"].as_str().unwrap()).collect::<Vec<_>>(), names);
     assert_eq!((&table["steps"], &table["intrinsic_steps"]), (&Value::from(3), &Value::from(2)));
@@ -125,7 +127,14 @@ fn every_case_differs_and_has_materials() {
         assert!(rows[i]["mean"]["pbr_psnr"].as_f64().unwrap() > 3.0, "{name}");
         names.into_iter().filter(|other| *other != name).for_each(|other| assert!(means(name) != means(other)));
         let config = String::from_utf8(place.read(&format!("table/{name}_seed5/config.toml"))).unwrap();
-        assert_eq!(config.contains("cameras = [0.5, 0.005]"), name == "poses", "{name}");
+        assert_eq!(config.contains("cameras = [0.5, 0.005]"), name.ends_with("poses"), "{name}");
+        assert_eq!(config.contains("views = [0.001, 0.0, 0.0, 0.0]"), name == "learned_poses", "{name}");
+        let measured = json(&place, &format!("table/{name}_seed5/metrics.json"));
+        for key in ["psnr_aligned", "ssim_aligned"] {
+            let expected = measured.pointer(&format!("/test/mean/nvs/{key}"));
+            assert_eq!(rows[i]["mean"].get(key), expected, "{name}");
+            assert_eq!(expected.is_some(), name == "clean" || name.ends_with("poses"), "{name}");
+        }
     }
     // A second run trains nothing again.
     let files =
@@ -135,6 +144,10 @@ fn every_case_differs_and_has_materials() {
     assert_eq!(files(), before);
     let text = String::from_utf8(place.read("table/robustness.md")).unwrap();
     assert!(text.contains("after 3 steps and 2 of materials") && text.contains("shaded PSNR"), "{text}");
+    assert!(text.contains("| PSNR, dB ↑ | PSNR, aligned, dB ↑ | SSIM ↑ | SSIM, aligned ↑ |"), "{text}");
+    let row = |name: &str| text.lines().find(|l| l.starts_with(&format!("| {name}: "))).unwrap();
+    assert!(row("positions").contains(" | – | ") && !row("poses").contains('–'), "{text}");
+    assert!(row("learned_poses").contains("turned by 0.5°, 0.5 % of the extent off, and learned | 1 |"), "{text}");
 }
 
 #[test]
@@ -142,6 +155,8 @@ fn invalid_cases_and_noise_are_refused() {
     let place = Place::new(Room::default());
     robustness(&place, &["--only", "clean,noise"]).refused(&["no case \"noise\"", "clean, positions, normals"]);
     robustness(&place, &["--only", "normals"]).refused(&["\"normals\" would differ from no other", "priors/normal"]);
+    robustness(&place, &["--only", "learned_poses", "--set", "geometry.rates.views=[1e-3, 0, 0, 0]"])
+        .refused(&["\"learned_poses\" would differ from no other", "learns cameras in every case"]);
     robustness(&place, &["--stage", "intrinsic"]).refused(&["--stage is geometry, transport or all"]);
     robustness(&place, &["--set", "noise.postions=0.1"])
         .refused(&["noise.postions", "did you mean \"noise.positions\"?"]);

@@ -90,7 +90,11 @@ pub fn measure(
         images.begin(head.as_ref().map(|head| head.text.labels.as_slice()))?;
     }
     let background = settings.geometry.background;
-    let [cameras, gains, ..] = settings.geometry.rates.views.map(|rate| rate > 0.0);
+    let [cameras, gains] = match settings.geometry.rates.views.fixed() {
+        Some([cameras, gains, ..]) => [cameras > 0.0, gains > 0.0],
+        // All or nothing was learned.
+        None => [run.learned_views()?.is_some(); 2],
+    };
     let align = (align || cameras || gains).then_some(ViewKinds { cameras: true, gains, lens: false });
     let options = EvaluateOptions { views, background, head: head.as_ref(), lpips, align };
     let mut result = evaluate_classes(device, scene, &gaussians, &options, |name, rendered| match &mut images {

@@ -16,6 +16,7 @@ mod pseudo;
 mod rates;
 mod train;
 mod transport;
+mod view_rates;
 
 pub use accuracy::{ACCURACY_LEVELS, accuracy_named};
 pub use automatic::{AutomaticSettings, Parts};
@@ -36,6 +37,7 @@ pub use pseudo::{Neighbors, Position, PseudoOptions};
 pub use rates::Rates;
 pub use train::{OnDivergence, TrainSettings};
 pub use transport::{TransportPart, TransportSettings};
+pub use view_rates::ViewRates;
 
 use serde::{Deserialize, Serialize};
 use sgs_passes::Accuracy;
@@ -332,13 +334,14 @@ impl Settings {
             return Err(ConfigError::range("geometry.background", value, "three finite numbers"));
         }
         let (r, l, d) = (&g.rates, &g.losses, &g.densify);
+        let views = r.views.fixed().unwrap_or_default();
         for (name, value) in [
             ("rates.means", r.means[0]),
             ("rates.means", r.means[1]),
-            ("rates.views", r.views[0]),
-            ("rates.views", r.views[1]),
-            ("rates.views", r.views[2]),
-            ("rates.views", r.views[3]),
+            ("rates.views", views[0]),
+            ("rates.views", views[1]),
+            ("rates.views", views[2]),
+            ("rates.views", views[3]),
             ("losses.dssim", f64::from(l.dssim)),
             ("losses.normal", f64::from(l.normal)),
             ("losses.normal_smooth", f64::from(l.normal_smooth)),

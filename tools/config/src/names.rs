@@ -9,14 +9,18 @@ pub fn one_line(message: &str) -> String {
     message.trim().trim_end_matches('.').replace('\n', " ")
 }
 
-/// Settings that are a number or this word, with the allowed numbers.
-const OR_WORD: [(&str, &str, &str); 2] = [
+/// Settings that are numbers or this word, with the allowed numbers.
+const OR_WORD: [(&str, &str, &str); 3] = [
+    (VIEW_RATES, super::view_rates::AUTO, "4 numbers"),
     ("geometry.sh_degree", super::degree::AUTO, "0 to 3"),
     (OWN_PRIOR, super::own_prior::AUTO, "a number of at least 0"),
 ];
 
 /// Setting that is true, false or a word.
 const MASKS: &str = "masks";
+
+/// Setting among these that is a list.
+const VIEW_RATES: &str = "geometry.rates.views";
 
 /// Setting among these that may be a fraction.
 const OWN_PRIOR: &str = "intrinsic.losses.own_prior";
@@ -35,9 +39,11 @@ pub(super) fn compare(prefix: &str, table: &toml::Table, known: &toml::Table, al
             return Err(ConfigError::UnknownSetting { name, nearest, known });
         };
         if let Some((_, word, numbers)) = OR_WORD.iter().find(|(n, ..)| *n == name) {
+            let list = name == VIEW_RATES;
             match value {
-                Integer(n) if *n < 0 => return Err(ConfigError::range(name, n, "at least 0")),
-                Integer(_) => continue,
+                Integer(n) if *n < 0 && !list => return Err(ConfigError::range(name, n, "at least 0")),
+                Integer(_) if !list => continue,
+                Array(values) if list && are_numbers(values, 4) => continue,
                 Float(f) if name == OWN_PRIOR && f.is_finite() && *f >= 0.0 => continue,
                 toml::Value::String(s) if s == word => continue,
                 _ => return Err(ConfigError::kind(name, value, format!("{numbers} or \"{word}\""))),
@@ -64,8 +70,7 @@ pub(super) fn compare(prefix: &str, table: &toml::Table, known: &toml::Table, al
                 }
             }
             (Array(values), Array(expected)) => {
-                let numbers = values.iter().all(|v| matches!(v, Integer(_) | Float(_)));
-                if values.len() != expected.len() || !numbers {
+                if !are_numbers(values, expected.len()) {
                     return Err(ConfigError::kind(name, value, format!("{} numbers", expected.len())));
                 }
             }
@@ -88,6 +93,11 @@ pub(super) fn compare(prefix: &str, table: &toml::Table, known: &toml::Table, al
         }
     }
     Ok(())
+}
+
+/// Tells whether a list has this many items, all numbers.
+fn are_numbers(values: &[toml::Value], count: usize) -> bool {
+    values.len() == count && values.iter().all(|v| matches!(v, toml::Value::Integer(_) | toml::Value::Float(_)))
 }
 
 /// Returns the words of a list.

@@ -1,5 +1,6 @@
 //! Learning rates of the geometry stage.
 
+use crate::view_rates::ViewRates;
 use serde::{Deserialize, Serialize};
 
 /// Learning rates of Adam by group (Kerbl et al. 2023). Rates of other groups are fixed, apart from `factor`.
@@ -10,12 +11,13 @@ pub struct Rates {
     pub factor: f64,
     /// Rates of means at the first step and at the last, times the extent; log-linear between.
     pub means: [f64; 2],
-    /// Four rates of what is learned of the photographs; 0 learns nothing. The first is that of each camera: the turn in
-    /// radians, and the shift times the extent. The second is that of each exposure: the logarithms of factors on red, green
+    /// `auto`, or four rates of what is learned of the photographs; 0 learns nothing. `auto` takes 3e-4, 5e-3, 2e-3 and 1e-3
+    /// where the depths of a sensor show that exposures differ or that the lens differs from the given one, else 0.
+    /// The first is that of each camera: the turn in radians, and the shift times the extent. The second is that of each exposure: the logarithms of factors on red, green
     /// and blue. The third is that of the lens that all share: the logarithm of the focal length, and the principal point in
     /// focal lengths. With the second and the third, vignetting is learned, too. The fourth is that of its radial distortion: the
     /// shift of the corners, relative to their distance from the principal point.
-    pub views: [f64; 4],
+    pub views: ViewRates,
     /// Rate of log scales. Not a setting.
     #[serde(skip)]
     pub scales: f64,
@@ -47,7 +49,7 @@ impl Default for Rates {
         Rates {
             factor: 0.0,
             means: [1.6e-4, 1.6e-6],
-            views: [0.0; 4],
+            views: ViewRates::Auto,
             scales: 5e-3,
             rotations: 1e-3,
             opacities: 0.05,

@@ -4,6 +4,7 @@ use crate::align::Alignments;
 use crate::error::Result;
 use crate::measures::{Evaluation, Means, Nvs, Semantic, ViewMetrics, known};
 use crate::metrics::{self, Lpips, NormalError};
+use crate::valid::{blackened, truth_mask};
 use sgs_engine::Device;
 use sgs_passes::Tuning;
 use sgs_passes::loss::NO_LABEL;
@@ -83,11 +84,11 @@ pub fn evaluate_classes(
         if let Some(classifier) = &mut classifier {
             rendered.labels = Some(classifier.classify(&renderer, &rendering)?.labels);
         }
-        let photo = scene.load_image(i)?;
-        // Pixels that training ignores are not measured. Ground truth has its own mask, which also excludes lamps and
+        // Pixels that training ignores are not measured. Ground truth also has its own mask, which excludes lamps and
         // windows where only materials are undefined.
         let counts = scene.load_mask(i)?;
-        let mask = truth.load(GroundTruthKind::Mask, i)?;
+        let photo = blackened(scene.load_image(i)?, counts.as_ref());
+        let mask = truth_mask(&truth, i, counts.as_ref())?;
         let mask = mask.as_ref();
         let mut aligned = None;
         let mut nvs = Nvs::of(&rendered.rgb, &photo, counts.as_ref(), lpips)?;

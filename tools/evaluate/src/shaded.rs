@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::measures::{AlbedoMetrics, Evaluation, Nvs, RELIT_MEAN, RelitMetrics, RelitSet, ShadedMetrics, known};
 use crate::metrics::{self, GainFit, Lpips};
+use crate::valid::{blackened, truth_mask};
 use sgs_run::{ShadedView, Shading, displayed};
 use sgs_scene::{GroundTruth, GroundTruthKind, Image, Scene};
 use std::collections::BTreeMap;
@@ -26,10 +27,12 @@ pub fn evaluate_shaded(
     for (&i, metrics) in views.iter().zip(&mut into.views) {
         let view = &scene.views[i];
         let shaded = shading.shade(&view.camera)?;
-        let mut found = measure_materials(&shaded, &truth, i, lpips, &mut fit)?;
+        let counts = scene.load_mask(i)?;
+        let counts = counts.as_ref();
+        let mut found = measure_materials(&shaded, &truth, (i, counts), lpips, &mut fit)?;
         let image = displayed(&shaded.radiance(background));
-        let (photo, counts) = (scene.load_image(i)?, scene.load_mask(i)?);
-        found.pbr = Some(Nvs::of(&image, &photo, counts.as_ref(), lpips)?);
+        let photo = blackened(scene.load_image(i)?, counts);
+        found.pbr = Some(Nvs::of(&image, &photo, counts, lpips)?);
         on_view(&view.camera.name, &shaded)?;
         albedos.push(found.albedo.map(|_| shaded.albedo()));
         metrics.shaded = Some(found);
@@ -41,7 +44,7 @@ pub fn evaluate_shaded(
         let (Some(found), Some(ours), Some(theirs)) = (found, ours, truth.load(GroundTruthKind::Albedo, i)?) else {
             continue;
         };
-        let mask = truth.load(GroundTruthKind::Mask, i)?;
+        let mask = truth_mask(&truth, i, scene.load_mask(i)?.as_ref())?;
         let ours = displayed(&metrics::scaled(ours, &gains));
         found.psnr_scaled = metrics::psnr(&ours, &displayed(&theirs), mask.as_ref())?;
     }
@@ -50,20 +53,20 @@ pub fn evaluate_shaded(
     Ok(())
 }
 
-/// Measures the materials of a view. Adds its albedo to the fit of the common gain. `psnr_scaled` is preliminary until
-/// that gain is known.
+/// Measures the materials of a view, with the mask of its photograph. Adds its albedo to the fit of the common gain.
+/// `psnr_scaled` is preliminary until that gain is known.
 fn measure_materials(
     shaded: &ShadedView,
     truth: &GroundTruth<'_>,
-    view: usize,
+    (view, counts): (usize, Option<&Image>),
     lpips: Option<&Lpips>,
     fit: &mut GainFit,
 ) -> Result<ShadedMetrics> {
-    let mask = truth.load(GroundTruthKind::Mask, view)?;
+    let mask = truth_mask(truth, view, counts)?;
     let mask = mask.as_ref();
     let mut found = ShadedMetrics::default();
     if let Some(albedo) = truth.load(GroundTruthKind::Albedo, view)? {
-        let linear = shaded.albedo();
+        let (linear, albedo) = (shaded.albedo(), blackened(albedo, counts));
         let (ours, theirs) = (displayed(&linear), displayed(&albedo));
         if let Some(psnr) = known(metrics::psnr(&ours, &theirs, mask))? {
             fit.add_images(&linear, &albedo, mask)?;
@@ -85,14 +88,18 @@ fn measure_materials(
     Ok(found)
 }
 
-/// Compares pairs of a rendered and a true view of a relit set. All images are linear.
+/// Rendered and true view of a relit set, and the mask of the view's photograph.
+pub type RelitPair<'a> = (&'a Image, &'a Image, Option<&'a Image>);
+
+/// Compares rendered and true views of a relit set where their masks count. All images are linear.
 ///
 /// # Errors
-/// If sizes differ.
-pub fn measure_relit(pairs: &[(&Image, &Image)]) -> Result<Vec<RelitMetrics>> {
-    let fit_of = |pairs: &[(&Image, &Image)]| {
+/// If sizes differ, or a mask excludes all pixels.
+pub fn measure_relit(pairs: &[RelitPair<'_>]) -> Result<Vec<RelitMetrics>> {
+    let fit_of = |pairs: &[RelitPair<'_>]| {
         let mut fit = GainFit::new(1);
-        for (a, b) in pairs.iter().flat_map(|(ours, theirs)| ours.data.iter().zip(&theirs.data)) {
+        let pixels = pairs.iter().flat_map(|&(ours, theirs, mask)| metrics::pairs(ours, theirs, mask));
+        for (a, b) in pixels.flat_map(|(ours, theirs)| ours.iter().zip(theirs)) {
             // Values of 1 and above are clipped in display and have no information about the gain.
             if *b < 1.0 && *a < 1.0 {
                 fit.add(0, *a, *b);
@@ -101,17 +108,17 @@ pub fn measure_relit(pairs: &[(&Image, &Image)]) -> Result<Vec<RelitMetrics>> {
         fit.common()
     };
     let common = fit_of(pairs);
-    let measure = |&(ours, theirs): &(&Image, &Image)| {
-        let (first, shown) = (displayed(ours), displayed(theirs));
+    let measure = |&(ours, theirs, mask): &RelitPair<'_>| {
+        let (first, shown) = (displayed(ours), blackened(displayed(theirs), mask));
         let after = |gain: f64| {
             let gains = vec![gain; ours.channels as usize];
-            metrics::psnr(&displayed(&metrics::scaled(ours, &gains)), &shown, None)
+            metrics::psnr(&displayed(&metrics::scaled(ours, &gains)), &shown, mask)
         };
         Ok(RelitMetrics {
-            psnr: metrics::psnr(&first, &shown, None)?,
-            ssim: metrics::ssim(&first, &shown, None)?,
+            psnr: metrics::psnr(&first, &shown, mask)?,
+            ssim: metrics::ssim(&first, &shown, mask)?,
             psnr_gain: after(common)?,
-            psnr_gain_per_view: after(fit_of(&[(ours, theirs)]))?,
+            psnr_gain_per_view: after(fit_of(&[(ours, theirs, mask)]))?,
         })
     };
     pairs.iter().map(measure).collect()
@@ -189,9 +196,9 @@ mod tests {
     fn one_gain_matches_a_dimmer_image() {
         let truth: Vec<f32> = (0..48).map(|i| 0.02 * i as f32).collect();
         let half: Vec<f32> = truth.iter().map(|v| 0.5 * v).collect();
-        let m = measure_relit(&[(&wide(&half), &wide(&truth))]).unwrap()[0];
+        let m = measure_relit(&[(&wide(&half), &wide(&truth), None)]).unwrap()[0];
         assert!(m.psnr < 20.0 && m.psnr_gain > 60.0 && m.psnr_gain_per_view > 60.0, "{m:?}");
-        assert!(measure_relit(&[(&Image::new(16, 1, 3), &wide(&truth))]).is_err());
+        assert!(measure_relit(&[(&Image::new(16, 1, 3), &wide(&truth), None)]).is_err());
     }
 
     /// Two gray views: 0.2 and 0.4 where the truth is 0.4 and 0.2. Separately, the gains 2 and 1/2 make them equal.
@@ -201,12 +208,31 @@ mod tests {
     fn relit_gain_is_common_to_all_views() {
         let gray = |v: f32| wide(&[v; 48]);
         let (dark, bright) = (gray(0.2), gray(0.4));
-        let found = measure_relit(&[(&dark, &bright), (&bright, &dark)]).unwrap();
+        let found = measure_relit(&[(&dark, &bright, None), (&bright, &dark, None)]).unwrap();
         let shown = |v: f64| 1.055 * v.powf(1.0 / 2.4) - 0.055;
         let decibels = |a: f64, b: f64| -20.0 * (shown(a) - shown(b)).abs().log10();
         for (m, expected) in found.iter().zip([decibels(0.16, 0.4), decibels(0.32, 0.2)]) {
             assert!((m.psnr_gain - expected).abs() < 1e-3 && m.psnr_gain_per_view > 100.0, "{m:?}, not {expected}");
             assert!((m.psnr - decibels(0.2, 0.4)).abs() < 1e-3, "{m:?}");
+        }
+    }
+
+    #[test]
+    fn masked_pixels_change_no_relit_metric() {
+        let (ours, theirs) = (wide(&[0.2; 48]), (0..48).map(|i| 0.02 * i as f32).collect::<Vec<f32>>());
+        let mask = Image { width: 4, height: 4, channels: 1, data: (0..16).map(|p| f32::from(p % 5 != 2)).collect() };
+        let poisoned = |v: f32| {
+            let values = theirs.iter().enumerate().map(|(i, old)| if i / 3 % 5 == 2 { v } else { *old });
+            wide(&values.collect::<Vec<f32>>())
+        };
+        let measured = |v: f32, mask: Option<&Image>| {
+            let m = measure_relit(&[(&ours, &poisoned(v), mask)]).unwrap()[0];
+            [m.psnr, m.ssim, m.psnr_gain, m.psnr_gain_per_view]
+        };
+        let (gray, counted) = (measured(0.5, Some(&mask)), measured(0.5, None));
+        assert!(gray.iter().zip(counted).all(|(a, b)| *a != b), "{gray:?} {counted:?}");
+        for v in [0.0, 0.9, 1e9, f32::NAN] {
+            assert_eq!(measured(v, Some(&mask)), gray, "{v}");
         }
     }
 

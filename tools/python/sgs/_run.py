@@ -194,7 +194,9 @@ class Run:
         native = self._native.relight(device, (text, os.fspath(beside)), shadows, scene, visibility)
         return Relit(self, native)
 
-    def evaluate(self, split: str = "test", *, lpips: Union[str, os.PathLike[str], None] = None) -> dict[str, Any]:
+    def evaluate(
+        self, split: str = "test", *, lpips: Union[str, os.PathLike[str], None] = None, align: bool = False
+    ) -> dict[str, Any]:
         """Measures the run against photographs and ground truth, as ``sgs eval`` does, and writes ``metrics.json``.
 
         The result has ``mean``, the means over the views, and ``views``: ``result["mean"]["nvs"]["psnr"]`` in dB.
@@ -202,13 +204,16 @@ class Run:
         Args:
             split: ``test`` or ``train``.
             lpips: File with the weights of LPIPS, which enables this measure.
+            align: Measures each view again with the camera that fits it best: ``psnr_aligned`` and ``ssim_aligned``. Runs that
+                learned cameras or exposures do so anyway.
 
         Raises:
             sgs.Error: If the split has no views, or the scene is not at its place.
         """
         scene = None if self._moved is None else os.fspath(self._moved)
         weights = None if lpips is None else os.fspath(lpips)
-        return json.loads(self._native.evaluate(open_device(self._device)._native, split, scene, weights))
+        device = open_device(self._device)._native
+        return json.loads(self._native.evaluate(device, split, scene, weights, bool(align)))
 
     def _camera(self, view: Viewpoint) -> Camera:
         if isinstance(view, Camera):

@@ -189,6 +189,7 @@ impl Run {
         split: String,
         scene: Option<PathBuf>,
         lpips: Option<PathBuf>,
+        align: bool,
     ) -> PyResult<String> {
         let device = device.get().0.clone();
         computed(py, || {
@@ -202,7 +203,7 @@ impl Run {
             let load = |file: &Path| Lpips::load(file, LpipsRange::Plain);
             let lpips = lpips.as_deref().map(load).transpose()?;
             let scene = open_scene_of_run(&self.path, &settings)?;
-            let options = MeasureOptions { split, lpips: lpips.as_ref(), images: None, align: false };
+            let options = MeasureOptions { split, lpips: lpips.as_ref(), images: None, align };
             let result = measure(&device, &scene, &run, &self.splats, &settings, options)?;
             Ok(serde_json::to_string(&result)?)
         })

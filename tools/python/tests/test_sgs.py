@@ -370,6 +370,17 @@ def test_evaluation_is_that_of_the_command_line(run, program):
         run.evaluate("all")
 
 
+def test_views_are_aligned_on_request_and_where_cameras_are_learned(scene, run, tmp_path):
+    aligned = run.evaluate(align=True)["mean"]["nvs"]
+    stored = json.loads((run.path / "metrics.json").read_text())["test"]
+    assert stored["mean"]["nvs"] == aligned and aligned["psnr_aligned"] != aligned["psnr"]
+    plain = run.evaluate()["mean"]["nvs"]
+    assert plain == {name: value for name, value in aligned.items() if not name.endswith("_aligned")}
+    learning = quick(geometry_steps=4, geometry_rates_views=[1e-3, 0, 0, 0])
+    learned = sgs.Trainer(scene, tmp_path / "learned", learning).run().run()
+    assert {"psnr_aligned", "ssim_aligned"} <= set(learned.evaluate()["mean"]["nvs"])
+
+
 def test_files_are_runs_without_a_scene(run):
     file = sgs.Run.open(run.path / "scene.ply")
     assert len(file) == len(run) and file.settings == {}

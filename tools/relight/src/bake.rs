@@ -8,7 +8,7 @@
 use crate::error::{RelightError, Result};
 use glam::DVec3;
 use rayon::prelude::*;
-use sgs_config::{Backward, Filter, PseudoOptions, Rates, Settings};
+use sgs_config::{Backward, Filter, PseudoOptions, Rates, Settings, ViewRates};
 use sgs_engine::Device;
 use sgs_evaluate::metrics;
 use sgs_passes::Tuning;
@@ -137,7 +137,7 @@ fn settings(options: &BakeOptions, mip: bool, [sh0, sh_rest]: [f64; 2], steps: u
     g.rates = Rates {
         factor: 1.0,
         means: [0.0; 2],
-        views: [0.0; 4],
+        views: ViewRates::Fixed([0.0; 4]),
         scales: 0.0,
         rotations: 0.0,
         opacities: 0.0,

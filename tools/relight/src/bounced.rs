@@ -16,7 +16,7 @@ use super::true_light::{TrueLight, TrueLights};
 use crate::error::Result;
 use glam::Vec3;
 use sgs_engine::Device;
-use sgs_evaluate::{BouncesPsnr, Evaluation, RelitMetrics, RelitSet, ShadedMetrics, mean, measure_relit};
+use sgs_evaluate::{BouncesPsnr, Evaluation, RelitMetrics, RelitPair, RelitSet, ShadedMetrics, mean, measure_relit};
 use sgs_passes::pipeline::ShadedScene;
 use sgs_passes::transport::{AreaLight, LightShape};
 use sgs_run::{OpeningRow, Shading, read_sky};
@@ -154,13 +154,13 @@ impl Measured<'_> {
     /// Compares a scene with the images of a set.
     fn measure(&self, name: &str, shaded: ShadedScene) -> Result<OfViews> {
         let mut shading = Shading::new(self.device, shaded)?.without_visibility();
-        let mut pairs: Vec<(usize, Image, Image)> = Vec::new();
+        let mut pairs: Vec<(usize, Image, Image, Option<Image>)> = Vec::new();
         for (i, view) in self.views.iter().enumerate() {
             let Some(theirs) = self.truth.relit(name, *view)? else { continue };
             let ours = shading.shade(&self.scene.views[*view].camera)?.radiance([0.0; 3]);
-            pairs.push((i, ours, theirs));
+            pairs.push((i, ours, theirs, self.scene.load_mask(*view)?));
         }
-        let images: Vec<(&Image, &Image)> = pairs.iter().map(|(_, ours, theirs)| (ours, theirs)).collect();
+        let images: Vec<RelitPair<'_>> = pairs.iter().map(|(_, a, b, mask)| (a, b, mask.as_ref())).collect();
         Ok(pairs.iter().map(|p| p.0).zip(measure_relit(&images)?).collect())
     }
 }

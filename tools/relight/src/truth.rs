@@ -17,7 +17,7 @@ use super::true_light::{TrueLight, TrueLights};
 use super::{Edit, EnvironmentEdit, LightEdit, MaterialEdit, Relit, Selector};
 use crate::error::{RelightError, Result};
 use sgs_engine::Device;
-use sgs_evaluate::{Evaluation, RelitSet, ShadedMetrics, mean, measure_relit};
+use sgs_evaluate::{Evaluation, RelitPair, RelitSet, ShadedMetrics, mean, measure_relit};
 use sgs_run::{LightFile, RunError, RunLight, Shading, Visibility};
 use sgs_scene::{GroundTruth, Image, Scene, Splats};
 use std::path::Path;
@@ -158,8 +158,10 @@ pub fn evaluate_relit(
             let radiance =
                 |&(i, _): &(usize, &Image)| Ok(shading.shade(&scene.views[views[i]].camera)?.radiance([0.0; 3]));
             let ours = at.iter().map(radiance).collect::<Result<Vec<_>>>()?;
-            let pairs: Vec<(&Image, &Image)> =
-                ours.iter().zip(&at).map(|(ours, (_, theirs))| (ours, *theirs)).collect();
+            let masks = at.iter().map(|&(i, _)| Ok(scene.load_mask(views[i])?)).collect::<Result<Vec<_>>>()?;
+            let images = ours.iter().zip(&at).zip(&masks);
+            let pairs: Vec<RelitPair<'_>> =
+                images.map(|((ours, (_, theirs)), mask)| (ours, *theirs, mask.as_ref())).collect();
             for ((i, _), metrics) in at.iter().zip(measure_relit(&pairs)?) {
                 let found = into.views[*i].shaded.get_or_insert_with(ShadedMetrics::default);
                 found.relit.insert(key.clone(), RelitSet::Measured(metrics));

@@ -7,16 +7,18 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 
 /// Columns that come first, in this order.
-const FIRST: [&str; 4] = ["nvs psnr", "nvs ssim", "nvs flip", "nvs lpips"];
+const FIRST: [&str; 6] = ["nvs psnr", "nvs psnr_aligned", "nvs ssim", "nvs ssim_aligned", "nvs flip", "nvs lpips"];
 
 /// Metrics by the last word of their path: name with unit, factor, decimals.
-const MEASURES: [(&str, &str, f64, usize); 17] = [
+const MEASURES: [(&str, &str, f64, usize); 19] = [
     ("psnr", "PSNR (dB)", 1.0, 2),
+    ("psnr_aligned", "PSNR, aligned (dB)", 1.0, 2),
     ("psnr_scaled", "PSNR, scaled (dB)", 1.0, 2),
     ("psnr_scaled_per_view", "PSNR, scaled per view (dB)", 1.0, 2),
     ("psnr_gain", "PSNR, one gain (dB)", 1.0, 2),
     ("psnr_gain_per_view", "PSNR, gain per view (dB)", 1.0, 2),
     ("ssim", "SSIM", 1.0, 3),
+    ("ssim_aligned", "SSIM, aligned", 1.0, 3),
     ("flip", "FLIP", 1.0, 3),
     ("lpips", "LPIPS", 1.0, 3),
     ("normal_mae_deg", "Normal error (°)", 1.0, 2),
@@ -35,7 +37,8 @@ const GROUPS: [(&str, &str); 5] =
     [("nvs", ""), ("pbr", "Shaded "), ("albedo", "Albedo "), ("semantic", ""), ("fps", "")];
 
 /// Headline metrics, shown as cards if present.
-const HEADLINE: [&str; 6] = ["nvs psnr", "nvs ssim", "pbr psnr", "albedo psnr", "normal_mae_deg", "semantic accuracy"];
+const HEADLINE: [&str; 7] =
+    ["nvs psnr", "nvs psnr_aligned", "nvs ssim", "pbr psnr", "albedo psnr", "normal_mae_deg", "semantic accuracy"];
 
 /// Format of a metric.
 struct Measure {
@@ -188,6 +191,21 @@ mod tests {
         assert!(at("&lt;a&gt;") < at("class=\"mean\"") && html.contains("<td>–</td>"));
         assert!(!html.contains("night") && relit(&split).contains("<th>night</th><td>11.50</td>"));
         assert_eq!((views(&json!({})), relit(&json!(3))), (String::new(), String::new()));
+    }
+
+    #[test]
+    fn aligned_measures_stand_beside_the_others() {
+        let nvs = |psnr: f64| json!({"psnr": psnr, "psnr_aligned": psnr + 5.0, "ssim": 0.9, "ssim_aligned": 0.95});
+        let split = json!({"mean": {"nvs": nvs(27.0)}, "views": [{"name": "a", "nvs": nvs(26.5)}]});
+        let html = views(&split);
+        let heads = "<th>PSNR (dB)</th><th>PSNR, aligned (dB)</th><th>SSIM</th><th>SSIM, aligned</th></tr>";
+        assert!(html.contains(heads), "{html}");
+        for psnr in ["<td>27.00</td><td>32.00</td>", "<td>26.50</td><td>31.50</td>"] {
+            assert!(html.contains(&format!("{psnr}<td>0.900</td><td>0.950</td>")), "{psnr}: {html}");
+        }
+        assert!(cards(&split, &[]).contains("<dt>PSNR, aligned (dB)</dt><dd>32.00</dd>"));
+        let unaligned = json!({"mean": {"nvs": {"psnr": 27.0}}, "views": []});
+        assert!(!(views(&unaligned) + &cards(&unaligned, &[])).contains("aligned"));
     }
 
     #[test]

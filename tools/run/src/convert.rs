@@ -71,8 +71,10 @@ pub fn splats(d: &GaussianData, model: Model) -> Splats {
 /// Packs a photograph to RGBA8 with red in the low byte. Alpha is 0 where the mask excludes a pixel, else 255.
 pub fn pack_image(image: &sgs_scene::Image, mask: Option<&sgs_scene::Image>) -> Vec<u32> {
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0 + 0.5) as u32;
-    let alpha = |i: usize| if mask.is_none_or(|m| m.data[i] > 0.5) { 0xff00_0000 } else { 0 };
-    let pack = |(i, p): (usize, &[f32])| byte(p[0]) | byte(p[1]) << 8 | byte(p[2]) << 16 | alpha(i);
+    let valid = |i: usize| mask.is_none_or(|m| m.data[i] > 0.5);
+    let color = |p: &[f32]| byte(p[0]) | byte(p[1]) << 8 | byte(p[2]) << 16 | 0xff00_0000;
+    // Windows of SSIM reach beyond valid pixels, so the color of invalid ones is dropped, too.
+    let pack = |(i, p): (usize, &[f32])| if valid(i) { color(p) } else { 0 };
     image.data.chunks_exact(image.channels as usize).enumerate().map(pack).collect()
 }
 
@@ -106,6 +108,6 @@ mod tests {
         let image = Image::from_data(2, 1, 3, vec![0.0, 0.5, 1.0, 1.0, 2.0, -1.0]).unwrap();
         assert_eq!(pack_image(&image, None), [0xffff_8000, 0xff00_ffff]);
         let mask = Image::from_data(2, 1, 1, vec![0.0, 1.0]).unwrap();
-        assert_eq!(pack_image(&image, Some(&mask)), [0x00ff_8000, 0xff00_ffff]);
+        assert_eq!(pack_image(&image, Some(&mask)), [0, 0xff00_ffff]);
     }
 }

@@ -153,7 +153,7 @@ pub fn use_learned_views(scene: &mut Scene, learned: &LearnedCameras) {
     for row in &learned.views {
         if let Some(view) = scene.views.iter_mut().find(|view| view.camera.name == row.name) {
             (view.camera.rotation, view.camera.translation) = row.pose();
-            view.gains = row.gains;
+            (view.gains, view.learned_pose) = (row.gains, true);
         }
     }
 }

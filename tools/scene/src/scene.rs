@@ -279,8 +279,8 @@ impl Scene {
         scene
     }
 
-    /// Returns the scene with noise on its inputs. Noise applies to the points, the cameras of training views, and the
-    /// normal and semantic priors. The extent of the scene is unchanged.
+    /// Returns the scene with noise on its inputs. Noise applies to the points, the normal and semantic priors, and the
+    /// cameras of training views whose poses are not learned. The extent of the scene is unchanged.
     #[must_use]
     pub fn disturbed(&self, noise: &Noise) -> Scene {
         let mut scene = self.clone();
@@ -290,7 +290,9 @@ impl Scene {
         if noise.rotations > 0.0 || noise.translations > 0.0 {
             for &i in &self.split.train {
                 let view = &mut scene.views[i];
-                view.camera = noise.moved(&view.camera, i, extent);
+                if !view.learned_pose {
+                    view.camera = noise.moved(&view.camera, i, extent);
+                }
                 view.stored_camera = noise.moved(&view.stored_camera, i, extent);
             }
         }

@@ -32,6 +32,8 @@ pub struct View {
     ///
     /// It grows with the square of the distance from the center of the image. Loading removes it. 0 if unknown.
     pub vignetting: f32,
+    /// Whether training learned the pose. Noise does not move it again.
+    pub learned_pose: bool,
     declared_in: PathBuf,
     pub(crate) beside: Beside,
 }
@@ -72,6 +74,7 @@ impl View {
             stored_camera,
             gains: [1.0; 3],
             vignetting: 0.0,
+            learned_pose: false,
             declared_in,
             beside,
         }
@@ -86,12 +89,21 @@ impl View {
         Camera { rotation, translation, ..self.stored_camera.scaled(width, height) }
     }
 
-    /// Returns the view at `scale` times its stored size; the pose is unchanged.
+    /// Returns the view at `scale` times its stored size; the pose and a learned lens are unchanged.
     pub(crate) fn at_scale(mut self, scale: f64) -> Self {
         let side = |n: u32| ((f64::from(n) * scale).round() as u32).max(1);
         let scaled = self.stored_camera.scaled(side(self.stored_camera.width), side(self.stored_camera.height));
-        let Camera { rotation, translation, .. } = self.camera;
-        self.camera = Camera { rotation, translation, ..scaled };
+        let given = self.given_camera();
+        let Camera { rotation, translation, fx, fy, cx, cy, .. } = self.camera;
+        self.camera = Camera {
+            rotation,
+            translation,
+            fx: fx / given.fx * scaled.fx,
+            fy: fy / given.fy * scaled.fy,
+            cx: scaled.cx + (cx - given.cx) / given.fx * scaled.fx,
+            cy: scaled.cy + (cy - given.cy) / given.fy * scaled.fy,
+            ..scaled
+        };
         self
     }
 
@@ -114,19 +126,17 @@ impl View {
 
     /// Divides by the view's factors and those of the lens.
     fn evenly_exposed(&self, mut image: Image) -> Image {
-        if self.vignetting != 0.0 {
-            let middle = [0.5 * image.width as f32, 0.5 * image.height as f32];
-            let corner = middle[0] * middle[0] + middle[1] * middle[1];
-            for (at, pixel) in image.data.chunks_exact_mut(3).enumerate() {
-                let [x, y] = [at % image.width as usize, at / image.width as usize].map(|n| n as f32 + 0.5);
-                let share = ((x - middle[0]).powi(2) + (y - middle[1]).powi(2)) / corner;
-                let gain = (self.vignetting * share).exp();
-                pixel.iter_mut().for_each(|v| *v = (*v / gain).min(1.0));
-            }
+        if self.gains == [1.0; 3] && self.vignetting == 0.0 {
+            return image;
         }
-        if self.gains != [1.0; 3] {
-            let each = image.data.chunks_exact_mut(3);
-            each.for_each(|p| p.iter_mut().zip(self.gains).for_each(|(v, gain)| *v = (*v / gain).min(1.0)));
+        let middle = [0.5 * image.width as f32, 0.5 * image.height as f32];
+        let corner = middle[0] * middle[0] + middle[1] * middle[1];
+        for (at, pixel) in image.data.chunks_exact_mut(3).enumerate() {
+            let [x, y] = [at % image.width as usize, at / image.width as usize].map(|n| n as f32 + 0.5);
+            let share = ((x - middle[0]).powi(2) + (y - middle[1]).powi(2)) / corner;
+            let shade = (self.vignetting * share).exp();
+            // Clipped once: a corner may exceed 1 before the view's factors make it darker.
+            pixel.iter_mut().zip(self.gains).for_each(|(v, gain)| *v = (*v / shade / gain).min(1.0));
         }
         image
     }
@@ -384,6 +394,44 @@ mod tests {
         assert!(light.data.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6));
     }
 
+    /// Fails unless every pixel is `shown`, divided by the view's factors and clipped.
+    fn assert_evenly_exposed(view: &View, shown: &[f32]) {
+        let loaded = view.load_image(&LoadOptions::default()).unwrap();
+        let (middle_x, middle_y) = (0.5 * f64::from(loaded.width), 0.5 * f64::from(loaded.height));
+        assert_eq!(loaded.data.len(), shown.len());
+        for (at, (found, shown)) in loaded.data.iter().zip(shown).enumerate() {
+            let (column, row) = (at / 3 % loaded.width as usize, at / 3 / loaded.width as usize);
+            let (x, y) = (column as f64 + 0.5 - middle_x, row as f64 + 0.5 - middle_y);
+            let share = (x * x + y * y) / (middle_x * middle_x + middle_y * middle_y);
+            let gain = f64::from(view.gains[at % 3]) * (f64::from(view.vignetting) * share).exp();
+            let (found, expected) = (f64::from(*found), (f64::from(*shown) / gain).min(1.0));
+            assert!((found - expected).abs() <= 1e-6 * expected, "value {at} of {view:?}: {found} and not {expected}");
+        }
+    }
+
+    #[test]
+    fn photographs_are_divided_by_gains_and_vignetting() {
+        let mut photograph = Image::new(7, 5, 3);
+        // Black and white are among the values.
+        photograph.data.iter_mut().enumerate().for_each(|(i, v)| *v = (i * 37 % 256) as f32 / 255.0);
+        assert!(photograph.data.contains(&0.0) && photograph.data.contains(&1.0));
+        let (_keep, mut view) = view("a.png", &photograph, 1.0);
+        for gains in [[1.0; 3], [0.5, 1.0, 1.7], [1e-3, 1.0, 1e3], [1.2, 3.0, 0.9]] {
+            for vignetting in [0.0, -0.6, 0.4] {
+                (view.gains, view.vignetting) = (gains, vignetting);
+                assert_evenly_exposed(&view, &photograph.data);
+            }
+        }
+        // Linear values are clipped as in the camera, and pixels that the mask excludes stay black.
+        let (keep, mut view) = self::view("a.exr", &image(3, &[f32::NAN, 0.5, 0.5, 4.0, 0.18, f32::INFINITY]), 1.0);
+        let mask = keep.path().join("mask.png");
+        write_png(&mask, &image(1, &[0.0, 1.0])).unwrap();
+        view.beside.mask = Some(mask);
+        (view.gains, view.vignetting) = ([2.0, 0.25, 1e3], -0.3);
+        assert_evenly_exposed(&view, &[0.0, 0.0, 0.0, 1.0, linear_to_srgb(0.18), 1.0]);
+        assert_eq!(view.load_mask().unwrap().unwrap().data, [0.0, 1.0]);
+    }
+
     #[test]
     fn camera_scales_to_the_rounded_image_size() {
         let (_keep, view) = view("a.png", &Image::new(5, 3, 3), 0.5);
@@ -394,6 +442,14 @@ mod tests {
         assert!((cx - stored.cx * 0.6).abs() < 1e-12 && (cy - stored.cy * 2.0 / 3.0).abs() < 1e-12);
         let loaded = view.load_image(&LoadOptions::default()).unwrap();
         assert_eq!((loaded.width, loaded.height, loaded.channels), (3, 2, 3));
+        // A learned lens stays: a factor on focal lengths, and a shift of the center in given focal lengths.
+        let mut learned = view.clone();
+        (learned.camera.fx, learned.camera.fy) = (0.9 * fx, 0.9 * fy);
+        (learned.camera.cx, learned.camera.cy) = (cx + 0.1 * fx, cy - 0.2 * fy);
+        let (small, given) = (learned.at_scale(0.25).camera, view.stored_camera.scaled(1, 1));
+        let expected = [0.9 * given.fx, 0.9 * given.fy, given.cx + 0.1 * given.fx, given.cy - 0.2 * given.fy];
+        let found = [small.fx, small.fy, small.cx, small.cy];
+        assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?} {expected:?}");
     }
 
     #[test]

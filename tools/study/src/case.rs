@@ -3,7 +3,7 @@
 use super::Entry;
 use super::variant::any;
 use crate::error::{Result, StudyError};
-use sgs_config::{NoiseSettings, Settings};
+use sgs_config::{NoiseSettings, Settings, ViewRates};
 use sgs_scene::Scene;
 
 /// Input that noise is added to.
@@ -14,6 +14,8 @@ enum Input {
     Normals,
     Semantics,
     Poses,
+    /// Poses that training corrects.
+    LearnedPoses,
 }
 
 /// Case of robustness.
@@ -24,16 +26,20 @@ pub struct Case {
     input: Input,
 }
 
-const ALL: [Case; 5] = [
+const ALL: [Case; 6] = [
     Case { name: "clean", input: Input::Nothing },
     Case { name: "positions", input: Input::Positions },
     Case { name: "normals", input: Input::Normals },
     Case { name: "semantics", input: Input::Semantics },
     Case { name: "poses", input: Input::Poses },
+    Case { name: "learned_poses", input: Input::LearnedPoses },
 ];
 
 /// Noise of a case for which the settings have none of its kind. The paper gives no numbers.
 const USUAL: NoiseSettings = NoiseSettings { positions: 0.01, normals: 10.0, semantics: 0.1, cameras: [0.5, 0.005] };
+
+/// Learning rate of noisy cameras. It suffices for half a degree within 1000 steps.
+const CAMERA_RATE: f64 = 1e-3;
 
 impl Case {
     /// Returns every case, in the order of the paper's table. The case without noise is first.
@@ -53,8 +59,14 @@ impl Case {
         Ok(ALL.into_iter().filter(|c| names.is_empty() || names.iter().any(|n| n == c.name)).collect())
     }
 
+    /// Returns whether views are measured after alignment, too. Learned cameras leave the scene a little turned and
+    /// shifted, so these cases are compared by that measure.
+    pub fn aligns(&self) -> bool {
+        matches!(self.input, Input::Nothing | Input::Poses | Input::LearnedPoses)
+    }
+
     /// Returns settings with the noise of this case and no other. The amount is that of the settings, or the default of
-    /// the case.
+    /// the case. Learned poses also have a learning rate.
     pub fn settings(&self, base: &Settings) -> Settings {
         let (requested, mut noise) = (&base.noise, NoiseSettings::default());
         let or = |requested: f64, usual: f64| if requested > 0.0 { requested } else { usual };
@@ -64,10 +76,15 @@ impl Case {
             Input::Normals => noise.normals = or(requested.normals, USUAL.normals),
             Input::Semantics => noise.semantics = or(requested.semantics, USUAL.semantics),
             // Settings with rotations alone, or translations alone, keep these.
-            Input::Poses if requested.cameras != [0.0; 2] => noise.cameras = requested.cameras,
-            Input::Poses => noise.cameras = USUAL.cameras,
+            Input::Poses | Input::LearnedPoses if requested.cameras != [0.0; 2] => noise.cameras = requested.cameras,
+            Input::Poses | Input::LearnedPoses => noise.cameras = USUAL.cameras,
         }
-        Settings { noise, ..base.clone() }
+        let mut settings = Settings { noise, ..base.clone() };
+        if self.input == Input::LearnedPoses {
+            let [_, gains, lens, radial] = base.geometry.rates.views.fixed().unwrap_or_default();
+            settings.geometry.rates.views = ViewRates::Fixed([CAMERA_RATE, gains, lens, radial]);
+        }
+        settings
     }
 
     /// Returns the row of a table. `base`: the settings that [`Case::settings`] takes.
@@ -79,24 +96,28 @@ impl Case {
             Input::Positions => format!("initial points {} of the extent off", share(n.positions)),
             Input::Normals => format!("normal priors turned by {}°", n.normals),
             Input::Semantics => format!("{} of semantic cells wrong", share(n.semantics)),
-            Input::Poses => {
+            Input::Poses | Input::LearnedPoses => {
                 let (turn, far) = (n.cameras[0], share(n.cameras[1]));
-                format!("training cameras turned by {turn}°, {far} of the extent off")
+                let learned = if self.input == Input::LearnedPoses { ", and learned" } else { "" };
+                format!("training cameras turned by {turn}°, {far} of the extent off{learned}")
             }
         };
         let order = ALL.iter().position(|c| c == self).unwrap_or(ALL.len());
         Entry { order, name: self.name, about, run: self.name }
     }
 
-    /// Returns the reason why the noise would have no effect, as the end of a sentence. The scene may lack the input,
-    /// or the settings may leave it out.
+    /// Returns why the case would equal another one, as the end of a sentence. The scene may lack the input, or the
+    /// settings may leave it out.
     ///
     /// # Errors
     /// If a prior cannot be read.
     pub fn lacks(&self, scene: &Scene, settings: &Settings) -> Result<Option<&'static str>> {
         let g = &settings.geometry;
         Ok(match self.input {
-            Input::Nothing | Input::Positions | Input::Poses => None,
+            Input::LearnedPoses if g.rates.views.fixed().is_some_and(|rates| rates[0] > 0.0) => {
+                Some("geometry.rates.views learns cameras in every case")
+            }
+            Input::Nothing | Input::Positions | Input::Poses | Input::LearnedPoses => None,
             Input::Normals if !g.normals => Some("geometry.normals is false"),
             Input::Normals if !any(scene, |view| Ok(scene.normal_prior(view)?.is_some()))? => {
                 Some("the scene has no priors/normal")
@@ -135,8 +156,26 @@ mod tests {
         assert_eq!(noise("normals"), NoiseSettings { normals: 25.0, ..none });
         assert_eq!(noise("semantics"), NoiseSettings { semantics: 0.1, ..none });
         assert_eq!(noise("poses"), NoiseSettings { cameras: [0.0, 0.03], ..none });
+        assert_eq!(ALL.map(|c| c.aligns()), [true, false, false, false, true, true]);
         assert_eq!(ALL[2].entry(&base).about, "normal priors turned by 25°");
         assert_eq!(ALL[1].entry(&base).about, "initial points 1 % of the extent off");
+    }
+
+    #[test]
+    fn learned_poses_are_poses_with_a_rate() {
+        let [.., poses, learned] = ALL;
+        assert_eq!((poses.name, learned.name), ("poses", "learned_poses"));
+        let mut base = Settings::default();
+        for (views, expected) in
+            [(ViewRates::Auto, [1e-3, 0.0, 0.0, 0.0]), ([0.0, 5e-3, 2e-3, 4e-3].into(), [1e-3, 5e-3, 2e-3, 4e-3])]
+        {
+            base.geometry.rates.views = views;
+            let mut settings = learned.settings(&base);
+            assert_eq!(settings.geometry.rates.views, ViewRates::Fixed(expected));
+            settings.geometry.rates.views = views;
+            assert_eq!(settings, poses.settings(&base));
+        }
+        assert_eq!(learned.entry(&base).about, poses.entry(&base).about + ", and learned");
     }
 
     #[test]
@@ -145,6 +184,7 @@ mod tests {
         let found = Case::named(&names(&["poses", "clean"])).unwrap();
         assert_eq!(found.iter().map(|c| c.name).collect::<Vec<_>>(), ["clean", "poses"]);
         let error = Case::named(&names(&["magic"])).unwrap_err().to_string();
-        assert!(error.contains("no case \"magic\"; there are clean, positions, normals, semantics, poses."), "{error}");
+        assert!(error.contains("there are clean, positions, normals, semantics, poses, learned_poses."), "{error}");
+        assert!(error.contains("no case \"magic\"; "), "{error}");
     }
 }

@@ -29,6 +29,8 @@ pub struct Goal {
     pub materials: Option<StageKind>,
     /// LPIPS that is measured, if any.
     pub lpips: Option<LpipsAbout>,
+    /// Whether views are measured after alignment, too.
+    pub align: bool,
 }
 
 impl State {
@@ -64,7 +66,11 @@ impl State {
         let wanted = goal.lpips.and_then(|about| serde_json::to_value(about).ok());
         let measured = |all: &Value| wanted.as_ref().is_none_or(|about| all.pointer("/test/lpips") == Some(about));
         match Measures::read(&run) {
-            Some(measures) if measured(&json(&run, "metrics.json")) => State::Measured(Box::new(measures)),
+            Some(measures)
+                if measured(&json(&run, "metrics.json")) && (!goal.align || measures.get("psnr_aligned").is_some()) =>
+            {
+                State::Measured(Box::new(measures))
+            }
             _ => State::Trained,
         }
     }
@@ -89,9 +95,11 @@ pub(super) struct Measure {
 }
 
 /// All measures, in the order of the table.
-pub(super) const MEASURES: [Measure; 19] = [
+pub(super) const MEASURES: [Measure; 21] = [
     measure("psnr", "PSNR, dB ↑", 2, "/test/mean/nvs/psnr"),
+    measure("psnr_aligned", "PSNR, aligned, dB ↑", 2, "/test/mean/nvs/psnr_aligned"),
     measure("ssim", "SSIM ↑", 4, "/test/mean/nvs/ssim"),
+    measure("ssim_aligned", "SSIM, aligned ↑", 4, "/test/mean/nvs/ssim_aligned"),
     measure("lpips", "LPIPS ↓", 4, "/test/mean/nvs/lpips"),
     measure("pbr_psnr", "shaded PSNR, dB ↑", 2, "/test/mean/pbr/psnr"),
     measure("pbr_ssim", "shaded SSIM ↑", 4, "/test/mean/pbr/ssim"),
@@ -140,9 +148,10 @@ impl Measures {
 
     /// Returns a measure by its name in JSON. None if the value is unknown.
     ///
-    /// Names: `psnr` (dB), `ssim`, `lpips`; `pbr_` and `albedo_` with one of these; `roughness_mse`, `metallic_mse`,
-    /// `relit_psnr` (mean over the relit sets), `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of
-    /// geometry), `intrinsic_seconds_per_step`, `transport_seconds_per_step`, `gaussians`. Seconds are known for runs that were not interrupted.
+    /// Names: `psnr` (dB), `ssim`, `lpips`; `pbr_` and `albedo_` with one of these; `psnr_aligned` and `ssim_aligned`
+    /// (after alignment of each view); `roughness_mse`, `metallic_mse`, `relit_psnr` (mean over the relit sets),
+    /// `normal_mae_deg`, `depth_rel`, `accuracy`, `seconds_per_step` (of geometry), `intrinsic_seconds_per_step`,
+    /// `transport_seconds_per_step`, `gaussians`. Seconds are known for runs that were not interrupted.
     pub fn get(&self, key: &str) -> Option<f64> {
         MEASURES.iter().zip(self.0).find(|(m, _)| m.key == key).and_then(|(_, value)| value)
     }
@@ -203,7 +212,8 @@ mod tests {
         // Materials and LPIPS are requested, too.
         let goal = |materials: bool, net: Option<&'static str>| {
             let lpips = net.map(|net| LpipsAbout { net, version: "0.1", range: [0, 1] });
-            State::of(&root, &requested, &Goal { materials: materials.then_some(StageKind::Intrinsic), lpips })
+            let materials = materials.then_some(StageKind::Intrinsic);
+            State::of(&root, &requested, &Goal { materials, lpips, align: false })
         };
         assert_eq!((goal(true, None), goal(false, Some("vgg"))), (State::Formed, State::Trained));
         run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
@@ -220,12 +230,31 @@ mod tests {
         run.write_json("training.json", &json!({"resumed_from": 0, "intrinsic": {}})).unwrap();
         requested.intrinsic.losses.dssim = 0.7;
         assert_eq!(
-            State::of(&root, &requested, &Goal { materials: Some(StageKind::Intrinsic), lpips: None }),
+            State::of(&root, &requested, &Goal { materials: Some(StageKind::Intrinsic), ..Goal::default() }),
             State::Formed
         );
         assert!(matches!(state(&requested), State::Measured(_)));
         // Any other setting makes another run.
         requested.geometry.losses.dssim = 0.7;
         assert_eq!(state(&requested), State::Absent);
+    }
+
+    #[test]
+    fn aligned_measures_are_read_and_required_if_wanted() {
+        let folder = tempfile::tempdir().unwrap();
+        let (run, requested) = (RunDirectory::create(folder.path()).unwrap(), Settings::default());
+        run.write_settings(&requested).unwrap();
+        std::fs::write(run.path("scene.ply"), "").unwrap();
+        run.write_json("training.json", &json!({"resumed_from": 0})).unwrap();
+        let state = |align: bool| State::of(folder.path(), &requested, &Goal { align, ..Goal::default() });
+        let write = |nvs: Value| run.write_json("metrics.json", &json!({"test": {"mean": {"nvs": nvs}}})).unwrap();
+        write(json!({"psnr": 27.0, "ssim": 0.8}));
+        assert!(state(true) == State::Trained && matches!(state(false), State::Measured(_)));
+        let nvs = json!({"psnr": 27.0, "psnr_aligned": 32.0, "ssim": 0.8, "ssim_aligned": 0.9});
+        write(nvs.clone());
+        for align in [true, false] {
+            let State::Measured(measures) = state(align) else { panic!("measures are there") };
+            assert_eq!(serde_json::to_value(*measures).unwrap(), nvs);
+        }
     }
 }

@@ -28,12 +28,20 @@ pub struct Schedule {
     views: usize,
     /// Factor on all learning rates.
     rates: f64,
+    /// Rates of what is learned of the photographs.
+    view_rates: [f64; 4],
 }
 
 impl Schedule {
     /// Makes the schedule for a scene of this extent and number of training views.
     pub fn new(settings: &Settings, extent: f64, views: usize) -> Schedule {
-        Schedule { settings: settings.clone(), extent, views: views.max(1), rates: 1.0 }
+        let view_rates = settings.geometry.rates.views.fixed().unwrap_or_default();
+        Schedule { settings: settings.clone(), extent, views: views.max(1), rates: 1.0, view_rates }
+    }
+
+    /// Returns the schedule with these rates of what is learned of the photographs.
+    pub fn with_view_rates(self, view_rates: [f64; 4]) -> Schedule {
+        Schedule { view_rates, ..self }
     }
 
     /// Returns the unit of lengths.
@@ -95,6 +103,7 @@ impl Schedule {
         let means = first.powf(1.0 - done.min(1.0)) * last.powf(done.min(1.0));
         let factor = g.rate_factor() * self.rates;
         // Cameras wait until the Gaussians show a room; their last steps are a hundredth of the first.
+        let [turn, gain, lens, radial] = self.view_rates;
         let views = if done < VIEWS_FROM { 0.0 } else { factor * 0.01f64.powf(done.min(1.0)) };
         let spread = 10f64.powf(f64::from(step) / 5000.0).min(SPREAD_GROWTH) as f32;
         // In units of the extent, so that the unit of lengths has no effect.
@@ -118,11 +127,11 @@ impl Schedule {
             lr_semantics: (factor * g.rates.semantics) as f32,
             lr_decoder: (factor * g.rates.decoder) as f32,
             lr_share: 1.0,
-            lr_turn: (views * g.rates.views[0]) as f32,
-            lr_shift: (views * g.rates.views[0] * self.extent) as f32,
-            lr_gain: (views * g.rates.views[1]) as f32,
-            lr_lens: (views * g.rates.views[2]) as f32,
-            lr_radial: (views * g.rates.views[3]) as f32,
+            lr_turn: (views * turn) as f32,
+            lr_shift: (views * turn * self.extent) as f32,
+            lr_gain: (views * gain) as f32,
+            lr_lens: (views * lens) as f32,
+            lr_radial: (views * radial) as f32,
             correction1: (1.0 / (1.0 - 0.9f64.powf(f64::from(step)))) as f32,
             correction2: (1.0 / (1.0 - 0.999f64.powf(f64::from(step)))) as f32,
             weight_opacity: mcmc(MCMC_OPACITY) as f32,
@@ -236,6 +245,36 @@ mod tests {
         assert_eq!(at(&settings), [2, 2, 2, 2, 1, 1, 0]);
         settings.geometry.coarse = 0.0;
         assert_eq!(at(&settings), [0; 7]);
+    }
+
+    #[test]
+    fn learned_views_wait_for_a_twentieth_of_the_steps() {
+        let mut settings = Settings::default();
+        (settings.geometry.rates.factor, settings.geometry.rates.views) = (1.5, [1.0, 3.0, 4.0, 5.0].into());
+        let mut rates = |steps: u32, step: u32| {
+            settings.geometry.steps = steps;
+            let s = Schedule::new(&settings, 2.0, 1).step(step, &Camera::default(), 0);
+            [s.lr_turn, s.lr_shift, s.lr_gain, s.lr_lens, s.lr_radial]
+        };
+        for (steps, step) in [(1000, 1), (1000, 49), (60, 2), (21, 1)] {
+            assert_eq!(rates(steps, step), [0.0; 5], "step {step} of {steps}");
+        }
+        // The shift has the rate of the turn times the extent. Rates fall to a hundredth, also beyond the last step.
+        for (steps, step, done) in
+            [(1000, 50, 0.05), (1000, 51, 0.051), (60, 3, 0.05), (20, 1, 0.05), (1000, 500, 0.5), (1000, 1000, 1.0)]
+        {
+            let decay = 1.5 * 0.01_f64.powf(done);
+            let near = |(found, expected): (f32, f64)| (f64::from(found) / (decay * expected) - 1.0).abs() < 1e-6;
+            let found = rates(steps, step);
+            assert!(found.into_iter().zip([1.0, 2.0, 3.0, 4.0, 5.0]).all(near), "step {step} of {steps}: {found:?}");
+        }
+        assert_eq!(rates(10, 20), rates(10, 10));
+        let rolled_back = |rates: f64| {
+            let mut schedule = Schedule::new(&settings, 2.0, 1);
+            schedule.set_rates(rates);
+            schedule.step(10, &Camera::default(), 0).lr_gain
+        };
+        assert_eq!(rolled_back(0.5), 0.5 * rolled_back(1.0));
     }
 
     #[test]

@@ -10,7 +10,8 @@ use sgs_passes::Tuning;
 use sgs_passes::loss::{count_targets, normalize_embeddings, semantic_targets};
 use sgs_passes::pipeline::{SemanticInputs, SemanticSizes, SemanticTarget, Step};
 use sgs_passes::scene::{Decoder, EMBEDDING};
-use sgs_scene::{Camera, FeatureMap, Scene, TextEmbeddings};
+use sgs_scene::{Camera, FeatureMap, Image, Scene, TextEmbeddings};
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 
 /// Map of a view in the buffers of all views.
@@ -129,8 +130,7 @@ impl SemanticMaps {
         let row = 2 * EMBEDDING as u64;
         let features = device.buffer("semantic_features", samples * row, Location::Device)?;
         for (&i, view) in scene.split.train.iter().zip(&views) {
-            if let Some(map) = scene.semantic_prior(i)? {
-                let FeatureMap { data, .. } = thinned(map, view.size);
+            if let Some(FeatureMap { data, .. }) = used(scene, i, view.size)? {
                 device.upload(&features, u64::from(view.offset) * row, bytemuck::cast_slice::<f16, u8>(&data))?;
             }
         }
@@ -163,8 +163,8 @@ impl SemanticMaps {
         let targets =
             device.buffer("semantic_targets", largest * size_of::<SemanticTarget>() as u64, Location::Device)?;
         let mut labels = Vec::new();
-        for &i in &scene.split.train {
-            let Some(FeatureMap { data, .. }) = scene.semantic_prior(i)? else { continue };
+        for (&i, view) in scene.split.train.iter().zip(&self.views) {
+            let Some(FeatureMap { data, .. }) = used(scene, i, view.size)? else { continue };
             device.upload(&features, 0, bytemuck::cast_slice::<f16, u8>(&data))?;
             // Samples past the end of a smaller map are left over from an earlier one and are ignored.
             work_out(device, &features, &embeddings, self.text.labels.len() as u32, self.largest, &targets)?;
@@ -177,6 +177,37 @@ impl SemanticMaps {
 fn labels_of(device: &Device, targets: &DeviceBuffer, samples: usize) -> Result<Vec<u32>> {
     let computed: Vec<SemanticTarget> = device.download_as(targets, samples)?;
     Ok(computed.iter().map(|t| t.label).collect())
+}
+
+/// Returns the map of a view as training uses it, at this width and height.
+fn used(scene: &Scene, view: usize, size: [u32; 2]) -> Result<Option<FeatureMap>> {
+    let Some(map) = scene.semantic_prior(view)? else { return Ok(None) };
+    let mut map = thinned(map, size);
+    if let Some(mask) = scene.load_mask(view)? {
+        clear_invalid(&mut map, &mask);
+    }
+    Ok(Some(map))
+}
+
+/// Clears the cells that the loss compares with invalid pixels.
+///
+/// A cleared cell has no target. The loss interpolates up to four pixels of the image for a cell. The cell is cleared if one of them is invalid.
+fn clear_invalid(map: &mut FeatureMap, mask: &Image) {
+    let (width, height) = (mask.width as usize, mask.height as usize);
+    for (at, cell) in map.data.chunks_exact_mut(map.channels).enumerate() {
+        let columns = interpolated(at % map.width, map.width, width);
+        let valid = |y: usize| columns.clone().all(|x| mask.data[y * width + x] > 0.5);
+        if !interpolated(at / map.width, map.height, height).all(valid) {
+            cell.fill(f16::ZERO);
+        }
+    }
+}
+
+/// Returns the pixels from which a sample is interpolated along an axis. `aligned` of `semantic.glsl` does the same.
+fn interpolated(i: usize, samples: usize, pixels: usize) -> RangeInclusive<usize> {
+    let steps = samples.max(2) - 1;
+    let at = if samples > 1 { i * (pixels - 1) } else { 0 };
+    at / steps..=at.div_ceil(steps)
 }
 
 /// Returns the used width and height of a map: at most those of the image.
@@ -298,5 +329,31 @@ mod tests {
         assert_eq!(reduced(map(5, 1), [3, 1]), [0.0, 2.0, 4.0]);
         assert_eq!(reduced(map(9, 2), [4, 2]), [0.0, 3.0, 5.0, 8.0, 9.0, 12.0, 14.0, 17.0]);
         assert_eq!(reduced(map(4, 3), [1, 1]), [0.0]);
+    }
+
+    #[test]
+    fn cells_of_invalid_pixels_are_cleared() {
+        let cleared = |[width, height]: [usize; 2], size: [u32; 2], invalid: [u32; 2]| -> Vec<usize> {
+            let mut map = FeatureMap { width, height, channels: 2, data: vec![f16::ONE; 2 * width * height] };
+            let mut mask = Image { data: vec![1.0; (size[0] * size[1]) as usize], ..Image::new(size[0], size[1], 1) };
+            mask.pixel_mut(invalid[0], invalid[1])[0] = 0.0;
+            clear_invalid(&mut map, &mask);
+            let cells: Vec<&[f16]> = map.data.chunks_exact(2).collect();
+            assert!(cells.iter().all(|cell| cell[0] == cell[1]));
+            (0..cells.len()).filter(|at| cells[*at][0] == f16::ZERO).collect()
+        };
+        // One cell per pixel.
+        assert_eq!(cleared([4, 3], [4, 3], [2, 1]), [6]);
+        assert_eq!(cleared([4, 3], [4, 3], [3, 2]), [11]);
+        // The cells of a row lie at pixels 0, 3.5 and 7, those of a column at 0 and 5.
+        for (x, cell) in [(0, Some(0)), (1, None), (3, Some(1)), (4, Some(1)), (5, None), (7, Some(2))] {
+            assert_eq!(cleared([3, 2], [8, 6], [x, 0]), cell.into_iter().collect::<Vec<_>>(), "{x}");
+            assert_eq!(cleared([3, 2], [8, 6], [x, 5]), cell.map(|c| c + 3).into_iter().collect::<Vec<_>>(), "{x}");
+            assert!(cleared([3, 2], [8, 6], [x, 3]).is_empty());
+        }
+        // A single cell lies at the first pixel.
+        assert_eq!(cleared([1, 1], [8, 6], [0, 0]), [0]);
+        assert!(cleared([1, 1], [8, 6], [1, 0]).is_empty());
+        assert_eq!(cleared([1, 1], [1, 1], [0, 0]), [0]);
     }
 }

@@ -59,7 +59,8 @@ pub(crate) struct Compared {
 impl Room {
     /// Finds emitters and fits them, and the enclosure, to photographs.
     ///
-    /// Photographs hold display values, one image per view. `splats` are the Gaussians of which the room was built. `known`
+    /// Photographs hold display values, one image per view. Their invalid pixels were left out
+    /// ([`SeenViews::exclude`]). `splats` are the Gaussians of which the room was built. `known`
     /// are the emitters in world units, if their shapes and places are known: none is searched, moved or dropped then.
     ///
     /// # Errors

@@ -53,7 +53,12 @@ pub fn fit_room(device: &Device, scene: &Scene, splats: &Splats, options: RoomOp
     let scene = reduced(scene);
     let cameras = cameras_of(&scene);
     let photographs: Vec<Image> = scene.load_train_images()?;
-    let (room, views) = Room::new(device, splats, &cameras, options)?;
+    let (room, mut views) = Room::new(device, splats, &cameras, options)?;
+    for (view, &i) in scene.split.train.iter().enumerate() {
+        if let Some(mask) = scene.load_mask(i)? {
+            views.exclude(view, &mask);
+        }
+    }
     let (room, shapes) = match &known {
         Some(known) => {
             let shapes: Vec<LightShape> = known.emitters.iter().map(|e| e.shape).collect();

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use sgs_passes::pipeline::Shaded;
-use sgs_scene::Camera;
+use sgs_scene::{Camera, Image};
 
 /// Surfaces that the training views show, with their cameras.
 pub struct SeenViews {
@@ -18,6 +18,13 @@ impl SeenViews {
     pub(crate) fn new(views: Vec<Shaded>, cameras: &[Camera]) -> SeenViews {
         let from = cameras.iter().map(|c| c.position().as_vec3().to_array()).collect();
         SeenViews { views, cameras: cameras.to_vec(), from }
+    }
+
+    /// Removes the surfaces of invalid pixels of a photograph, where its mask is 0. The pixels explain nothing then.
+    pub fn exclude(&mut self, view: usize, mask: &Image) {
+        let points = self.views[view].points.chunks_exact_mut(3);
+        // A point at infinity is no reliable surface, and no Gaussian is near it.
+        points.zip(&mask.data).filter(|(_, valid)| **valid <= 0.5).for_each(|(point, _)| point.fill(f32::INFINITY));
     }
 
     /// Returns the pixel onto which a view projects a point in world units.

@@ -66,7 +66,7 @@ pub fn geometry(device: &Device, scene: &Scene) -> anyhow::Result<()> {
     all.push(with(|s| s.geometry.densify.until = 0.0));
     for (colors_alone, lens) in [(false, 0.0), (true, 0.0), (false, 1e-3)] {
         all.push(with(|s| {
-            s.geometry.rates.views = [1e-3, 1e-3, lens, lens];
+            s.geometry.rates.views = [1e-3, 1e-3, lens, lens].into();
             if colors_alone {
                 (s.geometry.semantics, s.geometry.normals) = (false, false);
                 (s.geometry.losses.depth_smooth, s.geometry.losses.depth_variance) = (0.0, 0.0);
@@ -94,7 +94,7 @@ pub fn depths(device: &Device, scene: &Path) -> anyhow::Result<()> {
             Geometry::new(device, &scene, &s, None)?.build_graphs()?;
         }
         // A sensor measures along the rays of the given lens, also while training learns another.
-        Geometry::new(device, &scene, &with(|s| s.geometry.rates.views = [1e-3; 4]), None)?.build_graphs()?;
+        Geometry::new(device, &scene, &with(|s| s.geometry.rates.views = [1e-3; 4].into()), None)?.build_graphs()?;
     }
     Ok(())
 }

@@ -28,8 +28,9 @@
 //! | loads of rows, neighboring addresses | 2 | 0 |
 //! | accesses of shared memory, four numbers each | 6 | 0 |
 //!
-//! With matrix units and 16 bits, the products with the second layer and the sums of weights run on units; see ADR 0019. CPUs
-//! keep the kernel whose lanes share a pair.
+//! Batches exchange shuffles for loads: loaded bytes do not fall. With matrix units and 16 bits, the products with the second
+//! layer and the sums of weights run on units. A subgroup of 32 then loads 80 vectors of weights for a light instead of 888;
+//! see ADR 0019. CPUs keep the kernel whose lanes share a pair.
 //!
 //! Cost per pair: 3 x 1024 multiply-adds for value and gradient, 1024 more with the smoothness term, and about 500 for
 //! the rest. Per pixel: 384 gathers of 8 bytes (4 with 16-bit tables), 5 x 1024 multiply-adds, 256 to 512 atomics.

@@ -16,13 +16,15 @@
 //!
 //! Cost: 128 gathers of 8 bytes (4 with 16-bit tables) and 1024 multiply-adds per pixel; 1184 multiply-adds per pair.
 //! A GPU's invocation evaluates several lights of its pixel together, so that they share each load of weights: four lights
-//! up to 32 lanes, two above (`visibility_pairs.glsl`). Loads of a pair and lane, from addresses that lanes share:
+//! up to 32 lanes, two above (`visibility_pairs.glsl`). Loads of a pair and lane; lanes share the addresses of weights:
 //!
-//! | | vectors of four weights | shared memory |
-//! |---|---|---|
-//! | one light alone, weights in shared memory | 288, and 32 single ones | 4736 bytes |
-//! | two lights together | 148 | 64 bytes |
-//! | four lights together | 74 | 32 bytes |
+//! | | vectors of four weights | bytes of shared memory | bytes in all |
+//! |---|---|---|---|
+//! | one light alone, weights in shared memory | 288, and 32 single ones | 4736 | 4736 |
+//! | two lights together | 148 | 64 | 2432 |
+//! | four lights together | 74 | 32 | 1216 |
+//!
+//! Four lights together therefore load a quarter of the bytes of one alone, and 1/148 of them from shared memory.
 //!
 //! No lanes exchange values. On CPUs with eight lanes, lanes hold neurons, and two pixels share loads of the second layer.
 

@@ -158,10 +158,12 @@ type Lens<'a> = (u32, &'a [f64]);
 pub(super) fn colmap_wide_cameras() -> Vec<(&'static str, Vec<u8>)> {
     let mut rad_tan = [0.01; 16];
     rad_tan[..4].copy_from_slice(&[7.0, 7.0, 4.0, 3.0]);
-    let files: [(&str, [Lens; 2]); 3] = [
+    let thin_prism = [7.0, 7.0, 4.0, 3.0, 0.1, 0.0, 0.001, 0.0, 0.01, 0.0, 0.001, 0.002];
+    let files: [(&str, [Lens; 2]); 4] = [
         ("fov.bin", [(7, &[7.0, 7.0, 4.0, 3.0, 0.9]), (16, &[7.0, 7.0, 4.0, 3.0, 0.6, 1.1])]),
         ("division.bin", [(12, &[7.0, 4.0, 3.0, -0.2]), (13, &[7.0, 7.0, 4.0, 3.0, 0.3])]),
         ("fisheye.bin", [(11, &rad_tan), (14, &[7.0, 4.0, 3.0])]),
+        ("polynomials.bin", [(5, &[7.0, 7.0, 4.0, 3.0, 0.1, 0.01, 0.0, 0.0]), (10, &thin_prism)]),
     ];
     let file = |cameras: [Lens; 2]| {
         let start = Words(Vec::new()).u64(2);

@@ -8,6 +8,14 @@ pub(crate) const TRANSFORMS: &str = r#"{"w": 8, "h": 6, "fl_x": 7.5, "fl_y": 7, 
 ]}
 "#;
 
+/// Frames with masks and depth of a sensor.
+pub(crate) const MEASURED: &str = r#"{"w": 8, "h": 6, "fl_x": 7.5, "depth_unit_scale_factor": 0.0002, "frames": [
+{"file_path": "images/000.png", "mask_path": "mask/000.png", "depth_file_path": "depth/000.png",
+"transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]},
+{"file_path": "images/001.png", "mask_path": "mask/none.png", "depth_file_path": ".\\depth\\000.png", "depth_unit_scale_factor": 1,
+"transform_matrix": [[0.8, 0, 0.6, 1], [0, 1, 0, 0], [-0.6, 0, 0.8, 2.5], [0, 0, 0, 1]]}]}
+"#;
+
 pub(crate) const HELD_OUT: &str = r#"{"camera_angle_x": 0.7, "frames": [
 {"file_path": "images/002", "w": 8, "h": 6, "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3]]},
 {"file_path": ".\\images\\003.jpg", "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4]]}]}
@@ -54,6 +62,11 @@ pub(crate) const COLMAP_CAMERAS: &str =
 pub(crate) const COLMAP_MODELS: &str = "1 FOV 8 6 7 7 4 3 0.9\n2 RAD_TAN_THIN_PRISM_FISHEYE 8 6 7 7 4 3 0.1 0 0 0 0 0 0.01 0 0 0 0.01 0\n\
      3 SIMPLE_DIVISION 8 6 7 4 3 -0.2\n4 EUCM 8 6 7 7 4 3 0.6 1.1\n5 FISHEYE 8 6 7 7 4 3\n";
 
+/// Fisheye lenses with polynomials.
+pub(crate) const COLMAP_FISHEYES: &str = "1 OPENCV_FISHEYE 8 6 7 7 4 3 0.1 0.01 0 0\n\
+     2 THIN_PRISM_FISHEYE 8 6 7 7 4 3 0.1 0 0.001 0 0.01 0 0.001 0.002\n\
+     3 SIMPLE_RADIAL_FISHEYE 8 6 7 4 3 0.1\n4 RADIAL_FISHEYE 8 6 7 4 3 0.1 0.01\n";
+
 pub(crate) const COLMAP_IMAGES: &str =
     "# Image list\n1 1 0 0 0 0 0 2 1 000.png\n1.5 2.5 3 2.5 3.5 -1\n2 0.96 0 0.28 0 0.5 0 2 2 001.png\n\n";
 
@@ -65,6 +78,18 @@ pub(crate) const COLMAP_RIGS: &str = "# Rigs\n1 2 CAMERA 1 CAMERA 2 1 0.96 0 0.2
 pub(crate) const COLMAP_FRAMES: &str = "# Frames\n1 1 1 0 0 0 0 0 2 3 CAMERA 1 1 CAMERA 2 2 IMU 3 7\n";
 
 pub(crate) const RGBD_POSE: &str = "1 0 0 0.5\n0 0.8 -0.6 1\n0 0.6 0.8 -2\n0 0 0 1\n";
+
+/// Pose of a tracker that is lost.
+pub(crate) const RGBD_LOST: &str =
+    "-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n-inf -inf -inf -inf\n";
+
+pub(crate) const SCANNET_INTRINSICS: &str = "7 0 4 0\n0 7.5 3 0\n0 0 1 0\n0 0 0 1\n";
+
+pub(crate) const KINECT_INTRINSICS: &str = " 7.0e+00 0 4\n0 7.5 3\n0 0 1\n";
+
+pub(crate) const TUM_IMAGES: &str = "# color images\n1.0 rgb/1.0.png\n2.0 rgb/2.0.png\n";
+
+pub(crate) const TUM_DEPTHS: &str = "# depth maps\n1.01 depth/1.0.png\n2.5 depth/2.0.png\n";
 
 pub(crate) const TUM_POSES: &str = "# time tx ty tz qx qy qz qw\n0.99 0 0 2 0 0 0 1\n2.01 0.5 0 2 0 0.28 0 0.96\n";
 
@@ -177,6 +202,12 @@ on_divergence = "roll-back"
 pub(crate) const METRICS: &str = r#"{"test": {"mean": {"nvs": {"psnr": 30.5, "ssim": 0.9, "flip": 0.1}, "relit": {"night": {"psnr": 11.5}},
 "semantic": {"accuracy": 0.5}}, "views": [{"name": "000", "nvs": {"psnr": 30.5, "ssim": 0.9}, "depth_rel": 0.02}],
 "lpips": {"net": "vgg", "version": "0.1", "range": [0, 1]}}, "gaussians": 1200, "steps_per_second": 4.5, "seconds": 10}
+"#;
+
+pub(crate) const LEARNED_CAMERAS: &str = r#"{"format": "sgs-cameras-1",
+"lens": {"focal": 0.9, "center": [0.01, -0.02], "vignetting": -0.3, "distortion": 0.02}, "views": [
+{"name": "000", "world_to_camera": [[1, 0, 0, 0.1], [0, -1, 0, 0], [0, 0, -1, 2]], "gains": [1.02, 1, 0.98]},
+{"name": "001", "world_to_camera": [[0.8, 0, -0.6, 0.5], [0, -1, 0, 0], [-0.6, 0, -0.8, 2]], "gains": [1, 0.9, 1.2]}]}
 "#;
 
 pub(crate) const TRAINING: &str =

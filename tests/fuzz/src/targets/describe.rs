@@ -49,6 +49,8 @@ fn all(scene: &Scene) -> String {
         note(scene.region_prior(i).map(|m| format!("{}", m.is_some())));
         note(scene.pseudo_region_prior(&view.camera).map(|m| format!("{}", m.is_some())));
         note(scene.semantic_prior(i).map(|m| format!("{}", m.is_some())));
+        note(scene.depth_prior(i).map(|m| format!("{}", m.is_some())));
+        note(scene.sensor_depth(i).map(|m| format!("{}", m.is_some())));
         for kind in GroundTruthKind::ALL {
             note(truth.load(kind, i).map(|m| format!("{}", m.is_some())));
         }
@@ -58,6 +60,7 @@ fn all(scene: &Scene) -> String {
             note(truth.relit_albedo(name, i).map(|m| format!("{}", m.is_some())));
         }
     }
+    note(scene.depth_points(50, 1).map(|p| format!("{}", p.map_or(0, |p| p.len()))));
     let noise =
         Noise { positions: 0.1, normals: 5.0, semantics: 0.5, rotations: 1.0, translations: 0.1, ..Default::default() };
     let noisy = scene.disturbed(&noise);

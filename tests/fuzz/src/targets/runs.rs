@@ -5,7 +5,8 @@ use crate::place::Place;
 use crate::seeds;
 use sgs_config::{Settings, overlay, parse_bytes};
 use sgs_report::{chart, serve, table};
-use sgs_run::{RunDirectory, RunError, StageKind};
+use sgs_run::{RunDirectory, RunError, StageKind, use_learned_views};
+use sgs_scene::{Scene, SceneOptions};
 use sgs_study::{Goal, Measures, State};
 use std::io::Write;
 
@@ -53,7 +54,7 @@ fn state(run: &RunDirectory) -> String {
         State::of(
             run.root(),
             &requested,
-            &Goal { materials: bool::then_some(materials, StageKind::Intrinsic), lpips: None },
+            &Goal { materials: bool::then_some(materials, StageKind::Intrinsic), ..Goal::default() },
         )
     };
     let measures = Measures::read(run).and_then(|m| serde_json::to_string(&m).ok()).unwrap_or_default();
@@ -80,6 +81,27 @@ pub(crate) fn training(bytes: &[u8]) -> String {
     words += &text_of(run.training_summary(), |value| format!("{}", value.is_object()));
     words += &text_of(run.write_summary(StageKind::Intrinsic, &serde_json::json!({"steps": 1})), |()| "added".into());
     words
+}
+
+/// Reads the learned cameras of a run and the photographs of its scene with them.
+pub(crate) fn cameras(bytes: &[u8]) -> String {
+    let place = Place::of("run_cameras", |place| {
+        seeds::scene(place);
+        place.put("config.toml", seeds::SETTINGS.as_bytes());
+    });
+    place.put("cameras.json", bytes);
+    let run = RunDirectory::open(&place.path("")).expect("it is a run");
+    text_of(run.learned_views(), |learned| {
+        let learned = learned.expect("the file exists");
+        run.write_learned_views(Some(&learned)).expect("cameras are written");
+        assert_eq!(run.learned_views().ok(), Some(Some(learned.clone())), "cameras come back");
+        let options = SceneOptions { random_points: 100, ..SceneOptions::default() };
+        let mut scene = Scene::open(&place.path(""), &options).expect("the seed scene is valid");
+        use_learned_views(&mut scene, &learned);
+        let image = text_of(scene.load_image(0), |_| "photograph".into());
+        let problem = scene.views[0].camera.problem().unwrap_or_default();
+        format!("{} views {image} {problem}", learned.views.len().min(3))
+    })
 }
 
 pub(crate) fn profile(bytes: &[u8]) -> String {

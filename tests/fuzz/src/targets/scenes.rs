@@ -119,6 +119,26 @@ pub(crate) fn rgbd_pose(bytes: &[u8]) -> String {
     within("rgbd_pose", seeds::seven_scenes, "frame-000000.pose.txt", bytes)
 }
 
+pub(crate) fn rgbd_images(bytes: &[u8]) -> String {
+    within("rgbd_images", seeds::tum, "rgb.txt", bytes)
+}
+
+pub(crate) fn rgbd_depths(bytes: &[u8]) -> String {
+    within("rgbd_depths", seeds::tum, "depth.txt", bytes)
+}
+
+pub(crate) fn rgbd_intrinsics(bytes: &[u8]) -> String {
+    within("rgbd_intrinsics", seeds::seven_scenes, "camera-intrinsics.txt", bytes)
+}
+
+pub(crate) fn scannet_intrinsics(bytes: &[u8]) -> String {
+    within("scannet_intrinsics", seeds::scannet, "intrinsic/intrinsic_color.txt", bytes)
+}
+
+pub(crate) fn scannet_pose(bytes: &[u8]) -> String {
+    within("scannet_pose", seeds::scannet, "pose/0.txt", bytes)
+}
+
 pub(crate) fn rgbd_times(bytes: &[u8]) -> String {
     within("rgbd_times", seeds::tum, "groundtruth.txt", bytes)
 }

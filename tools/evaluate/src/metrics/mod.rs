@@ -84,8 +84,12 @@ fn check(measure: &'static str, a: &Image, b: &Image, mask: Option<&Image>) -> R
     }
 }
 
-/// Returns the pixels that count, in pairs. [`check`] has accepted the images.
-fn pairs<'a>(a: &'a Image, b: &'a Image, mask: Option<&'a Image>) -> impl Iterator<Item = (&'a [f32], &'a [f32])> {
+/// Returns the pixels that count, in pairs. Images of other sizes than [`check`] accepts have missing pairs.
+pub(crate) fn pairs<'a>(
+    a: &'a Image,
+    b: &'a Image,
+    mask: Option<&'a Image>,
+) -> impl Iterator<Item = (&'a [f32], &'a [f32])> {
     let channels = a.channels.max(1) as usize;
     let counts = move |i: usize| mask.is_none_or(|mask| mask.data.get(i).is_some_and(|&m| m > 0.5));
     let pairs = a.data.chunks_exact(channels).zip(b.data.chunks_exact(channels));

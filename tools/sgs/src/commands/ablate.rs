@@ -69,6 +69,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             settings: variant.settings(base),
             wanted: wanted.contains(variant),
             materials: materials.or((a.stage == Stage::All).then_some(StageKind::Intrinsic)),
+            align: false,
             start: materials.is_some().then(|| start.clone()),
         }
     };

@@ -11,8 +11,9 @@ use sgs_study::Case;
 pub struct Args {
     #[command(flatten)]
     series: series::Series,
-    /// Cases to train: clean, positions (initial points), normals, semantics (priors), poses (training cameras). By
-    /// default all that differ on this scene. noise.* sets the amounts.
+    /// Cases to train: clean, positions (initial points), normals, semantics (priors), poses (training cameras),
+    /// learned_poses (training corrects the same cameras). By default all that differ on this scene. noise.* sets the
+    /// amounts.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     only: Vec<String>,
     /// Stages to train: geometry; all, which also measures materials of the published model; or transport, which measures
@@ -41,6 +42,7 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
             Stage::Transport => Some(StageKind::Transport),
             Stage::Intrinsic | Stage::All => Some(StageKind::Intrinsic),
         },
+        align: case.aligns(),
         start: None,
     };
     let rows: Vec<Row> = Case::all().iter().map(row).collect();

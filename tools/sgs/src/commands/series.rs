@@ -20,7 +20,7 @@ use run::TableRun;
 use sgs_batch::{
     Batch, Digest, Launch, Limits, Manifest, Phase, Progress, Queue, Report, RunResult, Stage, Store, Timing, Variant,
 };
-use sgs_config::Settings;
+use sgs_config::{Settings, ViewRates};
 use sgs_evaluate::metrics::{Lpips, LpipsAbout};
 use sgs_run::StageKind;
 use sgs_scene::Scene;
@@ -81,6 +81,8 @@ pub struct Row {
     pub wanted: bool,
     /// Stage that trains materials, if any.
     pub materials: Option<StageKind>,
+    /// Whether views are measured after alignment, too, even with given cameras.
+    pub align: bool,
     /// Geometry on which materials are trained; `None` for the row's own geometry.
     pub start: Option<Start>,
 }
@@ -96,7 +98,11 @@ pub enum Start {
 
 /// Opens settings and scene. Refuses a scene without test views.
 pub fn base(a: &Series) -> anyhow::Result<Base> {
-    let settings = settings(&a.scene, &a.options)?;
+    let mut settings = settings(&a.scene, &a.options)?;
+    // Noise would change what a measurement decides; rows differ by what they name alone.
+    if settings.geometry.rates.views == ViewRates::Auto {
+        settings.geometry.rates.views = [0.0; 4].into();
+    }
     let scene = open_scene(&settings)?;
     check_start(&scene)?;
     if scene.split.test.is_empty() {

@@ -33,6 +33,7 @@ pub fn html(device: &Device, emitting: &Emitting, page: &RelitPage<'_>) -> anyho
         Ok(rendered(name, &data_uri(image, page.width)?, [image.width, image.height], note))
     };
     let photograph = figure("photograph", &page.scene.load_image(page.view)?, "")?;
+    let mask = page.scene.load_mask(page.view)?;
     let name = &page.scene.views[page.view].camera.name;
     let mut out = format!(
         "<p>View {} under lights that training never saw. Relit: the learned emitters, changed as the true lights change, and \
@@ -40,7 +41,7 @@ pub fn html(device: &Device, emitting: &Emitting, page: &RelitPage<'_>) -> anyho
         escape(name)
     );
     for set in &sets {
-        let measured = measure_relit(&[(&set.ours, &set.truth)])?;
+        let measured = measure_relit(&[(&set.ours, &set.truth, mask.as_ref())])?;
         let note = note(measured.first().map(|m| m.psnr), mean(page.metrics, &set.name));
         let relit = figure("relit", &displayed(&set.ours), &note)?;
         let truth = figure("truth", &displayed(&set.truth), "")?;

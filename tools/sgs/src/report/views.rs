@@ -276,9 +276,11 @@ fn colored(normal: &Image) -> Image {
     Image { data: normal.data.iter().map(|v| v * 0.5 + 0.5).collect(), ..normal.clone() }
 }
 
-/// Returns the PSNR of a view as text; empty if `metrics` does not contain it.
+/// Returns the PSNR of a view as text, also after alignment; empty if `metrics` does not contain it.
 fn noted(metrics: &Value, view: &str, what: &str) -> String {
     let views = metrics["views"].as_array();
-    let found = views.and_then(|all| all.iter().find(|v| v["name"] == view));
-    found.and_then(|v| v[what]["psnr"].as_f64()).map_or(String::new(), |v| format!("{v:.2} dB"))
+    let Some(found) = views.and_then(|all| all.iter().find(|v| v["name"] == view)) else { return String::new() };
+    let psnr = |key: &str, after: &str| found[what][key].as_f64().map(|v| format!("{v:.2} dB{after}"));
+    let all = [psnr("psnr", ""), psnr("psnr_aligned", " aligned")];
+    all.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }

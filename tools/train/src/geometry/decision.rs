@@ -1,6 +1,7 @@
 //! Decisions about the model of the geometry stage. `training.json` holds all of them.
 
 use super::Geometry;
+use super::lens::{EXPOSURES, Photographed};
 use crate::decision::Decision;
 use crate::error::{Requirement, Result};
 use crate::idle::{FoundForGeometry, IdleLoss};
@@ -54,6 +55,21 @@ pub(super) fn initial(s: &Settings, found: FoundForGeometry) -> Vec<Decision> {
         of("semantics", found.semantics, semantics, "geometry.semantics"),
         of("pseudo-views", found.regions, regions, "geometry.losses.correspondence"),
     ]
+}
+
+/// Returns the decision whether cameras, exposures and lens are learned.
+pub(super) fn of_views(shown: &Photographed) -> Decision {
+    let lens = if shown.other_lens() { "differs from" } else { "agrees with" };
+    let percent = 100.0 * shown.exposures;
+    Decision {
+        step: 0,
+        what: "learned cameras, exposures and lens".to_owned(),
+        on: shown.differs(),
+        reason: format!("by the sensor's depth, exposures differ by {percent:.1} %, and the lens {lens} the given one"),
+        measured: Some(shown.exposures),
+        requested: Some(EXPOSURES),
+        setting: "geometry.rates.views".to_owned(),
+    }
 }
 
 /// Refuses a geometric statistic of densification without a geometric loss. No Gaussian would be densified.

@@ -1,13 +1,13 @@
 //! Training data of the geometry stage. Photographs and priors of a scene, or images without a scene.
 
-use super::lens::{self, Lens};
+use super::lens::{self, Photographed};
 use crate::correspondence::Correspondence;
 use crate::data::{Packed, PixelPriors};
 use crate::error::Result;
 use crate::semantics::{SemanticData, SemanticMaps};
-use sgs_config::{GeometrySettings, Settings};
+use sgs_config::{GeometrySettings, Settings, ViewRates};
 use sgs_engine::Device;
-use sgs_passes::scene::{Decoder, ViewKinds};
+use sgs_passes::scene::Decoder;
 use sgs_scene::{Camera, Image, Scene};
 
 /// Training data.
@@ -30,25 +30,17 @@ impl GeometryInputs<'_> {
         }
     }
 
-    /// Returns what is learned of the views: of photographs only, since renderings have exact cameras.
-    pub fn learned(&self, g: &GeometrySettings) -> ViewKinds {
-        match self {
-            GeometryInputs::Scene(_) => {
-                let [cameras, gains, intrinsics, distortion] = g.rates.views.map(|rate| rate > 0.0);
-                ViewKinds { cameras, gains, lens: intrinsics || distortion }
-            }
-            GeometryInputs::Renderings(_) => ViewKinds::default(),
-        }
-    }
-
-    /// Returns the first lens for training, if it is not the given one.
+    /// Returns the rates of what is learned of the views, and what depths show.
     ///
-    /// The depths of a sensor may show a better one.
-    pub fn first_lens(&self, g: &GeometrySettings) -> Result<Option<Lens>> {
-        match self {
-            GeometryInputs::Scene(scene) => lens::from_depth(scene, [g.rates.views[2] > 0.0, g.rates.views[3] > 0.0]),
-            GeometryInputs::Renderings(_) => Ok(None),
-        }
+    /// The depths are those of a sensor. Renderings have exact cameras.
+    pub fn view_rates(&self, g: &GeometrySettings) -> Result<([f64; 4], Option<Photographed>)> {
+        let GeometryInputs::Scene(scene) = self else { return Ok(([0.0; 4], None)) };
+        let fixed = g.rates.views.fixed();
+        let free = fixed.map_or([true; 2], |rates| [rates[2] > 0.0, rates[3] > 0.0]);
+        let shown = if free.contains(&true) { lens::from_depth(scene, free)? } else { None };
+        let differ = shown.as_ref().is_some_and(Photographed::differs);
+        let measured = if differ { ViewRates::RECORDING } else { [0.0; 4] };
+        Ok((fixed.unwrap_or(measured), shown))
     }
 
     /// Returns the unit of lengths.

@@ -6,8 +6,11 @@
 //! is right. The search minimizes the variance of these colors.
 
 use crate::error::Result;
-use sgs_scene::{Camera, Image, Scene};
+use rayon::prelude::*;
+use sgs_scene::{Camera, Image, MaskedMap, Scene};
 
+/// Views that are compared at most, spread evenly. They bound memory and time for long recordings.
+const MOST_VIEWS: usize = 48;
 /// Points of each view.
 const POINTS: usize = 600;
 /// Largest relative difference of depths where a view sees a point.
@@ -25,6 +28,12 @@ const DARK: f64 = 1.0 / 255.0;
 const ROUNDS: usize = 4;
 /// Views of a point at least, so that its colors have a variance.
 const VIEWS: usize = 2;
+/// A lens is another if it explains more than this part of the variance of colors. Exact lenses leave 0.001, a Kinect's 0.1.
+const EXPLAINED: f64 = 0.005;
+/// Sights of a view at least, so that its exposure counts.
+const SIGHTS: f64 = 30.0;
+/// Exposures differ if the standard deviation of their logarithms is above this.
+pub(super) const EXPOSURES: f64 = 0.02;
 
 /// Numbers of a lens that may be wrong.
 ///
@@ -61,7 +70,7 @@ impl Gray {
         Gray { width: columns, height: rows, factor, data: (0..columns * rows).map(cell).collect() }
     }
 
-    /// Returns the value at a position in pixels of the photograph; none outside.
+    /// Returns the value at a position in pixels of the photograph; none outside and beside invalid pixels.
     fn at(&self, x: f64, y: f64) -> Option<f64> {
         let (x, y) = (x / self.factor as f64 - 0.5, y / self.factor as f64 - 0.5);
         let (column, row) = (x.floor(), y.floor());
@@ -72,7 +81,7 @@ impl Gray {
         let (fx, fy) = (x - column, y - row);
         let at = row as usize * self.width + column as usize;
         let [a, b] = [at, at + self.width].map(|at| (1.0 - fx) * self.data[at] + fx * self.data[at + 1]);
-        Some((1.0 - fy) * a + fy * b)
+        Some((1.0 - fy) * a + fy * b).filter(|value| value.is_finite())
     }
 }
 
@@ -82,27 +91,57 @@ struct Sight {
     slope: [f64; 2],
 }
 
-/// Finds the lens with which views agree best about the colors of points.
+/// What the depths of a sensor show about the photographs.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Photographed {
+    /// Lens with which views agree clearly better than with the given one.
+    pub lens: Option<Lens>,
+    /// Part of the variance of all colors that the lens explains.
+    pub explained: f64,
+    /// Standard deviation of the logarithms of exposures.
+    pub exposures: f64,
+}
+
+impl Photographed {
+    /// Tells whether photographs have another lens or other exposures than given.
+    pub fn differs(&self) -> bool {
+        self.other_lens() || self.exposures > EXPOSURES
+    }
+
+    /// Tells whether the lens explains more than the noise of exact photographs.
+    pub fn other_lens(&self) -> bool {
+        self.lens.is_some() && self.explained > EXPLAINED
+    }
+}
+
+/// Finds lens and exposures with which views agree best about points.
 ///
 /// The points are those of the sensor in the training views. The flags say whether to search intrinsics, and whether to search
-/// distortion. Returns `None` without a sensor, or if no lens is clearly
-/// better than the given one.
-pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> Result<Option<Lens>> {
-    let mut views = Vec::new();
-    for &i in &scene.split.train {
-        let Some(mut depth) = scene.sensor_depth(i)? else { continue };
+/// distortion. Returns `None` without a sensor, or if the points say nothing.
+pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> Result<Option<Photographed>> {
+    let train = &scene.split.train;
+    let step = train.len().div_ceil(MOST_VIEWS).max(1);
+    let read = |&i: &usize| -> Result<Option<(&Camera, MaskedMap, Image)>> {
+        let Some(mut depth) = scene.sensor_depth(i)? else { return Ok(None) };
+        let mut image = scene.load_image(i)?;
         if let Some(mask) = scene.load_mask(i)? {
             depth.valid.data.iter_mut().zip(&mask.data).for_each(|(known, m)| *known *= m);
+            // Not a number, so that no cell with an invalid pixel has a value.
+            let invalid = image.data.chunks_exact_mut(3).zip(&mask.data).filter(|(_, m)| **m <= 0.5);
+            invalid.for_each(|(color, _)| color.fill(f32::NAN));
         }
-        views.push((&scene.views[i].camera, depth, scene.load_image(i)?));
-    }
+        Ok(Some((&scene.views[i].camera, depth, image)))
+    };
+    let chosen: Vec<usize> = train.iter().copied().step_by(step).collect();
+    let views: Vec<Option<_>> = chosen.par_iter().map(read).collect::<Result<_>>()?;
+    let views: Vec<_> = views.into_iter().flatten().collect();
     let mut points: Vec<Vec<Sight>> = Vec::new();
     for (camera, depth, _) in &views {
         let known: Vec<usize> = (0..depth.valid.data.len()).filter(|at| depth.valid.data[*at] > 0.0).collect();
         for &at in known.iter().step_by((known.len() / POINTS).max(1)) {
             let pixel = [at % camera.width as usize, at / camera.width as usize].map(|n| n as f64 + 0.5);
             let point = camera.unproject(pixel.into(), f64::from(depth.image.data[at]));
-            let sight = |(view, (camera, depth, _)): (usize, &(&Camera, sgs_scene::MaskedMap, Image))| {
+            let sight = |(view, (camera, depth, _)): (usize, &(&Camera, MaskedMap, Image))| {
                 let p = camera.rotation * point + camera.translation;
                 let pixel = camera.project(point)?;
                 let inside = (0.0..f64::from(camera.width)).contains(&pixel.x)
@@ -123,22 +162,33 @@ pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> 
 }
 
 /// Searches the free numbers of the lens on ever finer photographs.
-fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image], free: [bool; 4]) -> Option<Lens> {
+fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image], free: [bool; 4]) -> Option<Photographed> {
     let mut best = [0.0; 4];
-    let (mut given, mut found) = (0.0, 0.0);
+    let (mut given, mut found) = (Agreement::default(), Agreement::default());
     for width in WIDTHS {
         let images: Vec<Gray> = photographs.iter().map(|image| Gray::of(image, width)).collect();
-        let cost = |lens: &Lens| disagreement(points, cameras, &images, lens);
+        let agreement = |lens: &Lens| agreement(points, cameras, &images, lens);
+        let cost = |lens: &Lens| agreement(lens).variance;
         if width == WIDTHS[0] && free[0] {
             let grid = (-STEPS..=STEPS).map(|i| [REACH * f64::from(i) / f64::from(STEPS), 0.0, 0.0, 0.0]);
             let costs = grid.map(|lens| (cost(&lens), lens));
             best = costs.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(best, |(_, lens)| lens);
         }
         best = descend(&cost, best, free, 0.8 / f64::from(width));
-        (given, found) = (cost(&[0.0; 4]), cost(&best));
+        (given, found) = (agreement(&[0.0; 4]), agreement(&best));
     }
-    tracing::debug!("lens from depth: {best:?}, disagreement {found:.4} instead of {given:.4}");
-    (found < GAIN * given && best.iter().any(|n| n.abs() > SAME)).then_some(best)
+    let better = found.variance < GAIN * given.variance && best.iter().any(|n| n.abs() > SAME);
+    let exposures = if better { found.exposures } else { given.exposures };
+    tracing::debug!(
+        "lens from depth: {best:?}, disagreement {:.4} instead of {:.4}, exposures {exposures:.4}",
+        found.variance,
+        given.variance
+    );
+    given.variance.is_finite().then_some(Photographed {
+        lens: better.then_some(best),
+        explained: given.variance - found.variance,
+        exposures,
+    })
 }
 
 /// Moves one number at a time while that lowers the cost, in ever smaller steps.
@@ -163,10 +213,24 @@ fn descend(cost: &dyn Fn(&Lens) -> f64, mut best: Lens, free: [bool; 4], mut ste
     best
 }
 
-/// Returns the mean variance of a point's colors, relative to that of all colors.
-///
-/// Exposures of views are estimated with the colors, and do not count.
-fn disagreement(points: &[Vec<Sight>], cameras: &[&Camera], images: &[Gray], lens: &Lens) -> f64 {
+/// How well views agree about the colors of points.
+struct Agreement {
+    /// Mean variance of a point's colors, relative to that of all colors. Infinite if the points say nothing.
+    ///
+    /// Exposures of views are estimated with the colors, and do not count.
+    variance: f64,
+    /// Standard deviation of the logarithms of exposures.
+    exposures: f64,
+}
+
+impl Default for Agreement {
+    fn default() -> Agreement {
+        Agreement { variance: f64::INFINITY, exposures: 0.0 }
+    }
+}
+
+/// Compares the colors of points between views through a lens.
+fn agreement(points: &[Vec<Sight>], cameras: &[&Camera], images: &[Gray], lens: &Lens) -> Agreement {
     let factor = lens[0].exp();
     let look = |Sight { view, slope }: &Sight| {
         let c = cameras[*view];
@@ -182,12 +246,13 @@ fn disagreement(points: &[Vec<Sight>], cameras: &[&Camera], images: &[Gray], len
     let all = seen.iter().map(Vec::len).sum::<usize>() as f64;
     // Few points say nothing.
     if all < 100.0 {
-        return f64::INFINITY;
+        return Agreement::default();
     }
     let mut exposures = vec![0.0; cameras.len()];
+    let mut left = Vec::new();
     let (mut within, mut total) = (0.0, 0.0);
     for _ in 0..ROUNDS {
-        let mut left = vec![(0.0, 0.0); cameras.len()];
+        left = vec![(0.0, 0.0); cameras.len()];
         let (mut sum, mut square) = (0.0, 0.0);
         within = 0.0;
         for values in &seen {
@@ -202,11 +267,19 @@ fn disagreement(points: &[Vec<Sight>], cameras: &[&Camera], images: &[Gray], len
             }
         }
         total = square - sum * sum / all;
-        exposures.iter_mut().zip(left).for_each(|(exposure, (sum, count))| *exposure += sum / f64::max(count, 1.0));
+        exposures.iter_mut().zip(&left).for_each(|(exposure, (sum, count))| *exposure += sum / f64::max(*count, 1.0));
     }
     let variance = total / all;
     // Neither do points of one color.
-    if variance < 1e-6 { f64::INFINITY } else { within / (all - seen.len() as f64) / variance }
+    if variance < 1e-6 {
+        return Agreement::default();
+    }
+    let counted =
+        || exposures.iter().zip(&left).map(|(e, (_, count))| (e, count)).filter(|(_, count)| **count >= SIGHTS);
+    let count = counted().map(|(_, count)| count).sum::<f64>().max(1.0);
+    let mean = counted().map(|(e, count)| e * count).sum::<f64>() / count;
+    let square = counted().map(|(e, count)| (e - mean).powi(2) * count).sum::<f64>() / count;
+    Agreement { variance: within / (all - seen.len() as f64) / variance, exposures: square.sqrt() }
 }
 
 #[cfg(test)]
@@ -220,7 +293,9 @@ mod tests {
     }
 
     /// Returns points of the wall, cameras, and their photographs through a lens.
-    fn captured(lens: &Lens) -> (Vec<Vec<Sight>>, Vec<Camera>, Vec<Image>) {
+    ///
+    /// `change`: that of exposures from camera to camera.
+    fn captured(lens: &Lens, change: f64) -> (Vec<Vec<Sight>>, Vec<Camera>, Vec<Image>) {
         let cameras: Vec<Camera> = (0..6)
             .map(|i| {
                 let angle = 0.1 * f64::from(i) - 0.25;
@@ -261,8 +336,7 @@ mod tests {
                     let pixel = [seen.cx + straight[0], seen.cy + straight[1]];
                     let ray = seen.unproject(pixel.into(), 1.0) - c.position();
                     let p = c.position() + ray * (3.0 - c.position().z) / ray.z;
-                    // Exposures differ.
-                    let value = wall(p.x, p.y) * (0.8 + 0.1 * c.position().x);
+                    let value = wall(p.x, p.y) * (0.8 + change * c.position().x);
                     image.pixel_mut(x, y).fill(value as f32);
                 }
             }
@@ -290,14 +364,22 @@ mod tests {
             [-0.05, 0.0, 0.01, -0.025],
             [0.0; 4],
         ] {
-            let (points, cameras, images) = captured(&lens);
+            let (points, cameras, images) = captured(&lens, 0.1);
+            let exposures: Vec<f64> = cameras.iter().map(|c| (0.8 + 0.1 * c.position().x).ln()).collect();
+            let mean = exposures.iter().sum::<f64>() / 6.0;
+            let spread = (exposures.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / 6.0).sqrt();
             let cameras: Vec<&Camera> = cameras.iter().collect();
             let found = search(&points, &cameras, &images, [true, true, true, lens[3] != 0.0]);
+            let found = found.unwrap();
+            // Those of `captured`.
+            assert!((found.exposures - spread).abs() < 5e-3 && found.differs(), "{} {spread}", found.exposures);
             if lens == [0.0; 4] {
-                assert_eq!(found, None);
+                assert_eq!(found.lens, None);
                 continue;
             }
-            let found = found.unwrap();
+            // The wall is smooth, so that only other focal lengths change its colors by much.
+            assert!(found.other_lens() || lens[0].abs() < 0.1, "{found:?}");
+            let found = found.lens.unwrap();
             println!("{lens:?} {found:?}");
             assert!(lens.iter().zip(found).all(|(a, b)| (a - b).abs() < 4e-3), "{lens:?} {found:?}");
         }
@@ -305,10 +387,39 @@ mod tests {
 
     #[test]
     fn photographs_without_colors_keep_the_lens() {
-        let (points, cameras, images) = captured(&[0.1, 0.0, 0.0, 0.0]);
+        let (points, cameras, images) = captured(&[0.1, 0.0, 0.0, 0.0], 0.1);
         let cameras: Vec<&Camera> = cameras.iter().collect();
         let gray: Vec<Image> = images.iter().map(|image| Image::new(image.width, image.height, 3)).collect();
         assert_eq!(search(&points, &cameras, &gray, [true; 4]), None);
         assert_eq!(search(&[], &cameras, &images, [true; 4]), None);
+    }
+
+    #[test]
+    fn equal_photographs_do_not_differ() {
+        let (points, cameras, images) = captured(&[0.0; 4], 0.0);
+        let cameras: Vec<&Camera> = cameras.iter().collect();
+        let found = search(&points, &cameras, &images, [true; 4]).unwrap();
+        assert!(found.exposures < 2e-3 && !found.differs(), "{found:?}");
+        // A view with few sights and another exposure does not count; nor do invalid pixels of another.
+        let mut images = images;
+        images[2].data.iter_mut().for_each(|v| *v *= 0.5);
+        for x in 0..160 {
+            (0..60).for_each(|y| images[4].pixel_mut(x, y).fill(f32::NAN));
+        }
+        let mut left = 20;
+        let few = |sights: &Vec<Sight>| {
+            let keep = |s: &&Sight| {
+                s.view != 2 || {
+                    left -= 1;
+                    left >= 0
+                }
+            };
+            sights.iter().filter(keep).map(|s| Sight { view: s.view, slope: s.slope }).collect()
+        };
+        let sparse: Vec<Vec<Sight>> = points.iter().map(few).collect();
+        let found = search(&sparse, &cameras, &images, [true; 4]).unwrap();
+        assert!(found.exposures < 2e-3 && !found.differs(), "{found:?}");
+        let all = search(&points, &cameras, &images, [true; 4]).unwrap();
+        assert!(all.exposures > 0.1 && all.differs(), "{all:?}");
     }
 }

@@ -13,10 +13,10 @@ use crate::normals::{Prior, initial_normals};
 use crate::reduce::LEAST;
 use crate::schedule::{MOST_HALVINGS, Schedule};
 use crate::semantics::SemanticMaps;
-use sgs_config::{Filter, Settings, ShDegree};
+use sgs_config::{Filter, Settings, ShDegree, ViewRates};
 use sgs_engine::Device;
 use sgs_passes::pipeline::{GeometryOptions, InputSizes, LearnedView, Status};
-use sgs_passes::scene::{Gaussians, Layout, LearnedViews, Model};
+use sgs_passes::scene::{Gaussians, Layout, LearnedViews, Model, ViewKinds};
 use sgs_passes::splat::Channels;
 use sgs_run::gaussian_data;
 use sgs_scene::{Camera, Image, Scene, Splats, Unit};
@@ -80,7 +80,9 @@ impl Geometry {
         data.reduce(if g.coarse > 0.0 { MOST_HALVINGS } else { 0 }, LEAST);
         data.split(device.info().largest_binding());
         maps.iter().try_for_each(|maps| maps.check(device))?;
-        let kinds = source.learned(g);
+        let (rates, shown) = source.view_rates(g)?;
+        let [cameras, gains, intrinsics, distortion] = rates.map(|rate| rate > 0.0);
+        let kinds = ViewKinds { cameras, gains, lens: intrinsics || distortion };
         let inputs = InputSizes {
             targets: data.image_bytes(),
             parts: data.parts() as u64,
@@ -180,7 +182,7 @@ impl Geometry {
         let views = match inputs.views {
             Some((count, kinds)) => {
                 let views = LearnedViews::new(device, count)?;
-                let first = kinds.lens.then(|| source.first_lens(&settings.geometry)).transpose()?.flatten();
+                let first = shown.as_ref().filter(|_| kinds.lens).and_then(|shown| shown.lens);
                 if let Some([focal, x, y, distortion]) = first {
                     let (percent, corners) = (100.0 * focal.exp(), 100.0 * distortion);
                     tracing::info!(
@@ -196,7 +198,7 @@ impl Geometry {
             None => None,
         };
         let status = Status::new(device)?;
-        let schedule = Schedule::new(settings, source.extent(), data.views.len());
+        let schedule = Schedule::new(settings, source.extent(), data.views.len()).with_view_rates(rates);
         let promised = settings.memory.budget > 0;
         let mut training = Geometry {
             device: device.clone(),
@@ -237,6 +239,8 @@ impl Geometry {
             regions: training.correspondence.is_some(),
         };
         training.decisions = decision::initial(&training.settings, found);
+        let undecided = g.rates.views == ViewRates::Auto;
+        training.decisions.extend(shown.filter(|_| undecided).map(|shown| decision::of_views(&shown)));
         training.idle = idle::of_geometry(&training.settings, found);
         training.rebuild()?;
         Ok(training)

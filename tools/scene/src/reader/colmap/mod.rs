@@ -1,7 +1,7 @@
 //! Layout of COLMAP and of VGGT's export.
 //!
-//! The model is in `sparse/0` or `sparse` (nerfstudio: `colmap/sparse/0`), with `cameras`, `images` and `points3D`, in
-//! binary or text form. Photographs are in `images`.
+//! The model is in `sparse/0` or `sparse` (nerfstudio: `colmap/sparse/0`; RealityScan: the scene directory), with
+//! `cameras`, `images` and `points3D`, in binary or text form. Photographs are in `images`, or beside the model.
 //!
 //! The binary form takes precedence if both exist. Poses are already world-to-camera with OpenCV axes. Versions from 3.12
 //! on also write rigs and frames, whose poses then place the images.
@@ -61,7 +61,7 @@ impl Location {
 }
 
 /// Possible folders of a model in a scene directory, in search order.
-const FOLDERS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
+const FOLDERS: [&str; 4] = ["sparse/0", "sparse", "colmap/sparse/0", ""];
 
 /// Returns the model of a scene directory if it exists.
 pub(super) fn find(root: &Path) -> Option<Location> {
@@ -128,10 +128,15 @@ pub(super) fn read(root: &Path) -> Result<Found> {
     let folder = root.join("images");
     let mut found = Found::default();
     let mut names = HashMap::new();
-    for row in &images {
+    // Images by the name of their view.
+    let mut used = HashMap::new();
+    let files: Vec<Option<PathBuf>> = images.iter().map(|row| image_of(root, &row.name)).collect();
+    let mut stems: HashMap<String, usize> = HashMap::new();
+    files.iter().flatten().for_each(|image| *stems.entry(stem_of(image)).or_default() += 1);
+    for (row, image) in images.iter().zip(files) {
         let place = format!("{} ({})", row.place, row.name);
         let fail = |problem: String| SceneError::cameras(&images_path, place.clone(), problem);
-        let Some(image) = image_of(root, &row.name) else {
+        let Some(image) = image else {
             found.missing.push(stem_of(Path::new(&row.name)));
             continue;
         };
@@ -141,8 +146,9 @@ pub(super) fn read(root: &Path) -> Result<Found> {
         let (rotation, translation) = pose::from_quaternion(row.rotation, row.translation).map_err(fail)?;
         let side = |n: u64| u32::try_from(n).unwrap_or(u32::MAX);
         let Model { fx, fy, cx, cy, lens } = shared.model;
+        let stem = stem_of(&image);
         let camera = Camera {
-            name: stem_of(&image),
+            name: if stems[&stem] > 1 { with_folders(&row.name, &stem) } else { stem },
             width: side(shared.width),
             height: side(shared.height),
             fx,
@@ -157,6 +163,12 @@ pub(super) fn read(root: &Path) -> Result<Found> {
             return Err(SceneError::cameras(&cameras_path, format!("camera {}", shared.id), problem));
         }
         let camera = downscaled::fitted(camera, &image)?;
+        if let Some(other) = used.insert(camera.name.clone(), row.name.clone()) {
+            return Err(fail(format!(
+                "this image and {other} would both be the view {}; rename one of them",
+                camera.name
+            )));
+        }
         names.insert(row.id, camera.name.clone());
         found.frames.push(Frame::new(camera, lens, image, cameras_path.clone()));
     }
@@ -175,6 +187,12 @@ pub(super) fn read(root: &Path) -> Result<Found> {
         (found.points, found.tracks) = (Some(points), Some(tracks));
     }
     Ok(found)
+}
+
+/// Returns the name of a view whose stem another image has, too: its folders and its stem.
+fn with_folders(name: &str, stem: &str) -> String {
+    let path = name.replace('\\', "/");
+    path.rsplit_once('/').map_or(stem.to_owned(), |(folders, _)| format!("{}_{stem}", folders.replace('/', "_")))
 }
 
 /// Returns the photograph of a registered image. Searches `images`, then smaller copies, then the scene directory

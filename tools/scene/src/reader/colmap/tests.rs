@@ -216,6 +216,48 @@ fn unsupported_models_are_rejected_by_name() {
 }
 
 #[test]
+fn views_of_equal_stems_are_named_with_their_folders() {
+    let (_keep, root) = text_scene();
+    let image = |id: u32, name: &str| format!("{id} 1 0 0 0 0 0 0 7 {name}\n\n");
+    let names = ["left/deep/0.png", "right\\0.png", "right/1.png", "0.png"];
+    let list: String = (1..).zip(names).map(|(id, name)| image(id, name)).collect();
+    put(&root, "sparse/0/images.txt", list.as_bytes());
+    put(&root, "sparse/0/points3D.txt", b"1 0 0 0 1 2 3 0.5 2 0 3 0\n2 0 0 0 1 2 3 0.5 1 0 4 0\n");
+    for name in names {
+        let path = root.join("images").join(name.replace('\\', "/"));
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        write_png(&path, &Image::new(8, 6, 3)).unwrap();
+    }
+    let found = read(&root).unwrap();
+    let views: Vec<&str> = found.frames.iter().map(|frame| frame.camera.name.as_str()).collect();
+    assert_eq!(views, ["left_deep_0", "right_0", "1", "0"]);
+    let tracks = found.tracks.unwrap();
+    assert_eq!(tracks.seen_twice(&["right_0", "1"].into()), [true, false]);
+    assert_eq!(tracks.seen_twice(&["left_deep_0", "0"].into()), [false, true]);
+
+    // A name that folders and a file make alike.
+    write_png(&root.join("images/left_deep_0.png"), &Image::new(8, 6, 3)).unwrap();
+    put(&root, "sparse/0/images.txt", format!("{list}{}", image(9, "left_deep_0.png")).as_bytes());
+    let error = read(&root).unwrap_err().to_string();
+    assert!(error.contains("this image and left/deep/0.png would both be the view left_deep_0"), "{error}");
+}
+
+#[test]
+fn model_in_the_scene_directory_is_read() {
+    let (_keep, root) = text_scene();
+    std::fs::rename(root.join("sparse/0"), root.join("model")).unwrap();
+    for name in ["cameras.txt", "images.txt", "points3D.txt"] {
+        std::fs::rename(root.join("model").join(name), root.join(name)).unwrap();
+    }
+    assert_eq!(crate::Layout::of(&root), Some(crate::Layout::Colmap));
+    check(&read(&root).unwrap());
+    for name in ["a.png", "b c.png"] {
+        std::fs::rename(root.join("images").join(name), root.join(name)).unwrap();
+    }
+    check(&read(&root).unwrap());
+}
+
+#[test]
 fn model_folder_opens_its_scene() {
     use crate::{Layout, Scene, SceneOptions};
     let (_directory, root) = text_scene();

@@ -14,7 +14,7 @@ use sgs_api::{MeasureOptions, Split, measure};
 use sgs_config::Settings;
 use sgs_engine::Device;
 use sgs_evaluate::metrics::Lpips;
-use sgs_run::{RunDirectory, StageKind};
+use sgs_run::{RunDirectory, StageKind, use_learned_views};
 use sgs_scene::Scene;
 use sgs_study::{Measures, State};
 use sgs_train::{Outcome, StartGeometry, Trainer, TrainerOptions};
@@ -110,8 +110,12 @@ impl One<'_> {
         }
         let (splats, _) = splats_of(root)?;
         let directory = RunDirectory::open(root)?;
-        let options = MeasureOptions { split: Split::Test, lpips: self.lpips, images: None, align: false };
-        measure(&device, &scene, &directory, &splats, settings, options)?;
+        let options = MeasureOptions { split: Split::Test, lpips: self.lpips, images: None, align: row.align };
+        let mut seen = (*scene).clone();
+        if let Some(learned) = directory.learned_views()? {
+            use_learned_views(&mut seen, &learned);
+        }
+        measure(&device, &seen, &directory, &splats, settings, options)?;
         validated(&device)?;
         match Measures::read(&directory) {
             Some(measures) => Ok(measures),

@@ -47,7 +47,9 @@ impl<'a> TableRun<'a> {
         if let Some(measures) = self.measured.get() {
             return State::Measured(Box::new(*measures));
         }
-        let state = State::of(&self.root, &self.settings, &Goal { materials: self.row.materials, lpips });
+        // A row that is only shown keeps the measures that it has.
+        let align = self.row.align && self.row.wanted;
+        let state = State::of(&self.root, &self.settings, &Goal { materials: self.row.materials, lpips, align });
         if self.start.as_ref().is_some_and(|start| state != State::Absent && !is_on(&self.root, start)) {
             return State::Absent;
         }
