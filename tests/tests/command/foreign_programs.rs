@@ -136,7 +136,9 @@ struct Rules {
 }
 
 impl Rules {
-    /// Returns the rules of SPZ for positions of magnitudes below 8, which have 20 fractional bits.
+    /// Returns the rules of SPZ for positions below 8.
+    ///
+    /// These have 20 fractional bits.
     fn spz(version: u32) -> Rules {
         let step = if version == 2 { 1.0 / 127.5 } else { 1.0 / (511.0 * SQRT_2) };
         Rules {

@@ -7,7 +7,9 @@ pub(super) const AUTO: &str = "auto";
 /// Rates of what is learned of the photographs; in files four numbers or the word `auto`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ViewRates {
-    /// [`ViewRates::RECORDING`] where the depths of a sensor show that photographs disagree, else nothing is learned.
+    /// Measured before training: [`ViewRates::RECORDING`] or nothing.
+    ///
+    /// The depths of a sensor show whether photographs disagree.
     Auto,
     /// Fixed rates: of cameras, exposures, lens and radial distortion; 0 learns nothing.
     Fixed([f64; 4]),
