@@ -9,6 +9,12 @@ use sgs_tests::rooms::Room;
 /// Creates a room, and a short run with materials in `run`.
 fn place() -> Place {
     let place = Place::new(Room { priors: true, ..Room::default() });
+    train_materials(&place);
+    place
+}
+
+/// Trains the scene of a place into `run`: few steps of geometry and materials.
+pub(crate) fn train_materials(place: &Place) {
     let steps = ["--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "4", "--stage", "all"];
     let sets = [
         "transport.surfels=0",
@@ -20,7 +26,6 @@ fn place() -> Place {
     arguments.extend(steps.map(String::from));
     arguments.extend(sets.iter().flat_map(|set| ["--set".to_owned(), (*set).to_owned()]));
     sgs(&arguments).ok();
-    place
 }
 
 /// Evaluates `run` at the test views.

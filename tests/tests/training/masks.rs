@@ -236,17 +236,7 @@ fn invalid_pixels_change_no_measure() {
     Meaning::default().write(&room, &place.path("scene"));
     write_truth(&place, room);
     write_masks(&place, room, |v| v);
-    let steps = ["--geometry-steps", "20", "--no-densify", "--intrinsic-steps", "4", "--stage", "all"];
-    let sets = [
-        "transport.surfels=0",
-        "intrinsic.environment.resolution=16",
-        "intrinsic.lights.grid=2",
-        "intrinsic.visibility.kind=none",
-    ];
-    let mut arguments: Vec<String> = ["train", &place.text("scene"), "-o", &place.text("run")].map(String::from).into();
-    arguments.extend(steps.map(String::from));
-    arguments.extend(sets.iter().flat_map(|set| ["--set".to_owned(), (*set).to_owned()]));
-    sgs(&arguments).ok();
+    crate::evaluate::train_materials(&place);
     let measured = || {
         let mut all = BTreeMap::new();
         numbers(&sgs(&["eval", &place.text("run"), "--align", "--json"]).ok().json(), "", &mut all);

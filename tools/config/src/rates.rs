@@ -13,10 +13,11 @@ pub struct Rates {
     pub means: [f64; 2],
     /// `auto`, or four rates of what is learned of the photographs; 0 learns nothing. `auto` takes 3e-4, 5e-3, 2e-3 and 1e-3
     /// where the depths of a sensor show that exposures differ or that the lens differs from the given one, else 0.
-    /// The first is that of each camera: the turn in radians, and the shift times the extent. The second is that of each exposure: the logarithms of factors on red, green
-    /// and blue. The third is that of the lens that all share: the logarithm of the focal length, and the principal point in
-    /// focal lengths. With the second and the third, vignetting is learned, too. The fourth is that of its radial distortion: the
-    /// shift of the corners, relative to their distance from the principal point.
+    /// The first is that of each camera: the turn in radians, and the shift times the extent. The second is that of each
+    /// exposure: the logarithms of factors on red, green and blue. The third is that of the lens that all share: the
+    /// logarithm of the focal length, and the principal point in focal lengths. With the second and the third, vignetting
+    /// is learned, too. The fourth is that of its radial distortion: the shift of the corners, relative to their distance
+    /// from the principal point.
     pub views: ViewRates,
     /// Rate of log scales. Not a setting.
     #[serde(skip)]

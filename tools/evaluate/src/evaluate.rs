@@ -84,7 +84,7 @@ pub fn evaluate_classes(
         if let Some(classifier) = &mut classifier {
             rendered.labels = Some(classifier.classify(&renderer, &rendering)?.labels);
         }
-        // Pixels that training ignores are not measured. Ground truth also has its own mask, which excludes lamps and
+        // Pixels that training ignores are not measured. Ground truth also has its own mask, which excludes lights and
         // windows where only materials are undefined.
         let counts = scene.load_mask(i)?;
         let photo = blackened(scene.load_image(i)?, counts.as_ref());

@@ -28,20 +28,14 @@ pub struct Schedule {
     views: usize,
     /// Factor on all learning rates.
     rates: f64,
-    /// Rates of what is learned of the photographs.
-    view_rates: [f64; 4],
 }
 
 impl Schedule {
     /// Makes the schedule for a scene of this extent and number of training views.
+    ///
+    /// Nothing is learned of the photographs with `geometry.rates.views = "auto"`: what was decided comes as fixed rates.
     pub fn new(settings: &Settings, extent: f64, views: usize) -> Schedule {
-        let view_rates = settings.geometry.rates.views.fixed().unwrap_or_default();
-        Schedule { settings: settings.clone(), extent, views: views.max(1), rates: 1.0, view_rates }
-    }
-
-    /// Returns the schedule with these rates of what is learned of the photographs.
-    pub fn with_view_rates(self, view_rates: [f64; 4]) -> Schedule {
-        Schedule { view_rates, ..self }
+        Schedule { settings: settings.clone(), extent, views: views.max(1), rates: 1.0 }
     }
 
     /// Returns the unit of lengths.
@@ -102,8 +96,8 @@ impl Schedule {
         let [first, last] = g.rates.means;
         let means = first.powf(1.0 - done.min(1.0)) * last.powf(done.min(1.0));
         let factor = g.rate_factor() * self.rates;
+        let [turn, gain, lens, radial] = g.rates.views.fixed().unwrap_or_default();
         // Cameras wait until the Gaussians show a room; their last steps are a hundredth of the first.
-        let [turn, gain, lens, radial] = self.view_rates;
         let views = if done < VIEWS_FROM { 0.0 } else { factor * 0.01f64.powf(done.min(1.0)) };
         let spread = 10f64.powf(f64::from(step) / 5000.0).min(SPREAD_GROWTH) as f32;
         // In units of the extent, so that the unit of lengths has no effect.

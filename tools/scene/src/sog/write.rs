@@ -18,7 +18,7 @@ const MOST_SIDE: usize = 16_383;
 
 /// Writes splats as a `.sog` file, or as a directory of images.
 ///
-/// `path` is the archive, or the `meta.json` of the directory. /// Splats are written in Morton order. The same splats give the same bytes.
+/// `path` is the archive, or the `meta.json` of the directory. Splats are written in Morton order. The same splats give the same bytes.
 ///
 /// # Errors
 /// Fails if there are too many splats, or if writing fails.

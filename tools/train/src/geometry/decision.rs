@@ -1,7 +1,7 @@
 //! Decisions about the model of the geometry stage. `training.json` holds all of them.
 
 use super::Geometry;
-use super::lens::{EXPOSURES, Photographed};
+use super::lens::{EXPOSURES, SensorFindings};
 use crate::decision::Decision;
 use crate::error::{Requirement, Result};
 use crate::idle::{FoundForGeometry, IdleLoss};
@@ -58,8 +58,8 @@ pub(super) fn initial(s: &Settings, found: FoundForGeometry) -> Vec<Decision> {
 }
 
 /// Returns the decision whether cameras, exposures and lens are learned.
-pub(super) fn of_views(shown: &Photographed) -> Decision {
-    let lens = if shown.other_lens() { "differs from" } else { "agrees with" };
+pub(super) fn of_views(shown: &SensorFindings) -> Decision {
+    let lens = if shown.lens_differs() { "differs from" } else { "agrees with" };
     let percent = 100.0 * shown.exposures;
     Decision {
         step: 0,

@@ -1,6 +1,6 @@
 //! Training data of the geometry stage. Photographs and priors of a scene, or images without a scene.
 
-use super::lens::{self, Photographed};
+use super::lens::{self, SensorFindings};
 use crate::correspondence::Correspondence;
 use crate::data::{Packed, PixelPriors};
 use crate::error::Result;
@@ -30,17 +30,17 @@ impl GeometryInputs<'_> {
         }
     }
 
-    /// Returns the rates of what is learned of the views, and what depths show.
+    /// Returns the rates of what is learned of the views, and what a sensor shows.
     ///
-    /// The depths are those of a sensor. Renderings have exact cameras.
-    pub fn view_rates(&self, g: &GeometrySettings) -> Result<([f64; 4], Option<Photographed>)> {
+    /// Renderings have exact cameras.
+    pub fn view_rates(&self, g: &GeometrySettings) -> Result<([f64; 4], Option<SensorFindings>)> {
         let GeometryInputs::Scene(scene) = self else { return Ok(([0.0; 4], None)) };
         let fixed = g.rates.views.fixed();
         let free = fixed.map_or([true; 2], |rates| [rates[2] > 0.0, rates[3] > 0.0]);
-        let shown = if free.contains(&true) { lens::from_depth(scene, free)? } else { None };
-        let differ = shown.as_ref().is_some_and(Photographed::differs);
+        let found = if free.contains(&true) { lens::from_depth(scene, free)? } else { None };
+        let differ = found.as_ref().is_some_and(SensorFindings::differs);
         let measured = if differ { ViewRates::RECORDING } else { [0.0; 4] };
-        Ok((fixed.unwrap_or(measured), shown))
+        Ok((fixed.unwrap_or(measured), found))
     }
 
     /// Returns the unit of lengths.

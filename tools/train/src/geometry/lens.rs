@@ -9,7 +9,7 @@ use crate::error::Result;
 use rayon::prelude::*;
 use sgs_scene::{Camera, Image, MaskedMap, Scene};
 
-/// Views that are compared at most, spread evenly. They bound memory and time for long recordings.
+/// Largest number of views that are compared, spread evenly. It bounds memory and time for long recordings.
 const MOST_VIEWS: usize = 48;
 /// Points of each view.
 const POINTS: usize = 600;
@@ -28,9 +28,10 @@ const DARK: f64 = 1.0 / 255.0;
 const ROUNDS: usize = 4;
 /// Views of a point at least, so that its colors have a variance.
 const VIEWS: usize = 2;
-/// A lens is another if it explains more than this part of the variance of colors. Exact lenses leave 0.001, a Kinect's 0.1.
+/// The lens differs if it explains more than this part of the variance. The exact lens of a
+/// rendered room leaves 0.001 unexplained, the given lens of a Kinect 0.1.
 const EXPLAINED: f64 = 0.005;
-/// Sights of a view at least, so that its exposure counts.
+/// Smallest number of sights for which the exposure of a view counts.
 const SIGHTS: f64 = 30.0;
 /// Exposures differ if the standard deviation of their logarithms is above this.
 pub(super) const EXPOSURES: f64 = 0.02;
@@ -93,7 +94,7 @@ struct Sight {
 
 /// What the depths of a sensor show about the photographs.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Photographed {
+pub(crate) struct SensorFindings {
     /// Lens with which views agree clearly better than with the given one.
     pub lens: Option<Lens>,
     /// Part of the variance of all colors that the lens explains.
@@ -102,14 +103,14 @@ pub(crate) struct Photographed {
     pub exposures: f64,
 }
 
-impl Photographed {
-    /// Tells whether photographs have another lens or other exposures than given.
+impl SensorFindings {
+    /// Tells whether the lens differs from the given one, or exposures from each other.
     pub fn differs(&self) -> bool {
-        self.other_lens() || self.exposures > EXPOSURES
+        self.lens_differs() || self.exposures > EXPOSURES
     }
 
-    /// Tells whether the lens explains more than the noise of exact photographs.
-    pub fn other_lens(&self) -> bool {
+    /// Tells whether the found lens explains more than noise does.
+    pub fn lens_differs(&self) -> bool {
         self.lens.is_some() && self.explained > EXPLAINED
     }
 }
@@ -118,7 +119,7 @@ impl Photographed {
 ///
 /// The points are those of the sensor in the training views. The flags say whether to search intrinsics, and whether to search
 /// distortion. Returns `None` without a sensor, or if the points say nothing.
-pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> Result<Option<Photographed>> {
+pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> Result<Option<SensorFindings>> {
     let train = &scene.split.train;
     let step = train.len().div_ceil(MOST_VIEWS).max(1);
     let read = |&i: &usize| -> Result<Option<(&Camera, MaskedMap, Image)>> {
@@ -162,7 +163,12 @@ pub(super) fn from_depth(scene: &Scene, [intrinsics, distortion]: [bool; 2]) -> 
 }
 
 /// Searches the free numbers of the lens on ever finer photographs.
-fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image], free: [bool; 4]) -> Option<Photographed> {
+fn search(
+    points: &[Vec<Sight>],
+    cameras: &[&Camera],
+    photographs: &[Image],
+    free: [bool; 4],
+) -> Option<SensorFindings> {
     let mut best = [0.0; 4];
     let (mut given, mut found) = (Agreement::default(), Agreement::default());
     for width in WIDTHS {
@@ -184,7 +190,7 @@ fn search(points: &[Vec<Sight>], cameras: &[&Camera], photographs: &[Image], fre
         found.variance,
         given.variance
     );
-    given.variance.is_finite().then_some(Photographed {
+    given.variance.is_finite().then_some(SensorFindings {
         lens: better.then_some(best),
         explained: given.variance - found.variance,
         exposures,
@@ -294,7 +300,7 @@ mod tests {
 
     /// Returns points of the wall, cameras, and their photographs through a lens.
     ///
-    /// `change`: that of exposures from camera to camera.
+    /// `change`: growth of the exposure with a camera's x.
     fn captured(lens: &Lens, change: f64) -> (Vec<Vec<Sight>>, Vec<Camera>, Vec<Image>) {
         let cameras: Vec<Camera> = (0..6)
             .map(|i| {
@@ -378,7 +384,7 @@ mod tests {
                 continue;
             }
             // The wall is smooth, so that only other focal lengths change its colors by much.
-            assert!(found.other_lens() || lens[0].abs() < 0.1, "{found:?}");
+            assert!(found.lens_differs() || lens[0].abs() < 0.1, "{found:?}");
             let found = found.lens.unwrap();
             println!("{lens:?} {found:?}");
             assert!(lens.iter().zip(found).all(|(a, b)| (a - b).abs() < 4e-3), "{lens:?} {found:?}");
@@ -400,7 +406,7 @@ mod tests {
         let cameras: Vec<&Camera> = cameras.iter().collect();
         let found = search(&points, &cameras, &images, [true; 4]).unwrap();
         assert!(found.exposures < 2e-3 && !found.differs(), "{found:?}");
-        // A view with few sights and another exposure does not count; nor do invalid pixels of another.
+        // The exposure of a view with few sights does not count. Neither do invalid pixels.
         let mut images = images;
         images[2].data.iter_mut().for_each(|v| *v *= 0.5);
         for x in 0..160 {

@@ -198,7 +198,9 @@ impl Geometry {
             None => None,
         };
         let status = Status::new(device)?;
-        let schedule = Schedule::new(settings, source.extent(), data.views.len()).with_view_rates(rates);
+        let mut decided = settings.clone();
+        decided.geometry.rates.views = rates.into();
+        let schedule = Schedule::new(&decided, source.extent(), data.views.len());
         let promised = settings.memory.budget > 0;
         let mut training = Geometry {
             device: device.clone(),

@@ -93,15 +93,17 @@ impl Trainer {
     ///
     /// None for Gaussians from another file: these were not trained with this scene's views.
     fn learned_scene(&self, kind: StageKind) -> Result<Option<Arc<Scene>>> {
-        if let (Some(StartGeometry::File(path)), None) = (&self.options.start, &self.learned)
-            && path.with_file_name("cameras.json").is_file()
-        {
-            tracing::warn!(
-                "The run of {} learned cameras, which do not come with its Gaussians; train this stage into that run to use them.",
-                path.display()
-            );
-        }
         if kind == StageKind::Geometry || self.options.start.is_some() || self.learned.is_some() {
+            if kind != StageKind::Geometry
+                && let Some(StartGeometry::File(path)) = &self.options.start
+                && let Some(run) = path.parent().and_then(|root| RunDirectory::open(root).ok())
+                && run.learned_views()?.is_some()
+            {
+                tracing::warn!(
+                    "{} was trained with learned cameras, which the file does not hold; train this stage into its run to use them.",
+                    path.display()
+                );
+            }
             return Ok(self.learned.clone());
         }
         let learned = match (&self.active, &self.options.run) {

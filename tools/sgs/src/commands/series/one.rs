@@ -111,11 +111,12 @@ impl One<'_> {
         let (splats, _) = splats_of(root)?;
         let directory = RunDirectory::open(root)?;
         let options = MeasureOptions { split: Split::Test, lpips: self.lpips, images: None, align: row.align };
-        let mut seen = (*scene).clone();
-        if let Some(learned) = directory.learned_views()? {
-            use_learned_views(&mut seen, &learned);
-        }
-        measure(&device, &seen, &directory, &splats, settings, options)?;
+        let learned = directory.learned_views()?.map(|learned| {
+            let mut scene = (*scene).clone();
+            use_learned_views(&mut scene, &learned);
+            scene
+        });
+        measure(&device, learned.as_ref().unwrap_or(&scene), &directory, &splats, settings, options)?;
         validated(&device)?;
         match Measures::read(&directory) {
             Some(measures) => Ok(measures),
