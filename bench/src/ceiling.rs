@@ -1,4 +1,4 @@
-//! Measured peak bandwidth and arithmetic rate of a device: `engine-bench ceiling`.
+//! Measured peak rates of a device: `engine-bench ceiling`.
 
 use serde::{Deserialize, Serialize};
 use sgs_passes::cost::Cost;
@@ -22,10 +22,15 @@ pub struct Ceiling {
     /// Seconds of a dispatch of one small workgroup, with the barrier before it; zero in reports from before it was measured.
     #[serde(default)]
     pub dispatch_seconds: f64,
+    /// Atomic additions per second, to neighboring words; 0 if not measured.
+    #[serde(default)]
+    pub atomics_per_second: f64,
 }
 
 impl Ceiling {
     /// Returns the minimum seconds for a cost, and whether memory is the bound.
+    ///
+    /// Atomic operations do not count.
     pub fn bound(&self, cost: &Cost) -> (f64, bool) {
         let memory = cost.bytes / self.bytes_per_second;
         let arithmetic = cost.operations / self.operations_per_second;
@@ -40,7 +45,7 @@ mod tests {
     #[test]
     fn larger_bound_determines_the_time() {
         let ceiling = Ceiling { bytes_per_second: 1e9, operations_per_second: 1e10, ..Default::default() };
-        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 1e9 }), (1.0, true));
-        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 3e10 }), (3.0, false));
+        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 1e9, ..Default::default() }), (1.0, true));
+        assert_eq!(ceiling.bound(&Cost { bytes: 1e9, operations: 3e10, ..Default::default() }), (3.0, false));
     }
 }

@@ -113,6 +113,7 @@ pub fn add_passes(report: &mut Report, plan: &Plan, times: &[PassTime], counts: 
             nanoseconds,
             bytes: cost.map(|c| c.bytes),
             operations: cost.map(|c| c.operations),
+            atomics: cost.map(|c| c.atomics).filter(|count| *count > 0.0),
             share: bound.filter(|_| nanoseconds.median > 0.0).map(|(s, _)| s * 1e9 / nanoseconds.median),
             bound: bound.map(|(_, memory)| if memory { "memory" } else { "arithmetic" }.to_owned()),
         });

@@ -52,7 +52,7 @@ enum Command {
     Host(commands::host::Args),
     /// Predict the step of a report on other devices, pass by pass.
     Roofline(commands::roofline::Args),
-    /// Measure peak rates and overheads of the device: copies, arithmetic, dispatches, barriers.
+    /// Measure peak rates of the device, and overheads of dispatches and barriers.
     Ceiling,
     /// Compile every kernel for absent GPUs. Reports registers, spills and shared memory.
     Isa(commands::isa::Args),

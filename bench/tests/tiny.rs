@@ -94,6 +94,7 @@ fn step_is_measured_traced_and_compared() {
     assert!(std::fs::read_to_string(&page).unwrap().contains("of passes, measured"));
     let fact = |name: &str| report["facts"].as_array().unwrap().iter().any(|f| f["name"] == name);
     assert!(fact("host, a replay without its submission, us") && fact("host, the submission of a replay, us"));
+    assert!(fact("subgroups of a tile, forward pass") && fact("step: passes, groups, barriers"));
 
     // No figure is worse than a baseline a hundred times slower; every figure is worse than a faster one.
     for (factor, slower) in [(100.0, false), (1e-3, true)] {
@@ -148,6 +149,10 @@ fn script_joins_all_measurements_in_one_file() {
     let set: Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
     let commands: Vec<_> = set["reports"].as_array().unwrap().iter().map(|r| r["command"].as_str().unwrap()).collect();
     assert_eq!(commands, ["ceiling", "passes", "scaling", "step", "step"]);
+    let rates = &set["reports"][0]["ceiling"];
+    for name in ["bytes_per_second", "operations_per_second", "atomics_per_second"] {
+        assert!(rates[name].as_f64().is_some_and(|rate| rate > 0.0), "{name}: {rates}");
+    }
     let table = bench(&["table", file.to_str().unwrap()]);
     let table = String::from_utf8_lossy(&table.stdout).into_owned();
     assert!(table.contains("| step: step by the host's clock | synthetic room, 2000 gaussians, 64x48 |"), "{table}");

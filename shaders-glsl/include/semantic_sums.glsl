@@ -106,14 +106,17 @@ float descend(float weight) {
         }
         absorb(AUGMENTED + c);
     }
-    float factor[TILES * ACROSS];
+    // From here on `u` is k f': factors of single items would take a scalar register each.
     EACH_TILE(t) {
         float k = live[t] ? own[t] : 0.0;
         weights[t] = k * bias[t];
         EACH_ITEM(n) {
-            factor[t * ACROSS + n] = subgroupShuffle(k, lane_of(n));
+            float factor = subgroupShuffle(k, lane_of(n));
             uint at = t * SPREAD + n * HELD;
-            EACH_HELD(h) a[at + h] = fma(factor[t * ACROSS + n], u[at + h], a[at + h]);
+            EACH_HELD(h) {
+                a[at + h] = fma(factor, u[at + h], a[at + h]);
+                u[at + h] = factor * f[at + h];
+            }
         }
     }
     for (uint j = 0u; j < ACROSS; j++) {
@@ -122,7 +125,7 @@ float descend(float weight) {
             EACH_HELD(h) sum[h] = 0.0;
             EACH_TILE(t) EACH_ITEM(n) {
                 uint at = t * SPREAD + n * HELD;
-                float s = subgroupShuffle(f[at + g], lane_of(j)) * factor[t * ACROSS + n];
+                float s = subgroupShuffle(u[at + g], lane_of(j));
                 EACH_HELD(h) sum[h] = fma(s, f[at + h], sum[h]);
             }
             add_row(g * ACROSS + j, sum);

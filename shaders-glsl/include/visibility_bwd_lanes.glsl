@@ -51,65 +51,85 @@ float by_last[HELD];
 float by_row[ITEMS * HELD];    // of this batch, by item
 float turn_x[ITEMS], turn_y[ITEMS], turn_z[ITEMS], stretch[ITEMS]; // derivatives by direction and distance
 
-void layers(uint item, float row[HELD]) {
-    float x = from_lane(way.x, item), y = from_lane(way.y, item), z = from_lane(way.z, item);
-    float reach = from_lane(way.w, item);
-    EACH_HELD(h) {
-        float at = fma(first_pair[3u * HELD + h], reach, row[h]);
-        at = fma(first_pair[h], x, fma(first_pair[HELD + h], y, fma(first_pair[2u * HELD + h], z, at)));
-        hidden[item * HELD + h] = rectified(at);
-        second[item * HELD + h] = 0.0;
-    }
-    [[unroll]] for (uint k = 0u; k < WIDTH; k++) {
-        float a = from_lane(hidden[item * HELD + k % HELD], k / HELD);
-        EACH_HELD(h) second[item * HELD + h] = fma(columns[k * HELD + h], a, second[item * HELD + h]);
-    }
-    float logit = 0.0;
-    EACH_HELD(h) {
-        second[item * HELD + h] = rectified(second[item * HELD + h]);
-        logit = fma(last[h], second[item * HELD + h], logit);
-    }
-    logits[item] = logit;
-}
+// Items from `first` on, which share loads of weights and of their sums.
+const uint TOGETHER = 2u;
+#define EACH_OF(i) [[unroll]] for (uint i = 0u; i < TOGETHER; i++)
+#define EACH_FIRST(f) [[unroll]] for (uint first_ = 0u; first_ < ITEMS; first_ += TOGETHER) f(first_);
 
 bool moving;
 
-void layers_of(uint item) {
-    float row[HELD];
-    EACH_HELD(h) row[h] = REGULARIZED && moving ? moved[item * HELD + h] : here[item * HELD + h];
-    layers(item, row);
-}
-
-void back(uint item) {
-    float by_logit = from_lane(slope, item);
-    float above[HELD], below[HELD];
-    EACH_HELD(h) {
-        float s = second[item * HELD + h];
-        by_last[h] = fma(by_logit, s, by_last[h]);
-        above[h] = s > 0.0 ? by_logit * last[h] : 0.0;
-        below[h] = 0.0;
-    }
-    [[unroll]] for (uint o = 0u; o < WIDTH; o++) {
-        float g = from_lane(above[o % HELD], o / HELD);
+void layers(uint first) {
+    EACH_OF(i) {
+        uint item = first + i;
+        float x = from_lane(way.x, item), y = from_lane(way.y, item), z = from_lane(way.z, item);
+        float reach = from_lane(way.w, item);
         EACH_HELD(h) {
-            below[h] = fma(rows_of[o * HELD + h], g, below[h]);
-            by_second[o * HELD + h] = fma(hidden[item * HELD + h], g, by_second[o * HELD + h]);
+            float row = REGULARIZED && moving ? moved[item * HELD + h] : here[item * HELD + h];
+            float at = fma(first_pair[3u * HELD + h], reach, row);
+            at = fma(first_pair[h], x, fma(first_pair[HELD + h], y, fma(first_pair[2u * HELD + h], z, at)));
+            hidden[item * HELD + h] = rectified(at);
+            second[item * HELD + h] = 0.0;
         }
     }
-    float x = from_lane(way.x, item), y = from_lane(way.y, item), z = from_lane(way.z, item);
-    float reach = from_lane(way.w, item);
-    turn_x[item] = turn_y[item] = turn_z[item] = stretch[item] = 0.0;
-    EACH_HELD(h) {
-        float g = hidden[item * HELD + h] > 0.0 ? below[h] : 0.0;
-        by_row[item * HELD + h] += g;
-        by_pair[h] = fma(g, x, by_pair[h]);
-        by_pair[HELD + h] = fma(g, y, by_pair[HELD + h]);
-        by_pair[2u * HELD + h] = fma(g, z, by_pair[2u * HELD + h]);
-        by_pair[3u * HELD + h] = fma(g, reach, by_pair[3u * HELD + h]);
-        turn_x[item] = fma(g, first_pair[h], turn_x[item]);
-        turn_y[item] = fma(g, first_pair[HELD + h], turn_y[item]);
-        turn_z[item] = fma(g, first_pair[2u * HELD + h], turn_z[item]);
-        stretch[item] = fma(g, first_pair[3u * HELD + h], stretch[item]);
+    [[unroll]] for (uint k = 0u; k < WIDTH; k++) {
+        float a[TOGETHER];
+        EACH_OF(i) a[i] = from_lane(hidden[(first + i) * HELD + k % HELD], k / HELD);
+        EACH_HELD(h) {
+            float w = columns[k * HELD + h];
+            EACH_OF(i) second[(first + i) * HELD + h] = fma(w, a[i], second[(first + i) * HELD + h]);
+        }
+    }
+    EACH_OF(i) {
+        uint item = first + i;
+        float logit = 0.0;
+        EACH_HELD(h) {
+            second[item * HELD + h] = rectified(second[item * HELD + h]);
+            logit = fma(last[h], second[item * HELD + h], logit);
+        }
+        logits[item] = logit;
+    }
+}
+
+void back(uint first) {
+    float above[TOGETHER * HELD], below[TOGETHER * HELD];
+    EACH_OF(i) {
+        float by_logit = from_lane(slope, first + i);
+        EACH_HELD(h) {
+            float s = second[(first + i) * HELD + h];
+            by_last[h] = fma(by_logit, s, by_last[h]);
+            above[i * HELD + h] = s > 0.0 ? by_logit * last[h] : 0.0;
+            below[i * HELD + h] = 0.0;
+        }
+    }
+    [[unroll]] for (uint o = 0u; o < WIDTH; o++) {
+        float g[TOGETHER];
+        EACH_OF(i) g[i] = from_lane(above[i * HELD + o % HELD], o / HELD);
+        EACH_HELD(h) {
+            float w = rows_of[o * HELD + h], sum = by_second[o * HELD + h];
+            EACH_OF(i) {
+                below[i * HELD + h] = fma(w, g[i], below[i * HELD + h]);
+                sum = fma(hidden[(first + i) * HELD + h], g[i], sum);
+            }
+            by_second[o * HELD + h] = sum;
+        }
+    }
+    EACH_OF(i) {
+        uint item = first + i;
+        float x = from_lane(way.x, item), y = from_lane(way.y, item), z = from_lane(way.z, item);
+        float reach = from_lane(way.w, item);
+        turn_x[item] = turn_y[item] = turn_z[item] = stretch[item] = 0.0;
+        EACH_HELD(h) {
+            float g = hidden[item * HELD + h] > 0.0 ? below[i * HELD + h] : 0.0;
+            by_row[item * HELD + h] += g;
+            by_pair[h] = fma(g, x, by_pair[h]);
+            by_pair[HELD + h] = fma(g, y, by_pair[HELD + h]);
+            by_pair[2u * HELD + h] = fma(g, z, by_pair[2u * HELD + h]);
+            by_pair[3u * HELD + h] = fma(g, reach, by_pair[3u * HELD + h]);
+            turn_x[item] = fma(g, first_pair[h], turn_x[item]);
+            turn_y[item] = fma(g, first_pair[HELD + h], turn_y[item]);
+            turn_z[item] = fma(g, first_pair[2u * HELD + h], turn_z[item]);
+            stretch[item] = fma(g, first_pair[3u * HELD + h], stretch[item]);
+        }
     }
 }
 
@@ -184,7 +204,7 @@ void main() {
                 vec3 to = moving ? place + jitter_of(field, LIGHTS, light) : place;
                 way = field_way(field, moving ? moved_point : point, field_inside(field, to));
                 moved_logit = logit;
-                EACH_ITEM(layers_of)
+                EACH_FIRST(layers)
                 ITEM_SUMS(logits)
                 logit = logits[0];
             }
@@ -199,7 +219,7 @@ void main() {
             float e = exp(-abs(logit)), d = 1.0 / (1.0 + e);
             slope = counts ? float(max(SAMPLE, 1u)) * by_visibility * (e * d * d) : 0.0;
             if (!finite_bits(slope)) slope = 0.0;
-            EACH_ITEM(back)
+            EACH_FIRST(back)
             if (PLACES) {
                 ITEM_SUMS(turn_x)
                 ITEM_SUMS(turn_y)

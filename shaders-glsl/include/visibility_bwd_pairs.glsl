@@ -2,23 +2,25 @@
 //
 // Layers need no exchange: an instruction multiplies a weight, the same for all lanes, by the numbers of as many pairs as
 // there are lanes. Only the gradients of weights add up over pairs. They are a product of two matrices, whose operands lanes
-// exchange through shared memory: the second layer's by tiles of TILE_ROWS outputs and four inputs a lane, the first layer's
-// direction and distance likewise. A lane keeps its tiles in registers until the end.
+// exchange through shared memory: the second layer's by tiles of TILE_ROWS outputs and four inputs a lane. Of the first layer's
+// direction and distance, a team of BLOCKS lanes holds all sums, each lane those of four neurons, and each team adds up pairs of
+// its own. A lane keeps its tiles in registers until the end.
 
 const uint TILE_ROWS = WIDTH * BLOCKS / ACROSS;   // outputs of a lane's tile
+const uint TEAMS = SUBGROUP / BLOCKS;
 const uint PITCH = BLOCKS + 1u;                   // of a lane's row in shared memory: one more, so that banks differ
 
 shared vec4 shared_neurons[SUBGROUP * PITCH]; // outputs of the first layer, then their gradients
 shared vec4 shared_slopes[ACROSS * PITCH];    // gradients of the second layer, over the last one's weights
-shared float shared_ways[SUBGROUP * 4u];
+shared vec4 shared_ways[SUBGROUP];
 
 float slopes[WIDTH];        // sums of the second layer; then the derivative of the loss by them
 vec4 by_second[TILE_ROWS];  // sums over pairs: this lane's tile
-vec4 by_pair[HELD];         // the same of direction and distance: four neurons, HELD of the four inputs
+vec4 by_pair[4];            // the same of direction and distance over this team's pairs: four neurons, by input
 
 #define LAYER_SUMS                                                                                             \
     EACH(j, TILE_ROWS) by_second[j] = vec4(0.0);                                                               \
-    EACH(h, HELD) by_pair[h] = vec4(0.0);
+    EACH(k, 4u) by_pair[k] = vec4(0.0);
 #define BACK(slope) back(slope);
 #define WRITE_SUMS write_sums();
 
@@ -35,38 +37,44 @@ vec4 sum_from(uint reach, vec4 v) {
     return v;
 }
 
-// Forward pass of a pair.
-void layers(bool moving) {
+// The last layer, from sums of the second one.
+#define LOGIT_OF(sums_, logit_)                                                                                \
+    EACH(b, BLOCKS) {                                                                                          \
+        vec4 w = last_from(b);                                                                                 \
+        EACH(j, 4u) logit_ = fma(w[j], rectified(sums_[4u * b + j]), logit_);                                  \
+    }
+
+// The jittered pair and the pair itself, whose state the backward pass uses, share loads of weights.
+float evaluate(FieldStep field, vec3 moved_point, vec3 point, uint light, vec3 place) {
+    vec4 moved_way = vec4(0.0);
+    float moved_sums[WIDTH], moved_logit = 0.0;
+    if (REGULARIZED) {
+        moved_way = field_way(field, moved_point, field_inside(field, place + jitter_of(field, LIGHTS, light)));
+        EACH(n, WIDTH) moved_sums[n] = 0.0;
+    }
+    way = field_way(field, point, field_inside(field, place));
     EACH(n, WIDTH) slopes[n] = 0.0;
     logit = 0.0;
     alive = 0u;
     // A loop, because instructions do not fit in caches otherwise.
     [[dont_unroll]] for (uint b = 0u; b < BLOCKS; b++) {
-        vec4 hidden;
+        vec4 hidden, moved;
         EACH(j, 4u) {
             uint k = 4u * b + j;
-            hidden[j] = first_layer(pair_from(k), way, row_of(k, moving));
+            vec4 w = pair_from(k);
+            hidden[j] = first_layer(w, way, row_of(k, false));
+            if (REGULARIZED) moved[j] = first_layer(w, moved_way, row_of(k, true));
             alive |= uint(hidden[j] > 0.0) << k;
         }
         shared_neurons[gl_SubgroupInvocationID * PITCH + b] = hidden;
-        EACH(n, WIDTH) slopes[n] = added(second_from(n * BLOCKS + b), hidden, slopes[n]);
+        EACH(n, WIDTH) {
+            vec4 w = second_from(n * BLOCKS + b);
+            slopes[n] = added(w, hidden, slopes[n]);
+            if (REGULARIZED) moved_sums[n] = added(w, moved, moved_sums[n]);
+        }
     }
-    EACH(b, BLOCKS) {
-        vec4 w = last_from(b);
-        EACH(j, 4u) logit = fma(w[j], rectified(slopes[4u * b + j]), logit);
-    }
-}
-
-float evaluate(FieldStep field, vec3 moved_point, vec3 point, uint light, vec3 place) {
-    float moved_logit = 0.0;
-    // First the jittered point, then the point itself, whose state the backward pass uses.
-    [[dont_unroll]] for (uint pass = REGULARIZED ? 0u : 1u; pass < 2u; pass++) {
-        bool moving = pass == 0u;
-        vec3 to = moving ? place + jitter_of(field, LIGHTS, light) : place;
-        way = field_way(field, moving ? moved_point : point, field_inside(field, to));
-        moved_logit = logit;
-        layers(moving);
-    }
+    LOGIT_OF(slopes, logit)
+    if (REGULARIZED) LOGIT_OF(moved_sums, moved_logit)
     return moved_logit;
 }
 
@@ -82,15 +90,15 @@ void add_second(uint lane, uint row) {
 
 // The same for the first layer's direction and distance.
 void add_pair(uint lane) {
-    vec4 g = shared_neurons[lane * PITCH + column() % BLOCKS];
-    EACH(h, HELD) by_pair[h] = fma(g, vec4(shared_ways[lane * 4u + column() / BLOCKS * HELD + h]), by_pair[h]);
+    vec4 g = shared_neurons[lane * PITCH + gl_SubgroupInvocationID % BLOCKS], w = shared_ways[lane];
+    EACH(k, 4u) by_pair[k] = fma(g, vec4(w[k]), by_pair[k]);
 }
 
-// Each side takes its share of the pairs, TOGETHER in a round: enough loads to hide their latency.
+// Each of `teams` takes its share of the pairs, TOGETHER in a round: enough loads to hide their latency.
 const uint TOGETHER = 4u;
-#define EACH_PAIR(i, count)                                                                                    \
-    [[dont_unroll]] for (uint i##_ = side; i##_ < count; i##_ += TOGETHER * SIDES)                             \
-        [[unroll]] for (uint i = i##_; i < i##_ + TOGETHER * SIDES; i += SIDES)
+#define EACH_PAIR(i, count, team, teams)                                                                       \
+    [[dont_unroll]] for (uint i##_ = team; i##_ < count; i##_ += TOGETHER * teams)                             \
+        [[unroll]] for (uint i = i##_; i < i##_ + TOGETHER * teams; i += teams)
 
 // Backward pass of a pair, from the derivative of the loss by its logit.
 void back(float slope) {
@@ -105,7 +113,7 @@ void back(float slope) {
             }
         }
         exchange();
-        EACH_PAIR(i, ACROSS) add_second(writer * ACROSS + i, i);
+        EACH_PAIR(i, ACROSS, side, SIDES) add_second(writer * ACROSS + i, i);
         exchange();
     }
     EACH(b, BLOCKS) {
@@ -124,9 +132,9 @@ void back(float slope) {
     }
     // Constants index sums of the pixel, so that they stay in registers.
     EACH(b, BLOCKS) by_row[b] += shared_neurons[lane * PITCH + b];
-    EACH(k, 4u) shared_ways[lane * 4u + k] = way[k];
+    shared_ways[lane] = way;
     exchange();
-    EACH_PAIR(i, SUBGROUP) add_pair(i);
+    EACH_PAIR(i, SUBGROUP, lane / BLOCKS, TEAMS) add_pair(i);
     exchange();
 }
 
@@ -145,8 +153,11 @@ void write_sums() {
             if (block == 0u) sums_of[to + WIDTH * (WIDTH + 4u) + n] = by_last;
         }
     }
-    EACH(h, HELD) {
-        vec4 sum = sum_from(ACROSS, by_pair[h]);
-        if (writes) EACH(k, 4u) sums_of[to + WIDTH * (WIDTH + part * HELD + h) + 4u * block + k] = sum[k];
+    EACH(h, 4u) {
+        vec4 sum = sum_from(BLOCKS, by_pair[h]);
+        if (gl_SubgroupInvocationID < BLOCKS) {
+            uint at = to + WIDTH * (WIDTH + h) + 4u * gl_SubgroupInvocationID;
+            EACH(k, 4u) sums_of[at + k] = sum[k];
+        }
     }
 }

@@ -123,11 +123,10 @@ void main() {
             sum.z += counted && !live[t] ? 1.0 : 0.0;
             EACH_ITEM(n) {
                 float s = subgroupShuffle(along[t], lane_of(n));
-                bool lives = subgroupShuffle(uint(live[t]), lane_of(n)) != 0u;
                 EACH_HELD(h) {
                     uint k = t * SPREAD + n * HELD + h;
-                    // Products of excluded samples may be non-finite.
-                    a[k] = lives ? s * a[k] : 0.0;
+                    // Products of excluded samples, whose s is zero, may be non-finite.
+                    a[k] = s != 0.0 ? s * a[k] : 0.0;
                 }
             }
         }

@@ -10,7 +10,7 @@ use crate::stats::Summary;
 use sgs_engine::Device;
 use sgs_engine::graph::{Graph, GraphError};
 use sgs_passes::kernel::{groups, stage};
-use sgs_shaders::{copy_probe, fill, fma_probe};
+use sgs_shaders::{atomic_probe, copy_probe, fill, fma_probe};
 
 /// Invocations per workgroup of the probes.
 const WORKGROUP: u32 = 256;
@@ -18,10 +18,18 @@ const WORKGROUP: u32 = 256;
 /// Operations per invocation and round of `fma_probe`.
 const PROBE_OPERATIONS: f64 = 128.0;
 
+/// Atomic additions per invocation.
+const ATOMIC_ROUNDS: u32 = 64;
+
+/// Words from one round of `atomic_probe` to the next.
+///
+/// An odd number of workgroups, so that rounds visit the whole buffer.
+const ATOMIC_STRIDE: u32 = 10_368_889 * WORKGROUP;
+
 /// Minimum number of repetitions. On a shared machine, some of them run undisturbed.
 const REPEATS: u32 = 24;
 
-/// Returns bytes of a copy, and invocations and rounds of the arithmetic probe.
+/// Returns bytes of a copy, invocations of the probes, and rounds of `fma_probe`.
 ///
 /// On a GPU this is some milliseconds of work. On a CPU it is little enough that some repetitions run without an
 /// interruption.
@@ -46,6 +54,8 @@ pub fn measure_ceiling(device: &Device) -> anyhow::Result<Ceiling> {
     let copy_kernel_bytes_per_second = 2.0 * size as f64 / copy_kernel(device, size, warmup, repeats / 4)?.least;
     let operations = PROBE_OPERATIONS * f64::from(invocations) * f64::from(rounds);
     let operations_per_second = operations / multiply_adds(device, invocations, rounds, warmup, repeats)?.least;
+    let additions = f64::from(invocations) * f64::from(ATOMIC_ROUNDS);
+    let atomics_per_second = additions / atomic_adds(device, invocations, warmup, repeats)?.least;
     let (few, many) = (8, 72);
     let [low, high] = [few, many].map(|count| dispatches(device, count, true, warmup, repeats));
     Ok(Ceiling {
@@ -55,6 +65,7 @@ pub fn measure_ceiling(device: &Device) -> anyhow::Result<Ceiling> {
         copy_bytes_per_second,
         fill_bytes_per_second,
         copy_kernel_bytes_per_second,
+        atomics_per_second,
     })
 }
 
@@ -130,6 +141,32 @@ fn multiply_adds(device: &Device, invocations: u32, rounds: u32, warmup: u32, re
     Ok(time)
 }
 
+/// Measures atomic additions to as many words as invocations, a power of two.
+///
+/// Neighboring invocations add to neighboring words, so that no two of a subgroup meet in a word.
+fn atomic_adds(device: &Device, words: u32, warmup: u32, repeats: u32) -> anyhow::Result<Summary> {
+    let mut g = Graph::new("atomic_adds");
+    let sums = g.external("sums", 4 * u64::from(words));
+    let bindings = atomic_probe::Bindings { sums: sums.into() };
+    let push = atomic_probe::Push { words, rounds: ATOMIC_ROUNDS, stride: ATOMIC_STRIDE };
+    let specs = atomic_probe::Specs { workgroup: WORKGROUP };
+    stage(
+        &mut g,
+        "atomic_probe",
+        &atomic_probe::KERNEL,
+        bindings.entries(),
+        specs.entries(),
+        bytemuck::bytes_of(&push),
+    )
+    .dispatch(groups(u64::from(words), WORKGROUP))?;
+    let mut rig = Rig::new(device, g, vec![], true)?;
+    let time = seconds(&mut rig, warmup, repeats)?;
+    // The buffer starts with zeros, and each replay adds to its sums.
+    let expected = ATOMIC_ROUNDS * (warmup.max(1) + repeats);
+    anyhow::ensure!(rig.get::<u32>(sums)?.iter().all(|&w| w == expected), "The atomic probe's sums are wrong.");
+    Ok(time)
+}
+
 /// Returns nanoseconds of a replay of `count` tiny dispatches.
 ///
 /// They run one after the other if `ordered`, else concurrently. The minimum is returned, since the overhead is a
@@ -159,6 +196,7 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
     report.setting("copy bytes", size);
     report.setting("probe invocations", invocations);
     report.setting("probe rounds", rounds);
+    report.setting("atomic rounds", ATOMIC_ROUNDS);
     let (warmup, repeats) = (common.warmup, common.repeats);
     let ceiling = measure_ceiling(&device)?;
     report.ceiling = Some(ceiling);
@@ -167,12 +205,14 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
     report.time("fill kernel", "ms", fill_kernel(&device, size, warmup, repeats)?.scaled(1e3));
     let probe = multiply_adds(&device, invocations, rounds, warmup, repeats)?;
     report.time("multiply-adds", "ms", probe.scaled(1e3));
+    report.time("atomic additions", "ms", atomic_adds(&device, invocations, warmup, repeats)?.scaled(1e3));
     report.fact("copy, GB/s read and written", ceiling.copy_bytes_per_second / 1e9);
     report.fact("copy kernel, GB/s read and written", ceiling.copy_kernel_bytes_per_second / 1e9);
     report.fact("fill kernel, GB/s written", ceiling.fill_bytes_per_second / 1e9);
     report.fact("multiply-adds, G operations/s", ceiling.operations_per_second / 1e9);
+    report.fact("atomic additions, G/s", ceiling.atomics_per_second / 1e9);
     overheads(&device, &mut report, warmup, repeats)?;
-    report.check("copies, fill and probe left what they should");
+    report.check("copies, fill and probes left what they should");
     common.finish(&report, &device)
 }
 

@@ -14,4 +14,5 @@ pub mod rooms;
 pub mod savings;
 pub mod scaling;
 pub mod step;
+mod tiles;
 pub mod tradeoff;

@@ -1,8 +1,9 @@
 //! Check of the roofline model on the device that measured a step: `engine-bench roofline --ratios`.
 //!
-//! A step is predicted twice from the counts of its passes. First from the measured rates of the device alone: bytes, operations,
-//! and a dispatch with its barrier per pass. Then each pass also takes its ratio of time to bound from another step on the
-//! same device. Both predictions are compared with the measured times. A step cannot be checked with its own ratios.
+//! A step is predicted twice from the counts of its passes. First from the measured rates of the device alone: bytes,
+//! operations, atomics, and a dispatch with its barrier per pass. Then each pass also takes its ratio of time to bound
+//! from another step on the same device. Both predictions are compared with the measured times. A step cannot be
+//! checked with its own ratios.
 
 use crate::report::{PassRow, Report};
 use std::collections::BTreeMap;
@@ -12,6 +13,8 @@ use std::fmt::Write;
 struct Rates {
     bytes: f64,
     operations: f64,
+    /// Atomic operations per second; absent if not measured.
+    atomics: Option<f64>,
     dispatch: f64,
     /// Bytes per second of a kernel that writes a word per invocation, on a processor.
     words: Option<f64>,
@@ -23,25 +26,28 @@ impl Rates {
         let ceiling = report.ceiling.as_ref().context("The report has no measured rates of its device.")?;
         let (bytes, operations) = (ceiling.bytes_per_second, ceiling.operations_per_second);
         let words = (report.device.kind == "cpu").then_some(ceiling.fill_bytes_per_second).filter(|rate| *rate > 0.0);
-        Ok(Rates { bytes, operations, dispatch: ceiling.dispatch_seconds, words })
+        let atomics = Some(ceiling.atomics_per_second).filter(|rate| *rate > 0.0);
+        Ok(Rates { bytes, operations, atomics, dispatch: ceiling.dispatch_seconds, words })
     }
 
     /// Predicts the nanoseconds of a pass.
     ///
     /// A software device takes instructions for each word that a lane reads or writes, one after the other with those of
-    /// its arithmetic. No kernel comes near the rate of a copy there.
+    /// its arithmetic. No kernel comes near the rate of a copy there. Atomics are among these words, and determine the
+    /// time of a pass only if they take longer.
     fn predict(&self, pass: &PassRow) -> f64 {
         let work = match self.words {
             Some(words) => 1e9 * (pass.bytes.unwrap_or(0.0) / words + pass.operations.unwrap_or(0.0) / self.operations),
-            None => self.bound(pass),
+            None => 0.0,
         };
-        1e9 * self.dispatch + work
+        1e9 * self.dispatch + work.max(self.bound(pass))
     }
 
-    /// Returns the least nanoseconds that bytes and operations take.
+    /// Returns the least nanoseconds that bytes, operations and atomics take.
     fn bound(&self, pass: &PassRow) -> f64 {
         let of = |count: Option<f64>, rate: f64| count.unwrap_or(0.0) / rate;
-        1e9 * of(pass.bytes, self.bytes).max(of(pass.operations, self.operations))
+        let atomics = self.atomics.map_or(0.0, |rate| of(pass.atomics, rate));
+        1e9 * of(pass.bytes, self.bytes).max(of(pass.operations, self.operations)).max(atomics)
     }
 }
 
@@ -75,7 +81,11 @@ pub fn predict(
         report.settings != other.settings,
         "The ratios are of the same step, so that they fit it; select another scene or size."
     );
-    let (own, theirs) = (Rates::of(report)?, Rates::of(other)?);
+    let (mut own, mut theirs) = (Rates::of(report)?, Rates::of(other)?);
+    // A ratio without atomics does not fit a bound with them.
+    if own.atomics.is_none() || theirs.atomics.is_none() {
+        (own.atomics, theirs.atomics) = (None, None);
+    }
     let fixed = known.iter().map(|p| p.nanoseconds.median).fold(f64::INFINITY, f64::min);
     let known: BTreeMap<&str, &PassRow> = known.iter().map(|pass| (pass.pass.as_str(), *pass)).collect();
     let one = |pass: &&PassRow| {
@@ -169,6 +179,7 @@ mod tests {
                 nanoseconds,
                 bytes: *bytes,
                 operations: None,
+                atomics: None,
                 share: None,
                 bound: None,
             });
@@ -214,6 +225,21 @@ mod tests {
         let rates = Rates::of(&step).unwrap();
         assert!((rates.predict(&step.passes[0]) - (10.0 + 2000.0 + 50.0)).abs() < 1e-9);
         assert_eq!(rates.bound(&step.passes[0]), 200.0);
+    }
+
+    #[test]
+    fn atomics_count_where_both_reports_have_their_rate() {
+        let reports = |rates: [f64; 2]| {
+            let [mut known, mut step] = [1, 2].map(|gaussians| report(gaussians, &[("a", 500.0, Some(100.0))]));
+            for (report, rate) in [&mut known, &mut step].into_iter().zip(rates) {
+                report.passes[0].atomics = Some(200.0);
+                report.ceiling.as_mut().unwrap().atomics_per_second = rate;
+            }
+            predict((&step, &passes(&step)), (&known, &passes(&known))).unwrap()[0].counts.round()
+        };
+        // A dispatch of 10 ns, and the longer of 100 ns of bytes and 200 ns of atomics.
+        assert_eq!(reports([1e9, 1e9]), 210.0);
+        assert_eq!([reports([0.0, 1e9]), reports([1e9, 0.0])], [110.0; 2]);
     }
 
     #[test]

@@ -1,11 +1,13 @@
 //! Prediction of a step on other devices from the counts of its passes: `engine-bench roofline`.
 //!
-//! A pass takes at least its bytes over the bandwidth or its operations over the arithmetic rate of a device, whichever
-//! is longer: the roofline model (Williams, Waterman, Patterson 2009). A measured report adds how far each pass is from
-//! that bound, and the least time of any pass.
+//! A pass takes at least its bytes over the bandwidth, its operations over the arithmetic rate, or its atomics over
+//! their rate on a device, whichever is longest. This is the roofline model (Williams, Waterman, Patterson 2009) with
+//! one more rate. Operations of passes that process tiles take longer where tiles load the schedulers unevenly. A
+//! measured report adds how far each pass is from that bound, and the time of a dispatch with its barrier.
 
 use super::own_step;
-use super::step::{ALL_TILES, LONGEST_TILE};
+use super::step::SHAPE;
+use super::tiles::Tiles;
 use crate::report::set::ReportSet;
 use crate::report::{PassRow, Report};
 use anyhow::Context;
@@ -45,7 +47,7 @@ fn setting(text: &str) -> Result<(String, String), String> {
 }
 
 /// Rates of a device.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 struct Target {
     name: String,
     /// Bytes a second of a kernel that copies.
@@ -54,6 +56,10 @@ struct Target {
     arithmetic: f64,
     /// Schedulers, each of which runs a subgroup at a time; absent if unknown.
     schedulers: Option<f64>,
+    /// Atomic operations a second; absent if not measured. Datasheets do not state them.
+    atomics: Option<f64>,
+    /// Nanoseconds of a dispatch with its barrier; absent if not measured.
+    dispatch: Option<f64>,
 }
 
 /// Datasheet rates: name, bytes a second, operations a second in 32 bits, schedulers.
@@ -63,18 +69,6 @@ const DATASHEETS: [(&str, f64, f64, f64); 4] = [
     ("h200", 4.8e12, 66.9e12, 528.0),
     ("7900xtx", 0.96e12, 61.4e12, 192.0),
 ];
-
-/// Passes whose subgroups each process a whole tile.
-const BY_TILE: [&str; 5] = ["blend", "blend_buckets", "blend_bwd", "blend_bwd_atomic", "blend_bwd_splat"];
-
-/// Returns the share of the entries of a view that its longest tile has; 0 if the report does not tell.
-fn longest_tile(report: &Report) -> f64 {
-    let fact = |name: &str| report.facts.iter().find(|fact| fact.name == name).and_then(|fact| fact.value.as_f64());
-    match (fact(LONGEST_TILE), fact(ALL_TILES)) {
-        (Some(longest), Some(all)) if all > 0.0 => longest / all,
-        _ => 0.0,
-    }
-}
 
 /// Parts of the datasheet's rates that kernels reach.
 ///
@@ -86,27 +80,48 @@ fn target(name: &str) -> Result<Target, String> {
     let (name, bandwidth, arithmetic, schedulers) =
         found.ok_or_else(|| format!("unknown device; there are {}", DATASHEETS.map(|d| d.0).join(", ")))?;
     let (bandwidth, arithmetic) = (REACHED.0 * bandwidth, REACHED.1 * arithmetic);
-    Ok(Target { name: (*name).to_owned(), bandwidth, arithmetic, schedulers: Some(*schedulers) })
+    let (name, schedulers) = ((*name).to_owned(), Some(*schedulers));
+    Ok(Target { name, bandwidth, arithmetic, schedulers, ..Default::default() })
 }
 
 impl Target {
     /// Returns the device of a report, by its measured rates.
     fn of(report: &Report) -> anyhow::Result<Target> {
         let ceiling = report.ceiling.as_ref().context("The report has no measured rates of its device.")?;
-        let (bandwidth, arithmetic) = (ceiling.bytes_per_second, ceiling.operations_per_second);
-        Ok(Target { name: report.device.name.clone(), bandwidth, arithmetic, schedulers: None })
+        let measured = |value: f64| (value > 0.0).then_some(value);
+        Ok(Target {
+            name: report.device.name.clone(),
+            bandwidth: ceiling.bytes_per_second,
+            arithmetic: ceiling.operations_per_second,
+            schedulers: None,
+            atomics: measured(ceiling.atomics_per_second),
+            dispatch: measured(1e9 * ceiling.dispatch_seconds),
+        })
+    }
+
+    /// Returns the device with the atomic rate of predictions from a measured one.
+    ///
+    /// A device without a measured rate is assumed to have that of the measured device. If that has none, atomics do
+    /// not count on either.
+    fn beside(&self, own: &Target) -> Target {
+        Target { atomics: own.atomics.map(|rate| self.atomics.unwrap_or(rate)), ..self.clone() }
     }
 
     /// Returns the least time of a pass in nanoseconds.
-    ///
-    /// `longest`: share of a view's entries in its longest tile, which one scheduler processes.
-    fn bound(&self, pass: &PassRow, longest: f64) -> f64 {
+    fn bound(&self, pass: &PassRow, tiles: &Tiles) -> f64 {
         let of = |count: Option<f64>, rate: f64| count.unwrap_or(0.0) / rate;
-        let arithmetic = of(pass.operations, self.arithmetic);
-        let by_tile = BY_TILE.contains(&pass.pass.as_str());
-        let uneven = self.schedulers.filter(|_| by_tile).map_or(1.0, |schedulers| (schedulers * longest).max(1.0));
-        1e9 * of(pass.bytes, self.bandwidth).max(arithmetic * uneven)
+        let uneven = self.schedulers.map_or(1.0, |schedulers| tiles.imbalance(&pass.pass, schedulers));
+        let atomics = self.atomics.map_or(0.0, |rate| of(pass.atomics, rate));
+        1e9 * of(pass.bytes, self.bandwidth).max(of(pass.operations, self.arithmetic) * uneven).max(atomics)
     }
+}
+
+/// Returns the number of barriers of a plan; `None` if the report does not tell.
+fn barriers(report: &Report, plan: &str) -> Option<u32> {
+    // Facts call the plan of each stage its step.
+    let kind = if plan.ends_with("_step") { "step" } else { plan };
+    let fact = report.facts.iter().find(|fact| fact.name.strip_suffix(SHAPE) == Some(kind))?;
+    fact.value.as_str()?.split(", ").nth(2)?.parse().ok()
 }
 
 /// Prediction of one pass, in nanoseconds.
@@ -129,17 +144,19 @@ const BEST: f64 = 0.7;
 
 /// Predicts passes.
 ///
-/// A pass keeps its fixed time, that of the shortest pass. If it is near its bound, it keeps its distance from it. If not,
+/// A pass keeps its fixed time, that of a dispatch with its barrier. This is the time of the shortest pass if that is
+/// shorter, or if the dispatch was not measured. If the pass is near its bound, it keeps its distance from it. If not,
 /// instructions and caches limit it, and their rate grows with the arithmetic rate, which is that of units and clock; it
 /// never comes closer to the bound than passes do at best. Passes far below their bound, or without a cost model, keep
 /// their time.
-fn predict(passes: &[&PassRow], longest: f64, own: &Target, targets: &[Target]) -> Vec<Predicted> {
-    let fixed = passes.iter().map(|p| p.nanoseconds.median).fold(f64::INFINITY, f64::min);
+fn predict(passes: &[&PassRow], tiles: &Tiles, own: &Target, targets: &[Target]) -> Vec<Predicted> {
+    let shortest = passes.iter().map(|p| p.nanoseconds.median).fold(f64::INFINITY, f64::min);
+    let fixed = own.dispatch.map_or(shortest, |dispatch| dispatch.min(shortest));
     let one = |pass: &&PassRow| {
         let measured = pass.nanoseconds.median;
-        let (bound, variable) = (own.bound(pass, longest), measured - fixed);
+        let (bound, variable) = (own.bound(pass, tiles), measured - fixed);
         let of = |target: &Target| {
-            let least = target.bound(pass, longest);
+            let least = target.bound(pass, tiles);
             let time = if bound < LATENCY * measured {
                 measured - bound + least
             } else if bound < LIMITED * variable {
@@ -170,7 +187,10 @@ fn ms(nanoseconds: f64) -> String {
 }
 
 /// Formats the predictions as a Markdown table: the slowest passes, the others, and the sum.
-fn table(predicted: &[Predicted], own: &str, targets: &[Target], rows: usize) -> String {
+///
+/// `barriers`: their number, and the measured nanoseconds of one with its dispatch. The last row has their part of the
+/// sum, which is assumed to be the same on each device.
+fn table(predicted: &[Predicted], own: &str, targets: &[Target], barriers: Option<(u32, f64)>, rows: usize) -> String {
     let mut order: Vec<&Predicted> = predicted.iter().collect();
     order.sort_by(|a, b| b.targets[0].0.total_cmp(&a.targets[0].0).then(a.name.cmp(&b.name)));
     let mut text = format!("| pass | {own}, measured, ms |");
@@ -194,6 +214,11 @@ fn table(predicted: &[Predicted], own: &str, targets: &[Target], rows: usize) ->
             let _ = write!(text, " {} | {} |", ms(*predicted), ms(*least));
         });
         text.push('\n');
+    }
+    if let Some((count, each)) = barriers {
+        let all = ms(f64::from(count) * each);
+        let same = format!(" {all} | |").repeat(targets.len());
+        let _ = writeln!(text, "| {count} barriers, of the sum | {all} |{same}");
     }
     text
 }
@@ -240,9 +265,11 @@ pub fn run(a: &Args) -> anyhow::Result<()> {
         print!("{}\n{}\n", own_step::table(&checked, &own.name, a.rows), own_step::errors(&checked));
         return Ok(());
     }
+    let (tiles, barriers) = (Tiles::of(report), barriers(report, &passes[0].plan).zip(own.dispatch));
     let Some(file) = &a.against else {
-        let predicted = predict(&passes, longest_tile(report), &own, &a.target);
-        print!("{}", table(&predicted, &own.name, &a.target, a.rows));
+        let targets: Vec<Target> = a.target.iter().map(|target| target.beside(&own)).collect();
+        let predicted = predict(&passes, &tiles, &own, &targets);
+        print!("{}", table(&predicted, &own.name, &targets, barriers, a.rows));
         return Ok(());
     };
     let others = ReportSet::read(file)?;
@@ -251,9 +278,9 @@ pub fn run(a: &Args) -> anyhow::Result<()> {
         let theirs = other.setting_text(name).unwrap_or_else(|| "none".to_owned());
         anyhow::bail!("The reports are of different steps: {name} is {value} and {theirs}.");
     }
-    let targets = [Target::of(other)?];
-    let predicted = predict(&passes, longest_tile(report), &own, &targets);
-    print!("{}", table(&predicted, &own.name, &targets, a.rows));
+    let targets = [Target::of(other)?.beside(&own)];
+    let predicted = predict(&passes, &tiles, &own, &targets);
+    print!("{}", table(&predicted, &own.name, &targets, barriers, a.rows));
     println!("\n{}", check(&predicted, other, &passes_of(other, a.plan.as_deref())?)?);
     Ok(())
 }
@@ -262,6 +289,7 @@ pub fn run(a: &Args) -> anyhow::Result<()> {
 mod tests {
     use super::*;
     use crate::ceiling::Ceiling;
+    use crate::commands::tiles::{ALL_TILES, LONGEST_TILE, TILE};
     use crate::report::DeviceLine;
     use crate::stats::Summary;
 
@@ -279,7 +307,8 @@ mod tests {
         let mut add = |pass: &str, time: f64, bytes: Option<f64>, operations: Option<f64>| {
             let nanoseconds = Summary::of(&[time]);
             let (plan, pass) = ("plan".to_owned(), pass.to_owned());
-            report.passes.push(PassRow { plan, pass, nanoseconds, bytes, operations, share: None, bound: None });
+            let (atomics, share, bound) = (None, None, None);
+            report.passes.push(PassRow { plan, pass, nanoseconds, bytes, operations, atomics, share, bound });
         };
         add("copy", 1100.0, Some(500.0), Some(10.0));
         add("sum", 4100.0, Some(10.0), Some(1000.0));
@@ -289,22 +318,29 @@ mod tests {
         report
     }
 
+    /// Returns a device of some rates of bytes and operations.
+    fn device(bandwidth: f64, arithmetic: f64) -> Target {
+        Target { name: "other".into(), bandwidth, arithmetic, ..Default::default() }
+    }
+
+    fn near(a: f64, b: f64) {
+        assert!((a - b).abs() < 1e-6, "{a} {b}");
+    }
+
     #[test]
     fn passes_keep_fixed_time_and_distance_from_the_bound() {
         let report = report();
         let (own, passes) = (Target::of(&report).unwrap(), passes_of(&report, None).unwrap());
-        let fast = Target { name: "fast".into(), bandwidth: 1e10, arithmetic: 2e9, schedulers: None };
-        let predicted = predict(&passes, 0.0, &own, &[own.clone(), fast]);
+        let none = Tiles::default();
+        let predicted = predict(&passes, &none, &own, &[own.clone(), device(1e10, 2e9)]);
         // The own device is predicted as it was measured.
-        let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-6, "{a} {b}");
         predicted.iter().for_each(|p| near(p.targets[0].0, p.measured));
         // Twice the bound of 500 ns, at ten times the bandwidth. Far from the bound of 1000 ns, at twice the rate.
         near(predicted[0].targets[1].0, 100.0 + 2.0 * 50.0);
         near(predicted[1].targets[1].0, 100.0 + 4000.0 / 2.0);
         near(predicted[1].targets[1].1, 500.0);
         // No pass comes closer to the bound than passes do at best.
-        let faster = Target { name: "faster".into(), bandwidth: 1e9, arithmetic: 1e11, schedulers: None };
-        let wide = predict(&passes, 0.0, &own, &[Target { bandwidth: 5e7, ..faster }]);
+        let wide = predict(&passes, &none, &own, &[device(5e7, 1e11)]);
         near(wide[1].targets[0].0, 100.0 + 200.0 / 0.7);
         // Latency, and a pass without a model.
         near(predicted[2].targets[1].0, 400.0 - 10.0 + 1.0);
@@ -313,29 +349,75 @@ mod tests {
     }
 
     #[test]
-    fn longest_tile_bounds_passes_by_tile() {
+    fn uneven_tiles_bound_passes_by_tile() {
         let mut report = report();
-        assert_eq!(longest_tile(&report), 0.0);
+        report.setting("size", "426x320");
+        report.fact(TILE, "16x16; 44.0 %, 24.4 %");
+        let mut pass = report.passes[1].clone();
+        let target = Target { schedulers: Some(528.0), ..device(1e9, 1e9) };
+        let tiles = Tiles::of(&report);
+        // 1000 ns of arithmetic on all schedulers. Of 540 tiles, some of the 528 schedulers have two.
+        near(target.bound(&pass, &tiles), 1000.0);
+        pass.pass = "blend_bwd".into();
+        near(target.bound(&pass, &tiles), 1000.0 * 2.0 * 528.0 / 540.0);
+        near(Target { schedulers: None, ..target.clone() }.bound(&pass, &tiles), 1000.0);
+        // One scheduler takes a twentieth of the arithmetic, with its part of the rate.
         report.fact(LONGEST_TILE, 500.0);
         report.fact(ALL_TILES, 10_000.0);
-        let share = longest_tile(&report);
-        assert_eq!(share, 0.05);
-        let mut pass = report.passes[1].clone();
-        let target = Target { name: "wide".into(), bandwidth: 1e9, arithmetic: 1e9, schedulers: Some(100.0) };
-        // 1000 ns of arithmetic on all schedulers. One scheduler takes a twentieth of it, with a hundredth of the rate.
-        assert_eq!(target.bound(&pass, share), 1000.0);
-        pass.pass = "blend_bwd".into();
-        assert_eq!(target.bound(&pass, share), 5000.0);
-        assert_eq!(target.bound(&pass, 0.002), 1000.0);
-        assert_eq!(Target { schedulers: None, ..target }.bound(&pass, share), 1000.0);
+        near(target.bound(&pass, &Tiles::of(&report)), 1000.0 * 528.0 / 20.0);
+        // Schedulers share the bandwidth.
+        pass.operations = None;
+        near(target.bound(&pass, &Tiles::of(&report)), 10.0);
+    }
+
+    #[test]
+    fn atomics_bound_passes_at_the_rate_of_the_measured_device() {
+        let mut report = report();
+        report.passes[0].atomics = Some(900.0);
+        let none = Tiles::default();
+        let bound = |report: &Report| {
+            let own = Target::of(report).unwrap();
+            let other = Target { atomics: Some(2e9), ..device(1e9, 1e9) };
+            let targets = [own.clone(), device(1e9, 1e9).beside(&own), other.beside(&own)];
+            targets.map(|target| target.bound(&report.passes[0], &none).round())
+        };
+        // Without a measured rate, atomics do not count.
+        assert_eq!(bound(&report), [500.0; 3]);
+        report.ceiling.as_mut().unwrap().atomics_per_second = 1e9;
+        assert_eq!(bound(&report), [900.0, 900.0, 500.0]);
+        // A pass near the bound of its atomics is not faster where bytes and operations are.
+        let (own, passes) = (Target::of(&report).unwrap(), passes_of(&report, None).unwrap());
+        let predicted = predict(&passes, &none, &own, &[own.clone(), device(1e12, 1e12).beside(&own)]);
+        near(predicted[0].targets[0].0, 1100.0);
+        near(predicted[0].targets[1].0, 1100.0);
+    }
+
+    #[test]
+    fn barriers_have_a_part_of_the_sum() {
+        let mut report = report();
+        assert_eq!(barriers(&report, "geometry_step"), None);
+        report.fact(&format!("step{SHAPE}"), "40, 34, 33");
+        report.fact(&format!("render{SHAPE}"), "34, 29, 28");
+        let of = |plan: &str| barriers(&report, plan);
+        assert_eq!([of("geometry_step"), of("render"), of("densify")], [Some(33), Some(28), None]);
+        report.ceiling.as_mut().unwrap().dispatch_seconds = 4e-8;
+        let (own, passes) = (Target::of(&report).unwrap(), passes_of(&report, None).unwrap());
+        // A pass keeps the time of a dispatch, which is less than that of the shortest pass.
+        let targets = [own.clone(), device(1e10, 2e9)];
+        let predicted = predict(&passes, &Tiles::default(), &own, &targets);
+        predicted.iter().for_each(|p| near(p.targets[0].0, p.measured));
+        near(predicted[1].targets[1].0, 40.0 + (4100.0 - 40.0) / 2.0);
+        let text = table(&predicted, "small", &targets, Some((50_000, own.dispatch.unwrap())), 2);
+        assert!(text.ends_with("\n| 50000 barriers, of the sum | 2.000 | 2.000 | | 2.000 | |\n"), "{text}");
     }
 
     #[test]
     fn table_has_the_slowest_passes_and_their_sum() {
         let report = report();
         let own = Target::of(&report).unwrap();
-        let predicted = predict(&passes_of(&report, Some("plan")).unwrap(), 0.0, &own, std::slice::from_ref(&own));
-        let text = table(&predicted, "small", &[own], 2);
+        let passes = passes_of(&report, Some("plan")).unwrap();
+        let predicted = predict(&passes, &Tiles::default(), &own, std::slice::from_ref(&own));
+        let text = table(&predicted, "small", &[own], None, 2);
         let rows: Vec<&str> = text.lines().skip(2).map(|line| line.split(" |").next().unwrap()).collect();
         assert_eq!(rows, ["| sum", "| copy", "| 3 other passes", "| sum"]);
         assert!(text.ends_with("| sum | 0.006 | 0.006 | 0.002 |\n"), "{text}");

@@ -1,6 +1,7 @@
 //! Training step and render, pass by pass, with their host cost: `engine-bench step`.
 
 use super::ceiling::measure_ceiling;
+use super::tiles::{ALL_TILES, LONGEST_TILE, TILE, TILE_PARTS, parts};
 use crate::ceiling::Ceiling;
 use crate::common::{Common, parse_size};
 use crate::harness::{add_passes, spans};
@@ -22,11 +23,8 @@ use sgs_passes::scene::Decoder;
 use sgs_passes::splat::BackwardKernel;
 use std::path::PathBuf;
 
-/// Fact with the number of entries of all tiles of a view.
-pub const ALL_TILES: &str = "entries of all tiles";
-
-/// Fact with the number of entries of the tile that has most.
-pub const LONGEST_TILE: &str = "entries of the longest tile";
+/// End of the name of the fact with the composition of a plan; the kind of the plan precedes.
+pub const SHAPE: &str = ": passes, groups, barriers";
 
 /// Options of the command.
 #[derive(clap::Args, Clone, Debug)]
@@ -209,6 +207,9 @@ pub fn run(common: &Common, a: &Args) -> anyhow::Result<()> {
     add_passes(&mut report, &plan, &timed.times, &counts, &ceiling);
     report.value("step on the device, timestamps on", "ms", Summary::of(&spans(&timed.times)).scaled(1e-6));
     shape(&mut report, "step", &plan);
+    if let Some(parts) = parts(&plan) {
+        report.fact(TILE_PARTS, parts);
+    }
     memory(&mut report, &device, &workload, &mut trainer, tuning)?;
     losses(&mut report, &plain, &timed)?;
     let render = render(&device, common, &workload, &trainer, &mut report, &ceiling, &counts)?;
@@ -323,7 +324,7 @@ fn counts(
     report.fact(LONGEST_TILE, longest);
     report.fact("visible, entries in a step", format!("{:.0}, {:.0}", counts.visible, counts.entries));
     report.fact(
-        "tile; of its pixels an entry tries, shows at",
+        TILE,
         format!(
             "{}x{}; {:.1} %, {:.1} %",
             tuning.tile[0],
@@ -369,7 +370,7 @@ fn host(report: &mut Report, run: &Run) -> anyhow::Result<()> {
 pub(super) fn shape(report: &mut Report, what: &str, plan: &Plan) {
     let passes: usize = plan.groups.iter().map(|g| g.passes.len()).sum();
     let barriers = plan.groups.iter().filter(|g| g.barrier.is_some()).count();
-    report.fact(&format!("{what}: passes, groups, barriers"), format!("{passes}, {}, {barriers}", plan.groups.len()));
+    report.fact(&format!("{what}{SHAPE}"), format!("{passes}, {}, {barriers}", plan.groups.len()));
     report.fact(
         &format!("{what}: arena, and without sharing memory, MB"),
         format!("{:.2}, {:.2}", plan.arena_bytes as f64 / 1e6, plan.arena_unaliased_bytes as f64 / 1e6),

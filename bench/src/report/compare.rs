@@ -232,6 +232,7 @@ mod tests {
                 nanoseconds: Summary::of(&samples),
                 bytes: None,
                 operations: None,
+                atomics: None,
                 share: None,
                 bound: None,
             });

@@ -83,6 +83,9 @@ pub struct PassRow {
     pub bytes: Option<f64>,
     /// Operations that it must execute according to the cost model.
     pub operations: Option<f64>,
+    /// Atomic operations on device memory by the cost model; absent if none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub atomics: Option<f64>,
     /// Fraction of the device's ceiling that the pass reaches.
     ///
     /// This is the larger of the minimum times for bytes and operations, over the measured time.

@@ -17,11 +17,14 @@ impl Report {
         let settings: Vec<String> = stated.map(|(k, v)| format!("{k} {}", plain(v))).collect();
         let _ = writeln!(out, "{}; {} repeats after {}", settings.join(", "), self.repeats, self.warmup);
         if let Some(c) = &self.ceiling {
+            let measured = c.atomics_per_second > 0.0;
+            let atomics = measured.then(|| format!(", {:.2} G atomic additions/s", c.atomics_per_second / 1e9));
             let _ = writeln!(
                 out,
-                "ceiling: {:.2} GB/s moved by a copy, {:.1} G operations/s in multiply-adds",
+                "ceiling: {:.2} GB/s moved by a copy, {:.1} G operations/s in multiply-adds{}",
                 c.bytes_per_second / 1e9,
-                c.operations_per_second / 1e9
+                c.operations_per_second / 1e9,
+                atomics.unwrap_or_default()
             );
         }
         let mut plans: Vec<&str> = Vec::new();

@@ -46,5 +46,5 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "msg_sum" | "cross_view" | "material_sum" => (64.0, 16.0),
         _ => return None,
     };
-    Some(Cost { bytes, operations })
+    Some(Cost { bytes, operations, ..Default::default() })
 }

@@ -104,5 +104,5 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "semantic_sum" => (64.0, 16.0),
         _ => return None,
     };
-    Some(Cost { bytes, operations })
+    Some(Cost { bytes, operations, ..Default::default() })
 }

@@ -4,9 +4,10 @@
 //! are perfect within a pass and empty between passes. Operations are in single precision; a multiply-add counts two,
 //! as in the arithmetic rate of the ceiling. An exponential, root or division counts four. Both follow from the stage's
 //! definition and the plan's specialization constants, not from the kernel's code. A kernel that does more than
-//! necessary shows a lower share.
+//! necessary shows a lower share. Atomic operations are those on device memory.
 
 mod area_lights;
+mod atomics;
 mod environment;
 mod material;
 mod meaning;
@@ -68,6 +69,8 @@ pub struct Cost {
     pub bytes: f64,
     /// Arithmetic operations.
     pub operations: f64,
+    /// Atomic operations on device memory.
+    pub atomics: f64,
 }
 
 /// Returns the cost of all passes of a plan. The second value is the number of passes without a cost model.
@@ -78,6 +81,7 @@ pub fn of_plan(plan: &Plan, counts: &Counts) -> (Cost, usize) {
             Some(c) => {
                 all.0.bytes += c.bytes;
                 all.0.operations += c.operations;
+                all.0.atomics += c.atomics;
             }
             // If the backward pass takes several dispatches, the first carries the cost of all.
             None if matches!(&pass.kind, PassKind::Compute { shader, .. } if shader.name == "blend_features_bwd") => {}
@@ -98,26 +102,30 @@ struct Stage<'p> {
     groups: f64,
 }
 
+/// Returns a specialization constant of a pass; `None` if its kernel lacks it.
+pub fn constant(pass: &Pass, name: &str) -> Option<f64> {
+    let PassKind::Compute { shader, specs, .. } = &pass.kind else { return None };
+    let constant = shader.specs.iter().find(|s| s.name == name)?;
+    let specialized = specs.iter().find(|(id, _)| *id == constant.id);
+    Some(f64::from(specialized.map_or(constant.default, |(_, bits)| *bits)))
+}
+
 /// Returns the cost of a pass, or `None` for an unknown kernel.
 pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
     match &pass.kind {
-        PassKind::Fill { target, .. } => Some(Cost { bytes: target.bytes as f64, operations: 0.0 }),
+        PassKind::Fill { target, .. } => Some(Cost { bytes: target.bytes as f64, ..Default::default() }),
         PassKind::Copy { source: slice, .. }
         | PassKind::CopyToImage { source: slice, .. }
         | PassKind::CopyFromImage { target: slice, .. } => {
-            Some(Cost { bytes: 2.0 * slice.bytes as f64, operations: 0.0 })
+            Some(Cost { bytes: 2.0 * slice.bytes as f64, ..Default::default() })
         }
         // Every texel is written once; the plan knows the number of texels.
         PassKind::ClearImage { .. } => {
             let bytes = pass.accesses.iter().map(|(slice, ..)| slice.bytes as f64).sum();
-            Some(Cost { bytes, operations: 0.0 })
+            Some(Cost { bytes, ..Default::default() })
         }
-        PassKind::Compute { shader, specs, push, dispatch, .. } => {
-            let spec = |name: &str| {
-                let Some(constant) = shader.specs.iter().find(|s| s.name == name) else { return 0.0 };
-                let specialized = specs.iter().find(|(id, _)| *id == constant.id);
-                f64::from(specialized.map_or(constant.default, |(_, bits)| *bits))
-            };
+        PassKind::Compute { shader, push, dispatch, .. } => {
+            let spec = |name: &str| constant(pass, name).unwrap_or(0.0);
             let word = |i: usize| {
                 let bytes = push.get(4 * i..4 * i + 4).and_then(|b| b.try_into().ok());
                 f64::from(bytes.map_or(0, u32::from_le_bytes))
@@ -125,7 +133,8 @@ pub fn cost(pass: &Pass, counts: &Counts) -> Option<Cost> {
             let groups = if let Dispatch::Groups([x, ..]) = dispatch { f64::from(*x) } else { 0.0 };
             let stage = Stage { kernel: &shader.name, specs: &spec, push: &word, groups };
             let elements = elements(&pass.name, counts);
-            model::kernel(&stage, counts, elements)
+            let cost = model::kernel(&stage, counts, elements)?;
+            Some(Cost { atomics: atomics::count(&stage, counts), ..cost })
         }
     }
 }

@@ -141,7 +141,7 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts, elements: f64) -> Option<Cost> {
                 .or_else(|| super::transport::kernel(s, c));
         }
     };
-    Some(Cost { bytes, operations })
+    Some(Cost { bytes, operations, ..Default::default() })
 }
 
 /// Returns the pixels whose state a kernel of buckets handles, by entry.
@@ -173,7 +173,7 @@ fn primitive(s: &Stage<'_>, n: f64) -> Option<Cost> {
         }
         _ => return None,
     };
-    Some(Cost { bytes, operations })
+    Some(Cost { bytes, operations, ..Default::default() })
 }
 
 /// Returns the cost of a densification kernel. 80 bytes of parameters and statistics decide; flags, ranks and lists
@@ -199,5 +199,5 @@ fn densify(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "relocate_correct" => 4.0 * n + 64.0 * c.moved,
         _ => return None,
     };
-    Some(Cost { bytes, operations: bytes / 4.0 })
+    Some(Cost { bytes, operations: bytes / 4.0, ..Default::default() })
 }

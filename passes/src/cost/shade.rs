@@ -32,7 +32,8 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         Some(kernel) => {
             let plain = plain(&Stage { kernel, ..*s }, c)?;
             let field = super::visibility::field(s, c);
-            Some(Cost { bytes: plain.bytes + field.bytes, operations: plain.operations + field.operations })
+            let (bytes, operations) = (plain.bytes + field.bytes, plain.operations + field.operations);
+            Some(Cost { bytes, operations, ..Default::default() })
         }
         None => plain(s, c),
     }
@@ -91,5 +92,5 @@ fn plain(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "lights_materials_bwd_metallic" => ((48.0 + 8.0 + 16.0 + 12.0 + 40.0) * p, 60.0 * p),
         _ => return None,
     };
-    Some(Cost { bytes, operations })
+    Some(Cost { bytes, operations, ..Default::default() })
 }

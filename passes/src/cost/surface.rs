@@ -29,5 +29,5 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "column_starts" => (4.0 * n + 4.0 * e, 2.0 * n * e.max(2.0).log2()),
         _ => return None,
     };
-    Some(Cost { bytes, operations })
+    Some(Cost { bytes, operations, ..Default::default() })
 }

@@ -83,5 +83,5 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "gaussian_emission" => (20.0 * receivers + 12.0 * lights, receivers),
         _ => return None,
     };
-    Some(Cost { bytes, operations })
+    Some(Cost { bytes, operations, ..Default::default() })
 }

@@ -27,6 +27,7 @@ pub(super) fn field(s: &Stage<'_>, c: &Counts) -> Cost {
     Cost {
         bytes: entry_bytes(s) * corners * p,
         operations: (CORNER * corners + 2.0 * 32.0 * 2.0 * levels) * p + PAIR * pairs,
+        ..Default::default()
     }
 }
 
@@ -79,5 +80,5 @@ pub(super) fn kernel(s: &Stage<'_>, c: &Counts) -> Option<Cost> {
         "visibility_scale" => (4500.0, 2200.0),
         _ => return None,
     };
-    Some(Cost { bytes, operations })
+    Some(Cost { bytes, operations, ..Default::default() })
 }

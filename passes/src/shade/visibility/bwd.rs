@@ -24,13 +24,14 @@
 //! |---|---|---|
 //! | multiply-adds | 148 | 148 |
 //! | shuffles | 0.2 | 120 |
-//! | loads of four weights from a uniform buffer, the same address in all lanes | 28 | 0 |
+//! | loads of four weights from a uniform buffer, the same address in all lanes | 18.5 | 0 |
 //! | loads of rows, neighboring addresses | 2 | 0 |
-//! | accesses of shared memory, four numbers each | 6 | 0 |
+//! | accesses of shared memory, four numbers each | 4.5 | 0 |
+//! | bytes that these and the shuffles move | 2900 | 15 360 |
 //!
-//! Batches exchange shuffles for loads: loaded bytes do not fall. With matrix units and 16 bits, the products with the second
-//! layer and the sums of weights run on units. A subgroup of 32 then loads 80 vectors of weights for a light instead of 888;
-//! see ADR 0019. CPUs keep the kernel whose lanes share a pair.
+//! A load from one address moves its bytes once for the subgroup; all others move a number or four for each lane. With matrix
+//! units and 16 bits, the products with the second layer and the sums of weights run on units. A subgroup of 32 then loads 80
+//! vectors of weights for a light instead of 592; see ADR 0019. CPUs keep the kernel whose lanes share a pair.
 //!
 //! Cost per pair: 3 x 1024 multiply-adds for value and gradient, 1024 more with the smoothness term, and about 500 for
 //! the rest. Per pixel: 384 gathers of 8 bytes (4 with 16-bit tables), 5 x 1024 multiply-adds, 256 to 512 atomics.
