@@ -22,7 +22,7 @@ pub struct Ceiling {
     /// Seconds of a dispatch of one small workgroup, with the barrier before it; zero in reports from before it was measured.
     #[serde(default)]
     pub dispatch_seconds: f64,
-    /// Atomic additions per second, to neighboring words; 0 if not measured.
+    /// Peak rate of atomic additions per second: to neighboring words, without use of the results. 0 if not measured.
     #[serde(default)]
     pub atomics_per_second: f64,
 }

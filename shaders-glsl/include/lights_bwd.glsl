@@ -42,19 +42,12 @@ uint row_start() { return (push.row + folded_workgroup()) * LIGHTS * LIGHT_ROW; 
 uint row_start() { return folded_workgroup() * LIGHTS * LIGHT_ROW; }
 #endif
 
-// What a light's part of the row has so far, a number for each of `lanes` from `at` on. Loaded before the sums that it is added
-// to, so that these hide the time of the load.
-float kept(uint light, uint at, uint lanes) {
-    if (MINE) return 0.0;
-    return partials[row_start() + light * LIGHT_ROW + at + min(gl_SubgroupInvocationID, lanes - 1u)];
-}
-
-// Adds to it. Lanes from `lanes` on have no number.
-void keep(uint light, uint at, uint lanes, float before, float value) {
+// Adds a number of each lane to a light's part of the row, from `at` on; lanes from `lanes` on have none.
+void keep(uint light, uint at, uint lanes, float value) {
     if (MINE) {
         mine[light * (1u + LOBES) + at / 8u] += value;
     } else if (gl_SubgroupInvocationID < lanes) {
-        partials[row_start() + light * LIGHT_ROW + at + gl_SubgroupInvocationID] = before + value;
+        partials[row_start() + light * LIGHT_ROW + at + gl_SubgroupInvocationID] += value;
     }
 }
 
@@ -106,7 +99,6 @@ void main() {
         uint light;
         vec3 place;
         while (next_light(way, light, place)) {
-            float place_before = kept(light, 0u, 8u);
             Ray rays[PER_LANE];
             Lit lits[PER_LANE];
             float reaching[PER_LANE];
@@ -123,7 +115,6 @@ void main() {
                 emitted[p] = turn[p] = vec3(0.0);
             }
             [[dont_unroll]] for (uint g = 0u; g < GROUPS; g++) {
-                float before = kept(light, 8u + g * SUBGROUP, 8u * LOBES - g * SUBGROUP);
                 float values[SUBGROUP];
                 [[unroll]] for (uint j = 0u; j < GROUP; j++) {
                     uint k = g * GROUP + j;
@@ -155,7 +146,7 @@ void main() {
                     values[8u * j + 7u] = 0.0;
                 }
                 LANE_SUMS(values)
-                keep(light, 8u + g * SUBGROUP, 8u * LOBES - g * SUBGROUP, before, values[0]);
+                keep(light, 8u + g * SUBGROUP, 8u * LOBES - g * SUBGROUP, values[0]);
             }
             vec3 sum = vec3(0.0);
             EACH_PIXEL(p) {
@@ -164,7 +155,7 @@ void main() {
             }
             sum = vec3(subgroupAdd(sum.x), subgroupAdd(sum.y), subgroupAdd(sum.z));
             uint lane = gl_SubgroupInvocationID & 7u;
-            keep(light, 0u, 8u, place_before, lane == 0u ? sum.x : lane == 1u ? sum.y : lane == 2u ? sum.z : 0.0);
+            keep(light, 0u, 8u, lane == 0u ? sum.x : lane == 1u ? sum.y : lane == 2u ? sum.z : 0.0);
         }
     }
     write_row();

@@ -31,7 +31,7 @@ shared float shared_staged[STAGES ? TILES * SPREAD * SUBGROUP : 1u];
 
 float staged[TILES * SPREAD];  // as `f`
 float f[TILES * SPREAD];       // features brought to at most one; zero where not live
-float u[TILES * SPREAD];       // A^T A f', but for its last number; in the end as descend() leaves it
+float u[TILES * SPREAD];       // A^T A f', but for its last number; descend() overwrites it with k f'
 float bias[TILES];             // factor of the bias: 1 over the divisor of the features; likewise
 bool live[TILES];              // counts
 float inverse[TILES];          // 1 / length of the decoded vector; 0 where it has none

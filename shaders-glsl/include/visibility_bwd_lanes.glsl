@@ -51,10 +51,10 @@ float by_last[HELD];
 float by_row[ITEMS * HELD];    // of this batch, by item
 float turn_x[ITEMS], turn_y[ITEMS], turn_z[ITEMS], stretch[ITEMS]; // derivatives by direction and distance
 
-// Items from `first` on, which share loads of weights and of their sums.
+// Number of items that share loads of weights and sums.
 const uint TOGETHER = 2u;
 #define EACH_OF(i) [[unroll]] for (uint i = 0u; i < TOGETHER; i++)
-#define EACH_FIRST(f) [[unroll]] for (uint first_ = 0u; first_ < ITEMS; first_ += TOGETHER) f(first_);
+#define EACH_FIRST(f) f(0u); f(2u);
 
 bool moving;
 

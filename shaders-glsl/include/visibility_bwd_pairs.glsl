@@ -2,9 +2,9 @@
 //
 // Layers need no exchange: an instruction multiplies a weight, the same for all lanes, by the numbers of as many pairs as
 // there are lanes. Only the gradients of weights add up over pairs. They are a product of two matrices, whose operands lanes
-// exchange through shared memory: the second layer's by tiles of TILE_ROWS outputs and four inputs a lane. Of the first layer's
-// direction and distance, a team of BLOCKS lanes holds all sums, each lane those of four neurons, and each team adds up pairs of
-// its own. A lane keeps its tiles in registers until the end.
+// exchange through shared memory: the second layer's by tiles of TILE_ROWS outputs and four inputs a lane. A team of BLOCKS lanes
+// holds all sums of the first layer's direction and distance. Each lane has four neurons, and each team adds up its own pairs. A
+// lane keeps its sums in registers until the end.
 
 const uint TILE_ROWS = WIDTH * BLOCKS / ACROSS;   // outputs of a lane's tile
 const uint TEAMS = SUBGROUP / BLOCKS;
@@ -37,13 +37,6 @@ vec4 sum_from(uint reach, vec4 v) {
     return v;
 }
 
-// The last layer, from sums of the second one.
-#define LOGIT_OF(sums_, logit_)                                                                                \
-    EACH(b, BLOCKS) {                                                                                          \
-        vec4 w = last_from(b);                                                                                 \
-        EACH(j, 4u) logit_ = fma(w[j], rectified(sums_[4u * b + j]), logit_);                                  \
-    }
-
 // The jittered pair and the pair itself, whose state the backward pass uses, share loads of weights.
 float evaluate(FieldStep field, vec3 moved_point, vec3 point, uint light, vec3 place) {
     vec4 moved_way = vec4(0.0);
@@ -73,8 +66,13 @@ float evaluate(FieldStep field, vec3 moved_point, vec3 point, uint light, vec3 p
             if (REGULARIZED) moved_sums[n] = added(w, moved, moved_sums[n]);
         }
     }
-    LOGIT_OF(slopes, logit)
-    if (REGULARIZED) LOGIT_OF(moved_sums, moved_logit)
+    EACH(b, BLOCKS) {
+        vec4 w = last_from(b);
+        EACH(j, 4u) {
+            logit = fma(w[j], rectified(slopes[4u * b + j]), logit);
+            if (REGULARIZED) moved_logit = fma(w[j], rectified(moved_sums[4u * b + j]), moved_logit);
+        }
+    }
     return moved_logit;
 }
 
@@ -94,11 +92,12 @@ void add_pair(uint lane) {
     EACH(k, 4u) by_pair[k] = fma(g, vec4(w[k]), by_pair[k]);
 }
 
-// Each of `teams` takes its share of the pairs, TOGETHER in a round: enough loads to hide their latency.
+// Calls f(pair) for each pair of a team, which has every `teams`-th: TOGETHER in a round, enough loads to hide their latency.
 const uint TOGETHER = 4u;
-#define EACH_PAIR(i, count, team, teams)                                                                       \
-    [[dont_unroll]] for (uint i##_ = team; i##_ < count; i##_ += TOGETHER * teams)                             \
-        [[unroll]] for (uint i = i##_; i < i##_ + TOGETHER * teams; i += teams)
+#define EACH_PAIR(f, count, team, teams)                                                                       \
+    [[dont_unroll]] for (uint round_ = 0u; round_ < count; round_ += TOGETHER * teams) {                       \
+        EACH(j_, TOGETHER) f(round_ + j_ * teams + team);                                                      \
+    }
 
 // Backward pass of a pair, from the derivative of the loss by its logit.
 void back(float slope) {
@@ -113,7 +112,8 @@ void back(float slope) {
             }
         }
         exchange();
-        EACH_PAIR(i, ACROSS, side, SIDES) add_second(writer * ACROSS + i, i);
+#define ADD_SECOND(i_) add_second(writer * ACROSS + i_, i_)
+        EACH_PAIR(ADD_SECOND, ACROSS, side, SIDES)
         exchange();
     }
     EACH(b, BLOCKS) {
@@ -134,7 +134,7 @@ void back(float slope) {
     EACH(b, BLOCKS) by_row[b] += shared_neurons[lane * PITCH + b];
     shared_ways[lane] = way;
     exchange();
-    EACH_PAIR(i, SUBGROUP, lane / BLOCKS, TEAMS) add_pair(i);
+    EACH_PAIR(add_pair, SUBGROUP, lane / BLOCKS, TEAMS)
     exchange();
 }
 

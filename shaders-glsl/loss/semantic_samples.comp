@@ -125,8 +125,9 @@ void main() {
                 float s = subgroupShuffle(along[t], lane_of(n));
                 EACH_HELD(h) {
                     uint k = t * SPREAD + n * HELD + h;
-                    // Products of excluded samples, whose s is zero, may be non-finite.
-                    a[k] = s != 0.0 ? s * a[k] : 0.0;
+                    // Products of excluded samples, whose s is zero, may be non-finite. Compilers may assume that numbers are finite,
+                    // and leave out a comparison of floats.
+                    a[k] = (floatBitsToUint(s) & 0x7fffffffu) != 0u ? s * a[k] : 0.0;
                 }
             }
         }

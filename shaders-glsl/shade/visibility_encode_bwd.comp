@@ -104,21 +104,7 @@ float bounded(float g) { return abs(g) < 4e18 ? g : 0.0; }
 // Features of a level that lie in one lane.
 const uint TOGETHER = HELD > 1u ? 2u : 1u;
 
-void mark_touched(uint entry) {
-    uint bit = 1u << (entry % 32u);
-    if ((touched[entry / 32u] & bit) == 0u) atomicOr(touched[entry / 32u], bit);
-}
-
-// Adds a feature, the first or second of its level, to the eight entries of a cell. All lower words come first, so that a GPU
-// waits for eight carries at once.
-void add_corners(uint entries[8], float weights[8], uint feature, float gradient) {
-    uvec2 words[8];
-    [[unroll]] for (uint c = 0u; c < 8u; c++) words[c] = whole_words(weights[c] * gradient);
-    [[unroll]] for (uint c = 0u; c < 8u; c++) words[c].y += add_low(2u * entries[c] + feature, words[c].x);
-    [[unroll]] for (uint c = 0u; c < 8u; c++) add_high(2u * entries[c] + feature, words[c].y);
-}
-
-// This lane's features of an item, to the entries that they came from. Processors compile a loop over the corners sooner.
+// This lane's features of an item, to the entries that they came from.
 void scatter(uint item, vec3 position, float power) {
     [[dont_unroll]] for (uint h = 0u; h < HELD; h += TOGETHER) {
         uint feature = neuron(h);
@@ -127,21 +113,13 @@ void scatter(uint item, vec3 position, float power) {
         if (feature >= FEATURES || (one == 0.0 && two == 0.0)) continue;
         FieldLevel level = field_levels[feature / 2u];
         FieldCell cell = field_cell(level, position);
-        if (SUBGROUP <= 8u) {
-            [[dont_unroll]] for (uint corner = 0u; corner < 8u; corner++) {
-                float weight;
-                uint entry = field_corner(level, cell, corner, weight);
-                add_whole(2u * entry + feature % 2u, weight * one);
-                if (TOGETHER > 1u) add_whole(2u * entry + 1u, weight * two);
-                mark_touched(entry);
-            }
-        } else {
-            uint entries[8];
-            float weights[8];
-            [[unroll]] for (uint c = 0u; c < 8u; c++) entries[c] = field_corner(level, cell, c, weights[c]);
-            add_corners(entries, weights, feature % 2u, one);
-            if (TOGETHER > 1u) add_corners(entries, weights, 1u, two);
-            [[unroll]] for (uint c = 0u; c < 8u; c++) mark_touched(entries[c]);
+        [[dont_unroll]] for (uint corner = 0u; corner < 8u; corner++) {
+            float weight;
+            uint entry = field_corner(level, cell, corner, weight);
+            add_whole(2u * entry + feature % 2u, weight * one);
+            if (TOGETHER > 1u) add_whole(2u * entry + 1u, weight * two);
+            uint bit = 1u << (entry % 32u);
+            if ((touched[entry / 32u] & bit) == 0u) atomicOr(touched[entry / 32u], bit);
         }
     }
 }

@@ -23,7 +23,7 @@ const ATOMIC_ROUNDS: u32 = 64;
 
 /// Words from one round of `atomic_probe` to the next.
 ///
-/// An odd number of workgroups, so that rounds visit the whole buffer.
+/// An odd number of workgroups, so that a workgroup meets no word twice.
 const ATOMIC_STRIDE: u32 = 10_368_889 * WORKGROUP;
 
 /// Minimum number of repetitions. On a shared machine, some of them run undisturbed.
@@ -196,7 +196,6 @@ pub fn run(common: &Common) -> anyhow::Result<()> {
     report.setting("copy bytes", size);
     report.setting("probe invocations", invocations);
     report.setting("probe rounds", rounds);
-    report.setting("atomic rounds", ATOMIC_ROUNDS);
     let (warmup, repeats) = (common.warmup, common.repeats);
     let ceiling = measure_ceiling(&device)?;
     report.ceiling = Some(ceiling);

@@ -89,17 +89,19 @@ impl Target {
     fn of(report: &Report) -> anyhow::Result<Target> {
         let ceiling = report.ceiling.as_ref().context("The report has no measured rates of its device.")?;
         let measured = |value: f64| (value > 0.0).then_some(value);
+        let name = report.device.name.to_lowercase().replace(' ', "");
+        let known = DATASHEETS.iter().find(|(known, ..)| name.contains(known));
         Ok(Target {
             name: report.device.name.clone(),
             bandwidth: ceiling.bytes_per_second,
             arithmetic: ceiling.operations_per_second,
-            schedulers: None,
+            schedulers: known.map(|(.., schedulers)| *schedulers),
             atomics: measured(ceiling.atomics_per_second),
             dispatch: measured(1e9 * ceiling.dispatch_seconds),
         })
     }
 
-    /// Returns the device with the atomic rate of predictions from a measured one.
+    /// Returns the device with the atomic rate that predictions use.
     ///
     /// A device without a measured rate is assumed to have that of the measured device. If that has none, atomics do
     /// not count on either.
@@ -107,7 +109,8 @@ impl Target {
         Target { atomics: own.atomics.map(|rate| self.atomics.unwrap_or(rate)), ..self.clone() }
     }
 
-    /// Returns the least time of a pass in nanoseconds.
+    /// Returns the nanoseconds of a pass without any loss. Tiles count as equally long but for the longest one, and
+    /// additions of zeros count.
     fn bound(&self, pass: &PassRow, tiles: &Tiles) -> f64 {
         let of = |count: Option<f64>, rate: f64| count.unwrap_or(0.0) / rate;
         let uneven = self.schedulers.map_or(1.0, |schedulers| tiles.imbalance(&pass.pass, schedulers));
@@ -116,7 +119,7 @@ impl Target {
     }
 }
 
-/// Returns the number of barriers of a plan; `None` if the report does not tell.
+/// Returns the number of barriers of a plan; `None` if the report lacks it.
 fn barriers(report: &Report, plan: &str) -> Option<u32> {
     // Facts call the plan of each stage its step.
     let kind = if plan.ends_with("_step") { "step" } else { plan };
@@ -188,8 +191,8 @@ fn ms(nanoseconds: f64) -> String {
 
 /// Formats the predictions as a Markdown table: the slowest passes, the others, and the sum.
 ///
-/// `barriers`: their number, and the measured nanoseconds of one with its dispatch. The last row has their part of the
-/// sum, which is assumed to be the same on each device.
+/// `barriers`: their number, and the measured nanoseconds of one with its dispatch. The last row has their product,
+/// which is assumed to be the same on each device. The fixed times of passes contain it.
 fn table(predicted: &[Predicted], own: &str, targets: &[Target], barriers: Option<(u32, f64)>, rows: usize) -> String {
     let mut order: Vec<&Predicted> = predicted.iter().collect();
     order.sort_by(|a, b| b.targets[0].0.total_cmp(&a.targets[0].0).then(a.name.cmp(&b.name)));
@@ -218,7 +221,7 @@ fn table(predicted: &[Predicted], own: &str, targets: &[Target], barriers: Optio
     if let Some((count, each)) = barriers {
         let all = ms(f64::from(count) * each);
         let same = format!(" {all} | |").repeat(targets.len());
-        let _ = writeln!(text, "| {count} barriers, of the sum | {all} |{same}");
+        let _ = writeln!(text, "| of it {count} barriers | {all} |{same}");
     }
     text
 }
@@ -371,6 +374,22 @@ mod tests {
     }
 
     #[test]
+    fn device_of_a_known_name_predicts_itself_and_its_like() {
+        let mut report = report();
+        report.device.name = "NVIDIA H100 80GB HBM3".into();
+        report.setting("size", "426x320");
+        report.fact(TILE, "16x16; 44.0 %, 24.4 %");
+        // Near its bound: 1956 ns with two tiles on the busiest scheduler.
+        report.passes[1].pass = "blend_bwd".into();
+        let (own, passes) = (Target::of(&report).unwrap(), passes_of(&report, None).unwrap());
+        assert_eq!(own.schedulers, Some(528.0));
+        let even = Target { schedulers: Some(540.0), ..own.clone() };
+        let predicted = predict(&passes, &Tiles::of(&report), &own, &[own.clone(), even]);
+        predicted.iter().for_each(|p| near(p.targets[0].0, p.measured));
+        near(predicted[1].targets[1].0, 100.0 + 4000.0 * 540.0 / (2.0 * 528.0));
+    }
+
+    #[test]
     fn atomics_bound_passes_at_the_rate_of_the_measured_device() {
         let mut report = report();
         report.passes[0].atomics = Some(900.0);
@@ -408,7 +427,7 @@ mod tests {
         predicted.iter().for_each(|p| near(p.targets[0].0, p.measured));
         near(predicted[1].targets[1].0, 40.0 + (4100.0 - 40.0) / 2.0);
         let text = table(&predicted, "small", &targets, Some((50_000, own.dispatch.unwrap())), 2);
-        assert!(text.ends_with("\n| 50000 barriers, of the sum | 2.000 | 2.000 | | 2.000 | |\n"), "{text}");
+        assert!(text.ends_with("\n| of it 50000 barriers | 2.000 | 2.000 | | 2.000 | |\n"), "{text}");
     }
 
     #[test]

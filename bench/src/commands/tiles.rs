@@ -42,7 +42,7 @@ pub struct Tiles {
 }
 
 impl Tiles {
-    /// Returns the tiles of a report. What the report does not tell is unknown.
+    /// Returns the tiles of a report. Facts that the report lacks are unknown.
     pub fn of(report: &Report) -> Tiles {
         let value = |name: &str| report.facts.iter().find(|fact| fact.name == name).map(|fact| &fact.value);
         let number = |name: &str| value(name).and_then(|v| v.as_f64()).filter(|v| *v > 0.0);
@@ -59,8 +59,8 @@ impl Tiles {
     /// Returns the time of a pass relative to evenly loaded schedulers; 1 if unknown.
     ///
     /// A scheduler runs its subgroups one after the other. One scheduler has the longest tile. One has
-    /// `subgroups / schedulers` of them, rounded up, which count as equally long. The slower of both determines the
-    /// time. Parts of a tile count as equal shares of it. Other devices are assumed to split tiles as the measured one.
+    /// `subgroups / schedulers` of them, rounded up, which are assumed to be equally long. The slower of both determines
+    /// the time. Parts of a tile count as equal shares of it. Other devices are assumed to split tiles as the measured one.
     pub fn imbalance(&self, pass: &str, schedulers: f64) -> f64 {
         let parts = match pass {
             pass if BY_TILE.contains(&pass) => 1.0,

@@ -27,7 +27,7 @@
 //! | loads of four weights from a uniform buffer, the same address in all lanes | 18.5 | 0 |
 //! | loads of rows, neighboring addresses | 2 | 0 |
 //! | accesses of shared memory, four numbers each | 4.5 | 0 |
-//! | bytes that these and the shuffles move | 2900 | 15 360 |
+//! | bytes moved by loads, shared memory and shuffles | 2900 | 15 360 |
 //!
 //! A load from one address moves its bytes once for the subgroup; all others move a number or four for each lane. With matrix
 //! units and 16 bits, the products with the second layer and the sums of weights run on units. A subgroup of 32 then loads 80
