@@ -47,7 +47,11 @@ impl Tuning {
         let matrices = Matrices::for_device(info).ok();
         let gpu = Tuning::for_subgroups(info.subgroup_size);
         let gpu = Tuning { matrices, units: info.compute_units.unwrap_or(gpu.units), ..gpu };
-        if info.kind == "cpu" { Tuning { workers: 8, rounds: u16::MAX.into(), cpu: true, ..gpu } } else { gpu }
+        // CPUs run both sides of a branch for lanes in lockstep, so that sub-tiles save nothing. On llvmpipe blending takes
+        // 1.1 times as long with them, and its backward pass 1.5 to 2 times with 8 lanes and 1.2 times with 16
+        // (`engine-bench passes --filter sub_tiles`).
+        let cpu = Tuning { workers: 8, rounds: u16::MAX.into(), cpu: true, sub_tiles: false, ..gpu };
+        if info.kind == "cpu" { cpu } else { gpu }
     }
 
     /// Returns the tuning for a GPU of which only the subgroup size is known.
@@ -62,9 +66,7 @@ impl Tuning {
             // A lane needs longer for its tiles than the subgroup for the same splat from a few per lane on. Fewer would
             // cost more where all lanes have such splats, since the subgroup then processes as many one by one.
             large_tiles: 4 * subgroup_size,
-            // Sub-tiles leave half of the pairs of entry and slot, with slots about as wide as high. CPUs run both sides of
-            // a branch for lanes in lockstep and win nothing: with 8 lanes on llvmpipe, blending takes 1.1 times as long
-            // with them, and its backward pass 1.7 to 2 times (`engine-bench passes --filter sub_tiles`).
+            // Sub-tiles leave half of the pairs of entry and slot, with slots about as wide as high.
             slot_width: match subgroup_size {
                 ..16 => width,
                 16 => 4,
