@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// Rates of a device, in units per second, and seconds of an empty pass.
+#[derive(Clone)]
 struct Rates {
     bytes: f64,
     operations: f64,
@@ -81,15 +82,16 @@ pub fn predict(
         report.settings != other.settings,
         "The ratios are of the same step, so that they fit it; select another scene or size."
     );
-    let (mut own, mut theirs) = (Rates::of(report)?, Rates::of(other)?);
-    // A ratio without atomics does not fit a bound with them.
+    let (own, mut theirs) = (Rates::of(report)?, Rates::of(other)?);
+    // A ratio with atomics does not fit a bound without them, or the other way round.
+    let mut alike = own.clone();
     if own.atomics.is_none() || theirs.atomics.is_none() {
-        (own.atomics, theirs.atomics) = (None, None);
+        (alike.atomics, theirs.atomics) = (None, None);
     }
     let fixed = known.iter().map(|p| p.nanoseconds.median).fold(f64::INFINITY, f64::min);
     let known: BTreeMap<&str, &PassRow> = known.iter().map(|pass| (pass.pass.as_str(), *pass)).collect();
     let one = |pass: &&PassRow| {
-        let bound = own.bound(pass);
+        let bound = alike.bound(pass);
         let ratios = known.get(pass.pass.as_str()).map(|other| {
             let (time, least) = (other.nanoseconds.median, theirs.bound(other));
             // The shortest pass is an empty one. A pass without counts has the same time in every step.
@@ -228,18 +230,23 @@ mod tests {
     }
 
     #[test]
-    fn atomics_count_where_both_reports_have_their_rate() {
+    fn atomics_count_in_ratios_where_both_reports_have_their_rate() {
         let reports = |rates: [f64; 2]| {
-            let [mut known, mut step] = [1, 2].map(|gaussians| report(gaussians, &[("a", 500.0, Some(100.0))]));
+            let rows = [("a", 500.0, Some(100.0)), ("empty", 100.0, Some(0.0))];
+            let [mut known, mut step] = [1, 2].map(|gaussians| report(gaussians, &rows));
+            (known.passes[0].atomics, step.passes[0].atomics) = (Some(200.0), Some(400.0));
             for (report, rate) in [&mut known, &mut step].into_iter().zip(rates) {
-                report.passes[0].atomics = Some(200.0);
                 report.ceiling.as_mut().unwrap().atomics_per_second = rate;
             }
-            predict((&step, &passes(&step)), (&known, &passes(&known))).unwrap()[0].counts.round()
+            let checked = predict((&step, &passes(&step)), (&known, &passes(&known))).unwrap();
+            [checked[0].counts.round(), checked[0].ratios.unwrap().round()]
         };
-        // A dispatch of 10 ns, and the longer of 100 ns of bytes and 200 ns of atomics.
-        assert_eq!(reports([1e9, 1e9]), 210.0);
-        assert_eq!([reports([0.0, 1e9]), reports([1e9, 0.0])], [110.0; 2]);
+        // A dispatch of 10 ns, and the longer of 100 ns of bytes and 400 ns of atomics. The other step took 400 ns more than an
+        // empty pass, for 200 ns of atomics; this one has twice as many.
+        assert_eq!(reports([1e9, 1e9]), [410.0, 100.0 + 400.0 / 200.0 * 400.0]);
+        // Ratios of bytes, which are the same in both.
+        assert_eq!(reports([0.0, 1e9]), [410.0, 500.0]);
+        assert_eq!(reports([1e9, 0.0]), [110.0, 500.0]);
     }
 
     #[test]

@@ -21,7 +21,7 @@ pub(super) fn count(s: &Stage<'_>, c: &Counts) -> f64 {
         }
         // The lower words of two features for each corner of each level; a bit for each touched entry. Few upper words change.
         "visibility_encode_bwd" => 2.0 * CORNERS * spec("LEVELS") * c.pixels + c.touched,
-        // Twelve texels, each with three sums, whose upper words seldom change.
+        // Twelve texels, each with three sums, whose upper words rarely change.
         "environment_bwd" => 36.0 * c.pixels,
         // About one for each Gaussian that is cloned, split or pruned.
         "densify_decide" | "densify_assign" | "relocate_draw" => c.moved,
