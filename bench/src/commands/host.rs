@@ -167,7 +167,8 @@ fn measure(common: &Common, a: &Args, counts: &Path) -> anyhow::Result<()> {
     (settings.geometry.steps, settings.intrinsic.steps) = (2 * steps, 2 * steps);
     settings.geometry.backward = Backward::Pixel;
     settings.geometry.densify.until = 0.0;
-    settings.geometry.correspondence_from = 1;
+    // Kinds of steps that begin late belong to the steps before the measured ones, too.
+    (settings.geometry.correspondence_from, settings.intrinsic.relight_from) = (1, 1);
     let lit = LitScene::open(None, None, a.size, &mut settings)?;
     report.setting("views", lit.scene.split.train.len());
     // Most steps of training are plain: no pseudo-views, no other lights, and one graph.
