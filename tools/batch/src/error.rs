@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum BatchError {
     /// Manifest or baseline that is wrong.
-    #[error("\"{}\": {problem}.", path.display())]
+    #[error("\"{}\": {problem}{}", path.display(), sgs_config::end_mark(problem))]
     Wrong {
         /// File that is wrong.
         path: PathBuf,
@@ -47,5 +47,17 @@ pub(crate) fn failed(action: &'static str, path: &Path) -> impl FnOnce(std::io::
     move |e| {
         let storage = sgs_scene::is_storage_error(&e);
         BatchError::File { path: path.to_owned(), problem: format!("cannot be {action}: {e}"), storage }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_end_with_one_mark() {
+        let message = |problem: &str| wrong(Path::new("a"), problem).to_string();
+        assert_eq!(message("did you mean \"b\"?"), "\"a\": did you mean \"b\"?");
+        assert_eq!(message("scenes is empty"), "\"a\": scenes is empty.");
     }
 }

@@ -28,7 +28,7 @@ pub use intrinsic::{
     Metallic, RelightSettings, VisibilityKind, VisibilitySettings,
 };
 pub use memory::{MemorySettings, parse_bytes};
-pub use names::one_line;
+pub use names::{end_mark, one_line};
 pub use noise::NoiseSettings;
 pub use own_prior::OwnPrior;
 pub use presets::{PRESETS, Preset, overlay};

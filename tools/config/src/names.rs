@@ -9,6 +9,11 @@ pub fn one_line(message: &str) -> String {
     message.trim().trim_end_matches('.').replace('\n', " ")
 }
 
+/// Returns the mark that ends a sentence: none if it ends with a question.
+pub fn end_mark(sentence: &str) -> &'static str {
+    if sentence.ends_with('?') { "" } else { "." }
+}
+
 /// Settings that are numbers or this word, with the allowed numbers.
 const OR_WORD: [(&str, &str, &str); 3] = [
     (VIEW_RATES, super::view_rates::AUTO, "4 numbers"),

@@ -1,6 +1,6 @@
 //! Errors of runs. Each is one sentence that states what to do.
 
-use sgs_config::ConfigError;
+use sgs_config::{ConfigError, end_mark};
 use std::path::{Path, PathBuf};
 
 /// Errors of this crate.
@@ -16,7 +16,7 @@ pub enum RunError {
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// Unusable file of a run.
-    #[error("\"{path}\": {reason}.", path = path.display())]
+    #[error("\"{path}\": {reason}{}", end_mark(reason), path = path.display())]
     File {
         /// Path of the file.
         path: PathBuf,
@@ -89,4 +89,16 @@ pub fn io_error(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error
 
 pub(crate) fn error(path: &Path, reason: String) -> RunError {
     RunError::File { path: path.to_owned(), reason }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_end_with_one_mark() {
+        let message = |reason: &str| RunError::file(Path::new("a"), reason.into()).to_string();
+        assert_eq!(message("\"b\" is unknown; did you mean \"c\"?"), "\"a\": \"b\" is unknown; did you mean \"c\"?");
+        assert_eq!(message("is not valid"), "\"a\": is not valid.");
+    }
 }
