@@ -167,7 +167,8 @@ fn measure(common: &Common, a: &Args, counts: &Path) -> anyhow::Result<()> {
     (settings.geometry.steps, settings.intrinsic.steps) = (2 * steps, 2 * steps);
     settings.geometry.backward = Backward::Pixel;
     settings.geometry.densify.until = 0.0;
-    // Kinds of steps that begin late belong to the steps before the measured ones, too.
+    // By default training compares regions and lights from later steps on. From the first step on, all command buffers
+    // are recorded before the measured steps.
     (settings.geometry.correspondence_from, settings.intrinsic.relight_from) = (1, 1);
     let lit = LitScene::open(None, None, a.size, &mut settings)?;
     report.setting("views", lit.scene.split.train.len());
